@@ -1,0 +1,71 @@
+"""The errors users meet: each is one line of text and one documented exit code.
+
+A message says what is wrong, where, the value found, what would be valid, and what to do. Anything that is not a
+`YamsimError` is a bug: it keeps its traceback and exits with 1.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import ClassVar
+
+
+class YamsimError(Exception):
+    """Base of every error that is the user's or the machine's, not a bug in yamsim."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class UsageError(YamsimError):
+    """A command line that cannot be run as given: a bad flag value, an output that is in the way."""
+
+    exit_code = 2
+
+
+class ConfigError(YamsimError):
+    """A configuration file or value that is not valid."""
+
+    exit_code = 3
+
+
+class ResourceError(YamsimError):
+    """Something the job needs is missing: a mesh, a GL backend, a package extra, write permission."""
+
+    exit_code = 4
+
+
+class DatasetError(YamsimError):
+    """A dataset, or a file of one, that cannot be trusted."""
+
+    exit_code = 4
+
+
+class SimulationError(YamsimError):
+    """Physics, planning or rendering could not do what was asked."""
+
+    exit_code = 5
+
+
+class PartialJobError(YamsimError):
+    """A job ended before all was done; what was done is intact and on disk."""
+
+    exit_code = 6
+
+
+class InterruptedJobError(YamsimError):
+    """The user stopped the job; what was done is intact and on disk."""
+
+    exit_code = 130
+
+
+def suggest(value: str, valid: Iterable[str]) -> str:
+    """Say which values would have been valid, with the closest first named when one is close.
+
+    Returns:
+        For example ``"did you mean 'single'? valid: bimanual, single"``.
+    """
+    choices = sorted(valid)
+    close = difflib.get_close_matches(value, choices, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}valid: {', '.join(choices) if choices else '(none)'}"

@@ -1,0 +1,121 @@
+"""Files that are either wholly there or not there at all.
+
+Everything yamsim publishes goes through here: written beside its destination, flushed to the disk, then renamed. A crash
+at any moment leaves the old state or the new one under the final name, never half of either.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+
+def sha256_bytes(data: bytes) -> str:
+    """Hex SHA-256 of `data`."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def sha256_file(path: Path) -> str:
+    """Hex SHA-256 of a file, read in pieces."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def fsync_directory(path: Path) -> None:
+    """Flush a directory's entries, so that a rename in it survives a power cut."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _write_and_fsync(path: Path, data: bytes) -> None:
+    with path.open("xb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Replace or create one file atomically; its directory must exist.
+
+    Raises:
+        OSError: the file could not be written; the old content, if any, is untouched.
+    """
+    part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
+    try:
+        _write_and_fsync(part, data)
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    fsync_directory(path.parent)
+
+
+def append_line(path: Path, line: str) -> None:
+    """Append one line and flush it to the disk; a single write, so that a crash leaves a whole line or none.
+
+    A cut-off last line, as a power cut can leave, is closed first, so that it never swallows the new one.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+    try:
+        size = os.fstat(descriptor).st_size
+        cut_off = size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
+        data = (("\n" if cut_off else "") + line + "\n").encode()
+        if os.write(descriptor, data) != len(data):
+            os.ftruncate(descriptor, size)
+            raise OSError(f"short write to {path}: the disk may be full")
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) -> None:
+    """Create directory `final` with all of `files` in one step.
+
+    Args:
+        final: the directory to create; it must not exist, its parent must.
+        files: relative POSIX path -> content.
+        staging: a directory on the same filesystem in which the tree is built first; created when missing.
+
+    Raises:
+        OSError: nothing appeared under `final`, and the staged tree was removed.
+    """
+    stage = staging / f"{final.name}.{uuid.uuid4().hex}"
+    try:
+        stage.mkdir(parents=True)
+        directories = {stage}
+        for name, data in files.items():
+            path = stage / name
+            if path.parent not in directories:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                directories.update(parent for parent in path.parents if stage in parent.parents or parent == stage)
+            _write_and_fsync(path, data)
+        for directory in directories:
+            fsync_directory(directory)
+        # rename(2) refuses a non-empty target, and would silently replace an empty one.
+        if final.exists():
+            raise FileExistsError(f"{final} already exists")
+        os.rename(stage, final)
+    except BaseException:
+        shutil.rmtree(stage, ignore_errors=True)
+        raise
+    fsync_directory(final.parent)
+
+
+@contextlib.contextmanager
+def exclusive_lock(path: Path) -> Iterator[None]:
+    """Hold an advisory lock on `path` (created when missing) for the block; waits for another holder to finish."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,72 @@
+"""Where configs, robot models and assets lie: from a checkout, from an installed wheel, or from the user's own folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from .errors import ConfigError, ResourceError, suggest
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def _built_in() -> Path:
+    """The data shipped with this yamsim: `_data` inside an installed wheel, else the checkout's top level."""
+    packaged = _PACKAGE / "_data"
+    return packaged if packaged.is_dir() else _PACKAGE.parent
+
+
+@dataclass(frozen=True)
+class Locations:
+    """The directories a job may read from. Plain data, so that workers on any machine can be handed it.
+
+    Attributes:
+        data: roots that hold `configs/`, `robot_models/` and `assets/`, most important first.
+        assets: the cache of fetched meshes.
+    """
+
+    data: tuple[Path, ...]
+    assets: Path
+
+    @classmethod
+    def find(cls, environ: Mapping[str, str]) -> Locations:
+        """Build from the environment: `YAMSIM_DATA_DIR`, `YAMSIM_ASSETS`, `XDG_CACHE_HOME`, `HOME`. Touches no file."""
+        roots = [Path(environ["YAMSIM_DATA_DIR"])] if environ.get("YAMSIM_DATA_DIR") else []
+        if environ.get("YAMSIM_ASSETS"):
+            assets = Path(environ["YAMSIM_ASSETS"])
+        elif environ.get("XDG_CACHE_HOME"):
+            assets = Path(environ["XDG_CACHE_HOME"]) / "yamsim" / "assets"
+        else:
+            assets = Path(environ.get("HOME") or "~").expanduser() / ".cache" / "yamsim" / "assets"
+        return cls(data=(*roots, _built_in()), assets=assets)
+
+    def file(self, relative: str) -> Path:
+        """The first data root's file at `relative`.
+
+        Raises:
+            ResourceError: no root has it.
+        """
+        for root in self.data:
+            if (root / relative).is_file():
+                return root / relative
+        raise ResourceError(f"{relative} not found under {', '.join(map(str, self.data))}; set YAMSIM_DATA_DIR or reinstall yamsim")
+
+    def config_names(self, kind: str) -> list[str]:
+        """Names of the configs of one kind (`rigs`, `tasks`, ...), sorted."""
+        return sorted({path.stem for root in self.data for path in (root / "configs" / kind).glob("*.yaml")})
+
+    def config_file(self, kind: str, name: str) -> Path:
+        """The YAML file of a named config, or of a path the user gave (anything ending in `.yaml` or `.yml`).
+
+        Raises:
+            ConfigError: no such config; the message lists the names there are.
+        """
+        if name.endswith((".yaml", ".yml")):
+            path = Path(name)
+            if path.is_file():
+                return path
+            raise ConfigError(f"{kind.removesuffix('s')} config file {name} does not exist")
+        if name not in self.config_names(kind):
+            raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {suggest(name, self.config_names(kind))}")
+        return self.file(f"configs/{kind}/{name}.yaml")
