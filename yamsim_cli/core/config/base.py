@@ -1,0 +1,54 @@
+"""What every config model is made of: frozen, strict about its keys, plain about its units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
+
+
+class Config(BaseModel):
+    """Base of all configs: immutable, and an unknown key is an error rather than a silent default."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Marks a field that may name a config of another kind instead of spelling it out: `rig: single`.
+
+    Attributes:
+        kind: the folder under `configs/` in which the name is looked up.
+    """
+
+    kind: str
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise ValueError(f"a range is [low, high], so {value[0]} must not be above {value[1]}")
+    return value
+
+
+def _unit_fractions(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not all(0.0 <= part <= 1.0 for part in value):
+        raise ValueError("each part must lie in 0..1")
+    return value
+
+
+def _rotation(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    if math.hypot(*value) < 1e-9:
+        raise ValueError("a zero quaternion is no rotation")
+    return value
+
+
+Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Quaternion = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_rotation)]
+Range = Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_ordered)]
+Rgba = Annotated[tuple[float, float, float, float], AfterValidator(_unit_fractions)]
+Rgb = Annotated[tuple[float, float, float], AfterValidator(_unit_fractions)]
+Positive = Annotated[FiniteFloat, Field(gt=0)]
+NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]

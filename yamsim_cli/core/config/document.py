@@ -1,0 +1,158 @@
+"""Strict YAML: duplicate keys refused, numbers and booleans read as people write them, and every value's line kept.
+
+PyYAML's own loader keeps the last of two equal keys, reads `1e-3` as text and `on`, `yes` as true. This one follows YAML 1.2's
+core schema instead.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..errors import ConfigError
+
+KeyPath = tuple[str | int, ...]
+
+# Configs are written by hand; anything larger is a mistake, or an attack by repeated aliases.
+_MAX_BYTES = 1_000_000
+
+
+class _Loader(yaml.SafeLoader):
+    """A safe loader with YAML 1.2's idea of what a plain scalar means."""
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  (PyYAML's own name)
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""])
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789"))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"),
+    list("-+0123456789."),
+)
+
+
+def _decimal_int(loader: _Loader, node: yaml.ScalarNode) -> int:
+    # PyYAML's own reads 010 as octal.
+    return int(node.value)
+
+
+def _plain_float(loader: _Loader, node: yaml.ScalarNode) -> float:
+    return float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan"))
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _decimal_int)
+_Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
+
+
+@dataclass
+class Document:
+    """Plain data with the place each value came from.
+
+    Attributes:
+        data: nested dicts, lists and scalars.
+        source: the file, or what stands for it in messages.
+        places: key path -> "file:line" or "--flag".
+    """
+
+    data: dict[str, Any]
+    source: str
+    places: dict[KeyPath, str] = field(default_factory=dict)
+
+    def place(self, path: KeyPath) -> str:
+        """Where the value at `path`, or the nearest thing around it, was written."""
+        while path and path not in self.places:
+            path = path[:-1]
+        return self.places.get(path, self.source)
+
+    def set(self, path: KeyPath, value: Any, place: str) -> None:
+        """Override one value, creating the mappings above it."""
+        target: Any = self.data
+        for key in path[:-1]:
+            target = target.setdefault(key, {}) if isinstance(target, dict) else target[key]
+        target[path[-1]] = value
+        self.places = {known: where for known, where in self.places.items() if known[: len(path)] != path}
+        self.places[path] = place
+
+    def graft(self, path: KeyPath, other: Document) -> None:
+        """Put another document in at `path`, keeping where its values came from."""
+        self.set(path, other.data, other.source)
+        self.places.update({path + inner: where for inner, where in other.places.items()})
+
+
+def load_yaml(path: Path) -> Document:
+    """Read a YAML file whose top level is a mapping.
+
+    Raises:
+        ConfigError: unreadable, not YAML, a duplicate key, not a mapping, or larger than 1 MB.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(raw) > _MAX_BYTES:
+        raise ConfigError(f"{path}: {len(raw)} bytes is too large for a config; at most {_MAX_BYTES}")
+    return parse_yaml(raw, str(path))
+
+
+def parse_yaml(text: str | bytes, source: str) -> Document:
+    """Read YAML text; `source` names it in messages. Raises as `load_yaml`."""
+    document = Document({}, source)
+    try:
+        loader = _Loader(text)
+        try:
+            root = loader.get_single_node()
+            if root is None or not isinstance(root, yaml.MappingNode):
+                raise ConfigError(f"{source}: the top level must be a mapping of keys to values")
+            _index(root, (), document)
+            document.data = loader.construct_document(root)
+        finally:
+            loader.dispose()
+    except yaml.MarkedYAMLError as error:
+        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise ConfigError(f"{source}{line}: not valid YAML: {error.problem}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
+    return document
+
+
+def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
+    """Note each value's line and refuse duplicate, non-text and merged keys and aliases."""
+    document.places[path] = f"{document.source}:{node.start_mark.line + 1}"
+    if isinstance(node, yaml.MappingNode):
+        seen: dict[str, int] = {}
+        for key, value in node.value:
+            line = key.start_mark.line + 1
+            if not isinstance(key, yaml.ScalarNode) or key.tag != "tag:yaml.org,2002:str":
+                raise ConfigError(f"{document.source}:{line}: a key must be plain text")
+            if key.value in seen:
+                first = seen[key.value]
+                raise ConfigError(
+                    f"{document.source}:{line}: duplicate key {key.value!r}, first at line {first}; remove one"
+                )
+            seen[key.value] = line
+            _index(value, (*path, key.value), document)
+    elif isinstance(node, yaml.SequenceNode):
+        for position, item in enumerate(node.value):
+            _index(item, (*path, position), document)
+
+
+def dump_yaml(data: Mapping[str, Any]) -> str:
+    """YAML text of plain data, in the order given, that `parse_yaml` reads back the same."""
+    text: str = yaml.safe_dump(_plain(data), sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    return text
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists: YAML's safe dumper knows no tuples."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value

@@ -1,0 +1,49 @@
+"""A recording: everything that decides its bytes, and how many workers make them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from .base import Config, Reference
+from .rig import RigConfig
+from .scene import SceneConfig
+from .task import TaskConfig
+
+
+class ImageConfig(Config):
+    """Size in pixels (width, height) and JPEG quality of recorded images."""
+
+    size_px: tuple[Annotated[int, Field(ge=16, le=4096)], Annotated[int, Field(ge=16, le=4096)]]
+    jpeg_quality: int = Field(ge=1, le=100)
+
+
+class RenderConfig(Config):
+    """What rendering spends: samples a pixel (0 for none) and the shadow map's edge in texels (0 for no shadows)."""
+
+    multisamples: Literal[0, 2, 4, 8]
+    shadow_map_px: int = Field(ge=0, le=8192)
+
+
+class RecordConfig(Config):
+    """What `yamsim record` and `yamsim pickplace batch` run.
+
+    Attributes:
+        grasp: "weld" holds the object by a constraint switched on at the grasp, as the lab's magnet does.
+        episodes: how many successful episodes to record, or trials to run.
+        workers: how many processes; it never changes the data.
+        seed: with an attempt's number, decides everything random in it.
+        wrist: also record the wrist camera.
+    """
+
+    rig: Annotated[RigConfig, Reference("rigs")]
+    scene: Annotated[SceneConfig, Reference("scenes")]
+    task: Annotated[TaskConfig, Reference("tasks")]
+    grasp: Literal["weld"]
+    episodes: int = Field(ge=1, le=1_000_000)
+    workers: int = Field(ge=1, le=1024)
+    seed: int = Field(ge=0, lt=2**63)
+    wrist: bool
+    image: ImageConfig
+    render: RenderConfig

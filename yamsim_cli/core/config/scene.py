@@ -1,0 +1,202 @@
+"""Scenes: the table, the objects, the lights and the fixed cameras."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from ..geometry.se3 import Array, pose, rotation_z
+from .base import Config, Name, NonNegative, Positive, Rgb, Rgba, Vector
+
+
+class Contact(Config):
+    """Surface properties in MuJoCo's terms: sliding, torsional (m) and rolling (m) friction, and the contact dimension."""
+
+    friction: tuple[NonNegative, NonNegative, NonNegative] = (1.0, 0.005, 0.0001)
+    condim: Literal[1, 3, 4, 6] = 3
+
+
+class Capsule(Config):
+    """A capsule between two points of the object's frame."""
+
+    type: Literal["capsule"]
+    start: Vector
+    end: Vector
+    radius: Positive
+    rgba: Rgba | None = None
+
+
+class Cylinder(Config):
+    """An upright cylinder: centre, radius and half its height."""
+
+    type: Literal["cylinder"]
+    centre: Vector
+    radius: Positive
+    half_height: Positive
+    rgba: Rgba | None = None
+
+
+class Ring(Config):
+    """A sloping rim of boxes around the object's z axis, such as a plate's.
+
+    Attributes:
+        inner, outer: radius and height (m) of the rim's upper surface at its inner and outer edge.
+        thickness: of the boxes, below that surface.
+        segments: how many boxes go round.
+    """
+
+    type: Literal["ring"]
+    inner: tuple[Positive, float]
+    outer: tuple[Positive, float]
+    thickness: Positive
+    segments: int = Field(ge=3, le=128)
+    rgba: Rgba | None = None
+
+
+Primitive = Annotated[Capsule | Cylinder | Ring, Field(discriminator="type")]
+
+
+class ObjectMesh(Config):
+    """The scan that is seen: asset set and file, and the scan's point that becomes the object's origin."""
+
+    set: str
+    file: str
+    origin: Vector
+    rgba: Rgba
+    specular: float = Field(default=0.2, ge=0, le=1)
+    shininess: float = Field(default=0.3, ge=0, le=1)
+
+
+class Inertia(Config):
+    """Mass in grams, and the principal moments (kg m2) with the frame they hold in; the origin is the centre of mass."""
+
+    mass_g: Positive
+    diagonal: tuple[Positive, Positive, Positive]
+    quat: tuple[float, float, float, float]
+
+    @property
+    def mass(self) -> float:
+        """Mass in kilograms."""
+        return self.mass_g / 1000.0
+
+
+class Grasp(Config):
+    """How the fingers take an object from above: the point between them, in the object's frame, and the axis they close along.
+
+    Attributes:
+        position: of the pinch point in the object's frame, m.
+        axis_deg: direction in the object's xy plane along which the fingers close, degrees from +x.
+        opening: of one finger around the object once closed, m.
+    """
+
+    position: Vector
+    axis_deg: float
+    opening: NonNegative
+
+    def T_pinch_in_object(self, flipped: bool) -> Array:
+        """The pinch frame (4, 4) in the object's: z down into the object, y along the closing axis, either way round."""
+        down = pose(rotation=[[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+        turn = math.radians(self.axis_deg) + math.pi / 2 + (math.pi if flipped else 0.0)
+        return pose(self.position, rotation_z(turn)) @ down
+
+
+class ObjectConfig(Config):
+    """A thing that can be moved: primitives to collide, a scan to see.
+
+    Attributes:
+        rest_height: of the origin over the surface it lies on, m.
+        look: extra primitives that are only seen, such as a banana's brown ends.
+    """
+
+    name: Name
+    mesh: ObjectMesh
+    inertia: Inertia
+    contact: Contact = Contact()
+    collision: tuple[Primitive, ...] = Field(min_length=1)
+    look: tuple[Primitive, ...] = ()
+    rest_height: NonNegative
+    grasp: Grasp | None = None
+
+    @property
+    def footprint(self) -> tuple[tuple[float, float, float], ...]:
+        """Discs (x, y, radius) in the object's frame that cover its collision primitives seen from above, m."""
+        discs: list[tuple[float, float, float]] = []
+        for part in self.collision:
+            match part:
+                case Capsule():
+                    for k in range(5):
+                        x, y = (part.start[i] + (part.end[i] - part.start[i]) * k / 4 for i in (0, 1))
+                        discs.append((x, y, part.radius))
+                case Cylinder():
+                    discs.append((part.centre[0], part.centre[1], part.radius))
+                case Ring():
+                    discs.append((0.0, 0.0, part.outer[0]))
+        return tuple(discs)
+
+    @property
+    def support_height(self) -> float:
+        """Height over the origin of the surface on which something put into the middle comes to lie, m."""
+        return max((part.centre[2] + part.half_height for part in self.collision if isinstance(part, Cylinder)), default=0.0)
+
+
+class Table(Config):
+    """The work surface, a box: centre and half-size in metres."""
+
+    position: Vector
+    half_size: tuple[Positive, Positive, Positive]
+    rgba: Rgba
+    contact: Contact = Contact()
+
+    @property
+    def top(self) -> float:
+        """Height of the surface in `world`, m."""
+        return self.position[2] + self.half_size[2]
+
+
+class Light(Config):
+    """A directional light: where it shines towards, its colour, and whether it casts shadows."""
+
+    direction: Vector
+    diffuse: Rgb
+    specular: Rgb = (0.2, 0.2, 0.2)
+    castshadow: bool = False
+
+
+class FixedCamera(Config):
+    """A camera that stands still in `world`: position and the point it looks at in metres; image up is away from the ground."""
+
+    position: Vector
+    look_at: Vector
+    fovy_deg: float = Field(gt=1, lt=179)
+
+    @model_validator(mode="after")
+    def _not_along_up(self) -> FixedCamera:
+        if math.dist(self.position, self.look_at) < 1e-6:
+            raise ValueError("position and look_at are the same point")
+        return self
+
+
+class SceneConfig(Config):
+    """A station's surroundings.
+
+    Attributes:
+        safety_plane: height in `world` of the plane that catches what falls, m.
+        floor_rgba, sky: what is seen around the table.
+    """
+
+    name: Name
+    table: Table
+    safety_plane: float
+    floor_rgba: tuple[Rgb, Rgb]
+    sky: tuple[Rgb, Rgb]
+    ambient: Rgb
+    lights: tuple[Light, ...] = Field(min_length=1)
+    scene_camera: FixedCamera
+
+    @model_validator(mode="after")
+    def _plane_below_table(self) -> SceneConfig:
+        if self.safety_plane >= self.table.top:
+            raise ValueError(f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top} m")
+        return self

@@ -1,0 +1,95 @@
+"""Tasks: where objects may start, how the arm goes about it, and what counts as success."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat, model_validator
+
+from .base import Config, Name, NonNegative, Positive, Range, Reference
+from .scene import ObjectConfig
+
+
+class Sampling(Config):
+    """The box in `world` from which both objects' positions are drawn (m), and their headings (degrees).
+
+    Attributes:
+        min_separation: least distance between the two origins, m.
+        clearance: least gap between their outlines seen from above, m.
+    """
+
+    x: Range
+    y: Range
+    object_yaw_deg: Range
+    target_yaw_deg: Range
+    min_separation: NonNegative
+    clearance: NonNegative
+
+
+class Heights(Config):
+    """Heights in metres of the carried object's origin over where it lies or will lie."""
+
+    approach: Positive
+    lift: Positive
+    arc: Positive
+    release: NonNegative
+
+
+class Timing(Config):
+    """How a plan is spread over time.
+
+    Attributes:
+        ticks_per_waypoint: control ticks from one waypoint to the next.
+        settle_ticks: control ticks after the last waypoint.
+        physics_steps_per_tick, timestep: so a tick lasts 16 x 2 ms = 32 ms.
+        ticks_per_frame: every how many ticks a frame is recorded.
+    """
+
+    ticks_per_waypoint: int = Field(ge=2, le=1000)
+    settle_ticks: int = Field(ge=0, le=10_000)
+    physics_steps_per_tick: int = Field(ge=1, le=1000)
+    timestep: Annotated[float, Field(gt=0, le=0.01)]
+    ticks_per_frame: int = Field(ge=1, le=100)
+
+    @property
+    def tick(self) -> float:
+        """Length of a control tick, s."""
+        return self.physics_steps_per_tick * self.timestep
+
+
+class Success(Config):
+    """When the object counts as on the target, once everything has settled.
+
+    Attributes:
+        threshold: largest horizontal distance between the two origins, m.
+        max_height: largest height of the object's origin over the target's, m.
+        max_speed: a faster object has not come to rest, m/s.
+    """
+
+    threshold: Positive
+    max_height: Positive
+    max_speed: Positive
+
+
+class TaskConfig(Config):
+    """Pick `object` up and put it onto `target`."""
+
+    name: Name
+    kind: Literal["pickplace"]
+    object: Annotated[ObjectConfig, Reference("objects")]
+    target: Annotated[ObjectConfig, Reference("objects")]
+    language_task: str
+    language_prompt: str
+    sampling: Sampling
+    start_joints: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+    heights: Heights
+    timing: Timing
+    success: Success
+
+    @model_validator(mode="after")
+    def _graspable(self) -> TaskConfig:
+        if self.object.grasp is None:
+            raise ValueError(f"object {self.object.name!r} has no `grasp`, so it cannot be picked up")
+        if self.object.name == self.target.name:
+            raise ValueError(f"object and target are both {self.object.name!r}")
+        return self

@@ -1,0 +1,54 @@
+"""Pinhole cameras in OpenCV's convention: x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .se3 import Array
+
+# A MuJoCo camera looks along its -z with +y up; OpenCV's looks along +z with +y down. The same turn either way.
+_FLIP_YZ = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera without distortion: image size in pixels, focal lengths and principal point in pixels."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    @classmethod
+    def from_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
+        """The camera MuJoCo renders for a vertical field of view of `fovy` radians: square pixels, centred.
+
+        The image's centre lies between the middle pixels, so with pixel centres at whole numbers the principal point is
+        `(width - 1) / 2`, not `width / 2`; half a pixel is 0.7 mm at a metre with a focal length of 700 px.
+        """
+        focal = height / 2 / math.tan(fovy / 2)
+        return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+    @property
+    def K(self) -> Array:
+        """The camera matrix (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+def opencv_from_mujoco(rotation: ArrayLike) -> Array:
+    """The rotation (3, 3) of the OpenCV camera frame, from that of the MuJoCo camera frame in the same reference; its own inverse."""
+    return np.asarray(rotation, dtype=np.float64).reshape(3, 3) @ _FLIP_YZ
+
+
+def project(K: ArrayLike, points_in_cam: ArrayLike) -> Array:
+    """Pixel coordinates (n, 2) of points (n, 3) in the camera frame, which must lie in front of it (z > 0)."""
+    points = np.atleast_2d(np.asarray(points_in_cam, dtype=np.float64))
+    rays = points @ np.asarray(K, dtype=np.float64).T
+    pixels: Array = rays[:, :2] / rays[:, 2:]
+    return pixels

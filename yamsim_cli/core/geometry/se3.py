@@ -1,0 +1,122 @@
+"""Rigid transforms as 4 x 4 matrices.
+
+`T_a_in_b` is the pose of frame a in frame b: `p_b = T_a_in_b @ p_a`, so `T_a_in_c = T_b_in_c @ T_a_in_b`. Quaternions are wxyz,
+lengths metres, angles radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
+    """A pose (4, 4) from a position (3,) and a rotation matrix (3, 3), identity when left out."""
+    T = np.eye(4)
+    T[:3, 3] = position
+    if rotation is not None:
+        T[:3, :3] = rotation
+    return T
+
+
+def rotation_z(angle: float) -> Array:
+    """The rotation (3, 3) by `angle` about +z."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
+    """A pose (4, 4) from a position (3,) and a quaternion (4,), which need not be normalized.
+
+    Raises:
+        ValueError: the quaternion is zero.
+    """
+    q = np.asarray(quat, dtype=np.float64)
+    norm = float(np.linalg.norm(q))
+    if norm == 0.0:
+        raise ValueError("a zero quaternion is no rotation")
+    w, x, y, z = q / norm
+    return pose(
+        position,
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ],
+    )
+
+
+def quat_from_rotation(rotation: ArrayLike) -> Array:
+    """The unit quaternion (4,) of a rotation (3, 3), with w >= 0.
+
+    Solved from the largest of its four components (Shepperd's method), so it is exact near 180 degrees too.
+    """
+    R = np.asarray(rotation, dtype=np.float64)
+    squares = np.array(
+        [
+            1 + R[0, 0] + R[1, 1] + R[2, 2],
+            1 + R[0, 0] - R[1, 1] - R[2, 2],
+            1 - R[0, 0] + R[1, 1] - R[2, 2],
+            1 - R[0, 0] - R[1, 1] + R[2, 2],
+        ]
+    )
+    largest = int(np.argmax(squares))
+    products = np.array(
+        [
+            [squares[0], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
+            [R[2, 1] - R[1, 2], squares[1], R[1, 0] + R[0, 1], R[0, 2] + R[2, 0]],
+            [R[0, 2] - R[2, 0], R[1, 0] + R[0, 1], squares[2], R[2, 1] + R[1, 2]],
+            [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[2, 1] + R[1, 2], squares[3]],
+        ]
+    )
+    q: Array = products[largest] / np.linalg.norm(products[largest])
+    return -q if q[0] < 0 else q
+
+
+def inverse(T: ArrayLike) -> Array:
+    """The inverse pose: from `T_a_in_b`, `T_b_in_a`."""
+    matrix = np.asarray(T, dtype=np.float64)
+    R = matrix[:3, :3].T
+    return pose(-R @ matrix[:3, 3], R)
+
+
+def rotation_vector(rotation: ArrayLike) -> Array:
+    """The axis (3,) times the angle in radians, angle in 0..pi, of a rotation (3, 3)."""
+    w, *xyz = quat_from_rotation(rotation)
+    vector = np.asarray(xyz)
+    length = float(np.linalg.norm(vector))
+    if length < 1e-12:
+        return 2.0 * vector
+    return vector * (2.0 * math.atan2(length, w) / length)
+
+
+def rotation_from_vector(vector: Sequence[float] | Array) -> Array:
+    """The rotation (3, 3) about the axis `vector` (3,) by its length in radians."""
+    v = np.asarray(vector, dtype=np.float64)
+    angle = float(np.linalg.norm(v))
+    if angle < 1e-12:
+        return np.eye(3)
+    half = angle / 2
+    return pose_from_quat((0, 0, 0), np.concatenate([[math.cos(half)], math.sin(half) * v / angle]))[:3, :3]
+
+
+def interpolate_rotation(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
+    """The rotation a `fraction` of the way from `start` to `end` along the shortest arc."""
+    R0, R1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    return R0 @ rotation_from_vector(fraction * rotation_vector(R0.T @ R1))
+
+
+def tilt(rotation: ArrayLike) -> float:
+    """The angle in radians between a frame's z axis and the reference's z axis."""
+    return math.acos(min(1.0, max(-1.0, float(np.asarray(rotation)[2, 2]))))
+
+
+def yaw(T: ArrayLike) -> float:
+    """The heading in radians of a pose's x axis in the reference's xy plane."""
+    matrix = np.asarray(T)
+    return math.atan2(float(matrix[1, 0]), float(matrix[0, 0]))

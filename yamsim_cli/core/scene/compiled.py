@@ -1,0 +1,61 @@
+"""A compiled scene, and where its parts lie in MuJoCo's arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.se3 import Array, quat_from_rotation
+from ..types import Layout
+
+Ids = NDArray[np.int_]
+
+
+@dataclass(frozen=True)
+class CompiledScene:
+    """A model with the addresses that stepping and recording need.
+
+    Attributes:
+        model: the compiled MuJoCo model; treat as constant outside an attempt (the weld's target is written into it).
+        joint_qpos, joint_dof: addresses (6,) of the arm's joints in `qpos` and `qvel`.
+        gripper_qpos: addresses (2,) of the left and right finger in `qpos`.
+        arm_ctrl, gripper_ctrl: the drives' places in `ctrl`.
+        velocity_lead: `kv / kp` (6,) of the arm's drives, s.
+        ctrl_range: (6, 2) of the arm's drives, rad.
+        weld: id of the equality that holds the object.
+        object_qpos: object name -> address of its free joint in `qpos`.
+        object_dof: object name -> address of its free joint in `qvel`.
+        T_base_in_world: pose (4, 4) of the arm's base.
+        cameras: names of the cameras to record, in order.
+    """
+
+    model: mujoco.MjModel
+    joint_qpos: Ids
+    joint_dof: Ids
+    gripper_qpos: Ids
+    arm_ctrl: Ids
+    gripper_ctrl: int
+    velocity_lead: Array
+    ctrl_range: Array
+    weld: int
+    object_qpos: Mapping[str, int]
+    object_dof: Mapping[str, int]
+    T_base_in_world: Array
+    cameras: tuple[str, ...]
+
+    def start(self, data: mujoco.MjData, layout: Layout, joints: Array, gripper: float) -> None:
+        """Reset `data` wholly and put arm and objects in place: bit for bit the same however `data` was used before."""
+        mujoco.mj_resetData(self.model, data)
+        data.qpos[self.joint_qpos] = joints
+        data.qpos[self.gripper_qpos] = gripper, -gripper
+        data.ctrl[self.arm_ctrl] = joints
+        data.ctrl[self.gripper_ctrl] = gripper
+        for name, T in layout.T_in_world.items():
+            address = self.object_qpos[name]
+            data.qpos[address : address + 3] = T[:3, 3]
+            data.qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+        mujoco.mj_forward(self.model, data)

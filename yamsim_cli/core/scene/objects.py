@@ -1,0 +1,97 @@
+"""Objects in a scene: primitives carry the contacts, a scan is only seen."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ..config.scene import Capsule, Contact, Cylinder, ObjectConfig, Primitive, Ring
+from ..geometry.se3 import pose, quat_from_rotation, rotation_z
+
+SEEN_GROUP = 2
+HIDDEN_GROUP = 3
+
+
+def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None) -> None:
+    """Add a free body named after the object.
+
+    Args:
+        meshes: folder with the scans; None shows the collision primitives instead, with the same physics.
+    """
+    body = spec.worldbody.add_body(name=item.name)
+    body.add_freejoint(name=item.name)
+    body.mass = item.inertia.mass
+    body.inertia = item.inertia.diagonal
+    body.iquat = np.asarray(item.inertia.quat) / np.linalg.norm(item.inertia.quat)
+    body.explicitinertial = True
+
+    material = spec.add_material(
+        name=item.name, rgba=item.mesh.rgba, specular=item.mesh.specular, shininess=item.mesh.shininess
+    )
+    for k, part in enumerate(item.collision):
+        _add_primitive(body, f"{item.name}_collide_{k}", part, item.contact, material.name, hidden=meshes is not None)
+    for k, part in enumerate(item.look):
+        _add_primitive(body, f"{item.name}_look_{k}", part, None, material.name, hidden=False)
+    if meshes is not None:
+        mesh = spec.add_mesh(name=item.name, file=str(meshes / item.mesh.file), refpos=item.mesh.origin)
+        body.add_geom(
+            name=f"{item.name}_look",
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=mesh.name,
+            material=material.name,
+            group=SEEN_GROUP,
+            contype=0,
+            conaffinity=0,
+            mass=0,
+        )
+
+
+def _add_primitive(
+    body: Any, name: str, part: Primitive, contact: Contact | None, material: str, *, hidden: bool
+) -> None:
+    common: dict[str, Any] = {"mass": 0, "group": HIDDEN_GROUP if hidden else SEEN_GROUP}
+    common |= {"rgba": part.rgba} if part.rgba else {"material": material}
+    if contact is None:
+        common |= {"contype": 0, "conaffinity": 0}
+    else:
+        common |= {"friction": contact.friction, "condim": contact.condim}
+    match part:
+        case Capsule():
+            body.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                fromto=[*part.start, *part.end],
+                size=[part.radius, 0, 0],
+                **common,
+            )
+        case Cylinder():
+            body.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                pos=part.centre,
+                size=[part.radius, part.half_height, 0],
+                **common,
+            )
+        case Ring():
+            for k in range(part.segments):
+                body.add_geom(name=f"{name}_{k}", type=mujoco.mjtGeom.mjGEOM_BOX, **_ring_box(part, k), **common)
+
+
+def _ring_box(ring: Ring, k: int) -> dict[str, Any]:
+    """Position, quaternion and half-size of one box of a ring; boxes meet at the outer edge's corners."""
+    (r0, z0), (r1, z1) = ring.inner, ring.outer
+    run, rise = r1 - r0, z1 - z0
+    length = math.hypot(run, rise)
+    slope = math.atan2(rise, run)
+    width = 2 * r1 * math.tan(math.pi / ring.segments)
+    # Box axes: x up the slope, y along the rim, z out of the upper surface.
+    c, s = math.cos(slope), math.sin(slope)
+    tilted = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    centre = np.array([(r0 + r1) / 2, 0, (z0 + z1) / 2]) - tilted[:, 2] * ring.thickness / 2
+    turn = rotation_z(2 * math.pi * k / ring.segments)
+    T = pose(turn @ centre, turn @ tilted)
+    return {"pos": T[:3, 3], "quat": quat_from_rotation(T[:3, :3]), "size": [length / 2, width / 2, ring.thickness / 2]}

@@ -1,0 +1,155 @@
+"""What the stages of a recording hand to each other: plain frozen data, no simulator types."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from .geometry.se3 import Array
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the objects stand at the start of an episode.
+
+    Attributes:
+        T_in_world: object name -> pose (4, 4) in `world`.
+    """
+
+    T_in_world: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One pose the plan passes through.
+
+    Attributes:
+        name: for messages and figures.
+        T_object_in_world: where the grasped object is, or would be were it already held, (4, 4).
+        gripper: opening of one finger in metres on the way to this waypoint.
+        stop: whether the motion comes to rest here.
+    """
+
+    name: str
+    T_object_in_world: Array
+    gripper: float
+    stop: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the hand is to do, in terms of the object it holds.
+
+    Every waypoint is a pose of the object's frame as held, before the grasp too: so "over the plate's centre" means the
+    object and not the gripper.
+
+    Attributes:
+        object: name of the object to carry.
+        T_object_in_pinch: the object's pose (4, 4) in the pinch frame between the fingers once it is held.
+        waypoints: in order; each takes the same number of control ticks.
+        grasp, release: indices of the waypoints at whose end the object is attached and let go.
+    """
+
+    object: str
+    T_object_in_pinch: Array
+    waypoints: tuple[Waypoint, ...]
+    grasp: int
+    release: int
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """A plan in joint space: one row a control tick.
+
+    Attributes:
+        joints: reference joint positions (n, 6) at the end of each tick, rad.
+        velocities: reference joint velocities (n, 6) there, rad/s.
+        gripper: commanded opening (n,) of one finger, m.
+        magnet: whether the weld holds during each tick, (n,) of bool.
+        position_error: largest distance in metres between the planned and the reached object position at a waypoint.
+        tilt: largest angle in radians of the gripper from straight down at the grasp and the release.
+    """
+
+    joints: Array
+    velocities: Array
+    gripper: Array
+    magnet: tuple[bool, ...]
+    position_error: float
+    tilt: float
+
+
+@dataclass(frozen=True)
+class StepState:
+    """The simulation at the start of one recorded tick, and the command given there: all that rendering and replay need."""
+
+    time: float
+    qpos: Array
+    ctrl: Array
+    action_joints: Array
+    magnet: bool
+
+
+class Cause(StrEnum):
+    """Why an attempt failed."""
+
+    NO_LAYOUT = "no_layout"
+    UNREACHABLE = "unreachable"
+    KNOCKED = "knocked"
+    DROPPED = "dropped"
+    OFF_TARGET = "off_target"
+    TIMEOUT = "timeout"
+    UNSTABLE = "unstable"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an attempt ended, in numbers, so that any other threshold can be applied later.
+
+    Attributes:
+        success: against the threshold of the task.
+        cause: why not; None on success.
+        detail: the figures behind the cause, for a person.
+        dxy: horizontal distance of the object from the target's centre at the end, m; None if never simulated.
+        dz: height of the object's origin above the target's, m; None if never simulated.
+        speed: speed of the object at the end, m/s; None if never simulated.
+        position_error, tilt: of the plan's inverse kinematics, m and rad; None if there is no plan.
+    """
+
+    success: bool
+    cause: Cause | None = None
+    detail: str = ""
+    dxy: float | None = None
+    dz: float | None = None
+    speed: float | None = None
+    position_error: float | None = None
+    tilt: float | None = None
+
+
+@dataclass(frozen=True)
+class EpisodeJob:
+    """What a worker is told: everything random in the attempt follows from these two numbers."""
+
+    seed: int
+    attempt: int
+
+
+@dataclass(frozen=True)
+class EpisodePayload:
+    """What a worker gives back for one attempt.
+
+    Attributes:
+        job: the attempt.
+        outcome: how it ended.
+        layout: object name -> start pose as `[x, y, z, yaw]` in `world`, m and rad, for the ledger; empty without a layout.
+        files: relative POSIX path -> content of the episode, without `episode.json`; empty unless it succeeded.
+        frames: how many frames `files` holds.
+        content_sha256: hash of the decoded lowdim values, which outlives changes of the pickle format.
+    """
+
+    job: EpisodeJob
+    outcome: Outcome
+    layout: Mapping[str, tuple[float, float, float, float]]
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    frames: int = 0
+    content_sha256: str = ""
