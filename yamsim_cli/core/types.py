@@ -98,7 +98,6 @@ class Cause(StrEnum):
     KNOCKED = "knocked"
     DROPPED = "dropped"
     OFF_TARGET = "off_target"
-    TIMEOUT = "timeout"
     UNSTABLE = "unstable"
 
 
@@ -145,6 +144,8 @@ class EpisodePayload:
         files: relative POSIX path -> content of the episode, without `episode.json`; empty unless it succeeded.
         frames: how many frames `files` holds.
         content_sha256: hash of the decoded lowdim values, which outlives changes of the pickle format.
+        versions: of what the bytes depend on, where they were made.
+        renderer: the OpenGL implementation that drew the images; empty without images.
     """
 
     job: EpisodeJob
@@ -153,3 +154,5 @@ class EpisodePayload:
     files: Mapping[str, bytes] = field(default_factory=dict)
     frames: int = 0
     content_sha256: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    renderer: str = ""

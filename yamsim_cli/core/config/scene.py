@@ -82,6 +82,10 @@ class Inertia(Config):
         return self.mass_g / 1000.0
 
 
+# Half the width of a crank finger near its tip. Source: the finger meshes of MuJoCo Menagerie i2rt_yam.
+_FINGER_RADIUS = 0.012
+
+
 class Grasp(Config):
     """How the fingers take an object from above: the point between them, in the object's frame, and the axis they close along.
 
@@ -94,6 +98,13 @@ class Grasp(Config):
     position: Vector
     axis_deg: float
     opening: NonNegative
+
+    def fingers(self, open_by: float) -> tuple[tuple[float, float, float], ...]:
+        """Discs (x, y, radius) in the object's frame where the tips of the open fingers come down around it, m."""
+        angle = math.radians(self.axis_deg)
+        reach = open_by + _FINGER_RADIUS / 2
+        x, y, _ = self.position
+        return tuple((x + side * reach * math.cos(angle), y + side * reach * math.sin(angle), _FINGER_RADIUS) for side in (-1, 1))
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
         """The pinch frame (4, 4) in the object's: z down into the object, y along the closing axis, either way round."""

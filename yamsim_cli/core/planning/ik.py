@@ -49,6 +49,7 @@ class IkSolver:
 
     def __init__(self, model: mujoco.MjModel, T_base_in_world: Array) -> None:
         self._model = model
+        self._T_base_in_world = T_base_in_world
         self._T_world_in_base = inverse(T_base_in_world)
         self._configuration = mink.Configuration(model)
         self._limits = [mink.ConfigurationLimit(model)]
@@ -96,6 +97,12 @@ class IkSolver:
             tilt_error=math.hypot(error[3], error[4]),
             heading_error=abs(float(error[5])),
         )
+
+    def pose_of(self, joints: Array) -> Array:
+        """Where the held frame is (4, 4) in `world` with the arm at `joints` (6,)."""
+        self._configuration.update(joints)
+        T: Array = self._configuration.get_transform_frame_to_world("tool", "site").as_matrix()
+        return self._T_base_in_world @ T
 
     def _cost(self, error: Array) -> float:
         weighted = self._task.cost * error

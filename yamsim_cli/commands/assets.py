@@ -1,0 +1,112 @@
+"""`yamsim assets`: the meshes that yamsim uses but does not ship."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport
+
+app = typer.Typer(help="List and fetch the robot and object meshes.", no_args_is_help=True)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+
+
+@app.command("list")
+def list_assets(json: Json = False) -> None:
+    """List every mesh file: its set, size, state, license and place. Never uses the network.
+
+    Example: yamsim assets list --json
+    """
+    from .console import print_json, print_table
+
+    lock, store = _open()
+    items = [item for assets in lock.sets.values() for item in _files(assets, store)]
+    if json:
+        print_json({"items": items})
+    else:
+        print_table(_table(items, ("name", "set", "size", "status", "license", "path")))
+
+
+@app.command()
+def fetch(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAMES]...", help="Sets to fetch; all of them when none is named.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Fetch the mesh sets that are missing or damaged, verify them, and keep them for offline use.
+
+    Example: yamsim assets fetch ycb
+    """
+    from .console import print_json, print_table
+
+    lock, store = _open()
+    report = _fetch_with_progress(lock, store, names or [])
+    items = [
+        {
+            "name": fetched.name,
+            "files": len(lock.sets[fetched.name].files),
+            "size": lock.sets[fetched.name].size,
+            "license": lock.sets[fetched.name].license,
+            "source": fetched.source,
+            "path": str(fetched.directory),
+        }
+        for fetched in report.sets
+    ]
+    if json:
+        print_json({"items": items})
+    else:
+        print_table(_table(items, ("name", "files", "size", "license", "source", "path")))
+
+
+def _open() -> tuple[AssetLock, AssetStore]:
+    from yamsim_cli.core.assets import AssetStore, load_lock
+    from yamsim_cli.core.resources import Locations
+
+    locations = Locations.find(os.environ)
+    return load_lock(locations), AssetStore(locations.assets)
+
+
+def _files(assets: AssetSet, store: AssetStore) -> list[dict[str, object]]:
+    return [
+        {
+            "name": state.name,
+            "set": assets.name,
+            "size": assets.files[state.name].size,
+            "sha256": assets.files[state.name].sha256,
+            "status": state.status.value,
+            "license": assets.license,
+            "path": str(state.path),
+        }
+        for state in store.status(assets)
+    ]
+
+
+def _fetch_with_progress(lock: AssetLock, store: AssetStore, names: list[str]) -> FetchReport:
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
+
+    from yamsim_cli.core.assets import default_sources, fetch
+
+    from .console import console
+
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("meshes", total=None)
+
+        def advance(label: str, done_bytes: int, total_bytes: int) -> None:
+            bar.update(task, description=label, completed=done_bytes, total=total_bytes)
+
+        return fetch(lock, names, store, default_sources(lock), advance)
+
+
+def _table(items: list[dict[str, object]], columns: tuple[str, ...]) -> object:
+    from rich.table import Table
+
+    table = Table(*columns)
+    for item in items:
+        table.add_row(*(str(item[column]) for column in columns))
+    return table

@@ -1,0 +1,95 @@
+"""`yamsim config`: what can be configured, and whether a file is valid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from yamsim_cli.core.errors import UsageError
+
+from .console import print_json, print_line, print_table
+from .session import Json, locations
+
+app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
+
+Kind = Annotated[str, typer.Argument(help="rigs, scenes, tasks, objects or record.", show_default=False)]
+
+
+@app.command("list")
+def list_configs(json: Json = False) -> None:
+    """List the configs that commands accept by name.
+
+    Example: yamsim config list
+    """
+    from rich.table import Table
+
+    from yamsim_cli.core.config.loader import KINDS
+
+    where = locations()
+    items = [
+        {"kind": kind, "name": name, "path": str(where.config_file(kind, name))}
+        for kind in KINDS
+        for name in where.config_names(kind)
+    ]
+    if json:
+        print_json({"items": items})
+        return
+    table = Table("kind", "name", "file")
+    for item in items:
+        table.add_row(item["kind"], item["name"], item["path"])
+    print_table(table)
+
+
+@app.command()
+def show(
+    kind: Kind,
+    name: Annotated[str, typer.Argument(help="A config's name or a YAML file.", show_default=False)],
+    json: Json = False,
+) -> None:
+    """Show a config as it is used: references resolved, defaults filled in.
+
+    Example: yamsim config show tasks pickplace
+    """
+    from yamsim_cli.core.config.document import dump_yaml
+    from yamsim_cli.core.config.loader import load_config, model_of
+
+    data: dict[str, Any] = load_config(model_of(kind), kind, name, locations()).model_dump(mode="json")
+    if json:
+        print_json(data)
+    else:
+        print_line(dump_yaml(data).rstrip())
+
+
+@app.command()
+def validate(
+    file: Annotated[Path, typer.Argument(help="The YAML file.", show_default=False)],
+    kind: Annotated[str | None, typer.Option(help="Its kind; by default the name of its folder.")] = None,
+    json: Json = False,
+) -> None:
+    """Check a YAML file; exit code 3 and one line naming file, key and value if it is not valid.
+
+    Example: yamsim config validate my_rig.yaml --kind rigs
+    """
+    from yamsim_cli.core.config.loader import KINDS, model_of, validate_file
+
+    guessed = kind or file.resolve().parent.name
+    if kind is None and guessed not in KINDS:
+        raise UsageError(f"{file} is in no folder named after a kind of config; say --kind: {', '.join(KINDS)}")
+    validate_file(model_of(guessed), file, locations())
+    if json:
+        print_json({"valid": True, "kind": guessed, "path": str(file)})
+    else:
+        print_line(f"{file} is a valid {guessed.removesuffix('s')} config")
+
+
+@app.command()
+def schema(kind: Kind, json: Json = False) -> None:
+    """Print a kind of config's JSON schema, for editors that complete and check YAML. Always JSON.
+
+    Example: yamsim config schema rigs > rig.schema.json
+    """
+    from yamsim_cli.core.config.loader import model_of
+
+    print_json(model_of(kind).model_json_schema())

@@ -1,0 +1,94 @@
+"""`yamsim record`: make a dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from yamsim_cli.core.errors import UsageError
+
+from .console import note, print_json, print_line, progress_bar
+from .session import (
+    ConfigOption,
+    Json,
+    Rig,
+    Seed,
+    Task,
+    Workers,
+    locations,
+    parse_size,
+    record_config,
+    resolve_meshes,
+    use_gl,
+)
+
+
+def record(
+    n: Annotated[int | None, typer.Option("--n", help="Successful episodes the dataset is to hold.")] = None,
+    workers: Workers = None,
+    seed: Seed = None,
+    out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("dataset"),
+    task: Task = None,
+    rig: Rig = None,
+    grasp: Annotated[str | None, typer.Option(help="How the object is held: weld.")] = None,
+    wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")] = None,
+    jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    config: ConfigOption = "default",
+    json: Json = False,
+) -> None:
+    """Record successful episodes of a task into a dataset. Nothing half-written is ever visible.
+
+    Example: yamsim record --n 500 --workers 4
+    """
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other; give one")
+    where = locations()
+    settings = record_config(
+        config,
+        where,
+        {
+            "--rig": (("rig",), rig),
+            "--task": (("task",), task),
+            "--n": (("episodes",), n),
+            "--workers": (("workers",), workers),
+            "--seed": (("seed",), seed),
+            "--grasp": (("grasp",), grasp),
+            "--wrist": (("wrist",), wrist),
+            "--size": (("image", "size_px"), parse_size(size)),
+            "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
+        },
+    )
+    use_gl()
+
+    from yamsim_cli.core.dataset.writer import OpenMode
+    from yamsim_cli.core.jobs.record import record as run
+
+    mode = OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
+    with progress_bar("recording", "episodes") as advance:
+        report = run(
+            settings,
+            where,
+            resolve_meshes(settings, where),
+            out,
+            mode,
+            lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"),
+        )
+    if report.moved_aside:
+        note(f"What was in {out} is now in {report.moved_aside}.")
+    if json:
+        print_json(
+            {
+                "episodes": report.episodes,
+                "attempts": report.attempts,
+                "seconds": round(report.seconds, 3),
+                "path": str(report.path),
+                "moved_aside": str(report.moved_aside) if report.moved_aside else None,
+            }
+        )
+    else:
+        print_line(f"{report.episodes} episodes from {report.attempts} attempts in {report.path} ({report.seconds:.1f} s)")

@@ -1,0 +1,84 @@
+"""What several commands need before they can start: where things are, a checked config, a GL backend, meshes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from yamsim_cli.core.errors import UsageError
+
+from .console import note
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.resources import Locations
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
+ConfigOption = Annotated[
+    str, typer.Option("--config", metavar="NAME|FILE", help="Record config: a name from configs/record/ or a YAML file.")
+]
+Rig = Annotated[str | None, typer.Option(help="Rig: a name from configs/rigs/ or a YAML file.")]
+Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
+Seed = Annotated[int | None, typer.Option(help="Everything random follows from it.")]
+Workers = Annotated[int | None, typer.Option(help="Worker processes; they never change the data.")]
+
+
+def locations() -> Locations:
+    """Where configs, models and meshes are, from the environment."""
+    from yamsim_cli.core.resources import Locations
+
+    return Locations.find(os.environ)
+
+
+def record_config(name: str, where: Locations, flags: Mapping[str, tuple[tuple[str, ...], Any]]) -> RecordConfig:
+    """The named record config with the flags that were given (not None) put over it: flag -> (key path, value)."""
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.record import RecordConfig
+
+    overrides = {path: (flag, value) for flag, (path, value) in flags.items() if value is not None}
+    return load_config(RecordConfig, "record", name, where, overrides)
+
+
+def parse_size(text: str | None) -> list[int] | None:
+    """WIDTHxHEIGHT as two numbers.
+
+    Raises:
+        UsageError: it is not of that form.
+    """
+    if text is None:
+        return None
+    width, cross, height = text.lower().partition("x")
+    if not cross or not width.isdecimal() or not height.isdecimal():
+        raise UsageError(f"--size {text!r} is not valid: give WIDTHxHEIGHT in pixels, such as 640x480")
+    return [int(width), int(height)]
+
+
+def use_gl() -> None:
+    """Settle on an OpenGL backend that works, for this process and its workers; before mujoco is imported."""
+    from yamsim_cli.core.gl import choose_backend
+
+    backend = choose_backend(os.environ)
+    if backend is not None:
+        os.environ["MUJOCO_GL"] = backend
+
+
+def skip_gl() -> None:
+    """Keep MuJoCo from loading any OpenGL: nothing will be drawn."""
+    os.environ.setdefault("MUJOCO_GL", "disabled")
+
+
+def resolve_meshes(config: RecordConfig, where: Locations) -> dict[str, Path | None]:
+    """Folder of each mesh set the scene shows; None, with a word to the user, where a set is not here."""
+    from yamsim_cli.core.assets import AssetStore, load_lock
+    from yamsim_cli.core.scene.build import mesh_sets
+
+    lock, store = load_lock(where), AssetStore(where.assets)
+    lock.select(names := mesh_sets(config))
+    meshes = {name: store.resolve(lock.sets[name]) for name in names}
+    if missing := [name for name, folder in meshes.items() if folder is None]:
+        note(f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`.")
+    return meshes

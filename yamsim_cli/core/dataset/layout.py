@@ -1,0 +1,50 @@
+"""Where everything lies in a dataset directory. The one place that knows the names.
+
+    <dataset>/config.yaml            the resolved configuration
+              attempts.jsonl         one line an attempt, successes and failures, in order
+              manifest.json          what is published; derived, can be rebuilt
+              ep_000000/episode.json seed, outcome, versions, sha256 of every file
+                        rgb/<camera>/000000.jpg
+                        lowdim/000000.pkl
+              .staging/              episodes being written; never read
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+CONFIG = "config.yaml"
+ATTEMPTS = "attempts.jsonl"
+MANIFEST = "manifest.json"
+EPISODE = "episode.json"
+STAGING = ".staging"
+
+EPISODE_FORMAT = "yamsim-episode"
+DATASET_FORMAT = "yamsim-dataset"
+FORMAT_VERSION = 1
+
+_EPISODE_NAME = re.compile(r"^ep_(\d{6,})$")
+
+
+def episode_name(number: int) -> str:
+    """Directory name of an episode."""
+    return f"ep_{number:06d}"
+
+
+def image_name(camera: str, frame: int) -> str:
+    """Path of a colour image inside its episode."""
+    return f"rgb/{camera}/{frame:06d}.jpg"
+
+
+def lowdim_name(frame: int) -> str:
+    """Path of a frame's low-dimensional data inside its episode."""
+    return f"lowdim/{frame:06d}.pkl"
+
+
+def episode_directories(dataset: Path) -> list[tuple[int, Path]]:
+    """Number and directory of every published episode, in order; the staging directory is not looked into."""
+    found = [
+        (int(match.group(1)), path) for path in dataset.iterdir() if (match := _EPISODE_NAME.match(path.name)) and path.is_dir()
+    ]
+    return sorted(found)

@@ -1,0 +1,160 @@
+"""The JSON records of a dataset: an episode's own, an attempt's line in the ledger, the manifest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ..errors import DatasetError
+from ..files import sha256_bytes
+from ..types import EpisodePayload, Outcome
+from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
+
+Pose2D = tuple[float, float, float, float]
+
+
+class Record(BaseModel):
+    """Base of what is read back from a dataset. Unknown keys are kept out of the way: a later version may add some."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class OutcomeRecord(Record):
+    """An outcome in continuous numbers, so that any threshold can be applied later. Lengths in m, speed in m/s, tilt in rad."""
+
+    success: bool
+    cause: str | None
+    detail: str
+    dxy_m: float | None
+    dz_m: float | None
+    speed_mps: float | None
+    plan_error_m: float | None
+    tilt_rad: float | None
+
+    @classmethod
+    def of(cls, outcome: Outcome) -> OutcomeRecord:
+        """From what the task judged."""
+        return cls(
+            success=outcome.success,
+            cause=outcome.cause,
+            detail=outcome.detail,
+            dxy_m=outcome.dxy,
+            dz_m=outcome.dz,
+            speed_mps=outcome.speed,
+            plan_error_m=outcome.position_error,
+            tilt_rad=outcome.tilt,
+        )
+
+    def within(self, threshold: float, max_height: float) -> bool:
+        """Whether the object lay within `threshold` metres of the target's centre, and on it, at the end."""
+        if self.dxy_m is None or self.dz_m is None or self.cause == "unstable":
+            return False
+        return self.dxy_m <= threshold and 0.0 <= self.dz_m <= max_height
+
+
+class AttemptRecord(Record):
+    """One line of `attempts.jsonl`. `layout` maps an object to its start `[x, y, z, yaw]` in `world`, m and rad."""
+
+    attempt: int
+    seed: int
+    episode: int | None
+    outcome: OutcomeRecord
+    layout: dict[str, Pose2D]
+
+
+class EpisodeRecord(Record):
+    """`episode.json`: everything needed to make the episode again, and to know that it is whole."""
+
+    format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
+    format_version: int = FORMAT_VERSION
+    episode: int
+    attempt: int
+    seed: int
+    source: str
+    rig: str
+    scene: str
+    task: str
+    grasp: str
+    frames: int
+    frame_period_s: float
+    cameras: dict[str, tuple[int, int]]
+    objects: list[str]
+    outcome: OutcomeRecord
+    max_height_m: float
+    layout: dict[str, Pose2D]
+    versions: dict[str, str]
+    renderer: str
+    content_sha256: str
+    files: dict[str, str]
+
+
+class ManifestEntry(Record):
+    """What the manifest says of one episode; `sha256` is of its `episode.json`, which holds those of all its files."""
+
+    episode: int
+    path: str
+    attempt: int
+    frames: int
+    bytes: int
+    sha256: str
+
+
+class Manifest(Record):
+    """`manifest.json`: the index of a dataset, derived from its episodes."""
+
+    format: Annotated[str, Field(pattern=f"^{DATASET_FORMAT}$")] = DATASET_FORMAT
+    format_version: int = FORMAT_VERSION
+    task: str
+    seed: int
+    attempts: int
+    frames: int
+    bytes: int
+    episodes: list[ManifestEntry]
+
+
+R = TypeVar("R", bound=Record)
+
+
+def to_json(record: Record, *, indent: int | None = None) -> bytes:
+    """JSON text of a record; the same record always gives the same bytes."""
+    return (json.dumps(record.model_dump(mode="json"), indent=indent, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
+    """Read a record back.
+
+    Raises:
+        DatasetError: not JSON, or not such a record; the message names the first fault.
+    """
+    try:
+        return model.model_validate_json(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise DatasetError(f"{source}: {where + ': ' if where else ''}{first['msg']}") from error
+
+
+def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecord:
+    """The ledger's line for a finished attempt, `episode` being the number it was published under, if it was."""
+    return AttemptRecord(
+        attempt=payload.job.attempt,
+        seed=payload.job.seed,
+        episode=episode,
+        outcome=OutcomeRecord.of(payload.outcome),
+        layout=dict(payload.layout),
+    )
+
+
+def file_hashes(files: Mapping[str, bytes]) -> dict[str, str]:
+    """Path -> SHA-256, in path order."""
+    return {name: sha256_bytes(files[name]) for name in sorted(files)}
+
+
+def plain(record: Record) -> dict[str, Any]:
+    """A record as JSON-ready data."""
+    data: dict[str, Any] = record.model_dump(mode="json")
+    return data

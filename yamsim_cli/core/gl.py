@@ -1,0 +1,72 @@
+"""Which OpenGL backend MuJoCo is to use, found out before MuJoCo is imported: it reads `MUJOCO_GL` once, at import.
+
+A backend can be missing, broken or hung, and only trying tells. It is tried in a process of its own, under a time limit, so
+that a driver that hangs or crashes costs a message and nothing else.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Mapping
+
+from .errors import ResourceError
+
+# GPU first, then Mesa's software renderer through EGL, then OSMesa, which newer Mesa no longer ships.
+_LINUX_BACKENDS = ("egl", "osmesa")
+_PROBE_SECONDS = 60.0
+_PROBE = """
+import mujoco
+context = mujoco.GLContext(16, 16)
+context.make_current()
+context.free()
+"""
+_FIX = (
+    "on Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0, "
+    "or run tools/ensure_gl.sh from the checkout"
+)
+
+
+def choose_backend(environ: Mapping[str, str], platform: str = sys.platform) -> str | None:
+    """The value `MUJOCO_GL` has to have for headless rendering to work, None where MuJoCo's own choice does.
+
+    Args:
+        environ: the process's environment; a `MUJOCO_GL` in it is the user's choice and the only one tried.
+
+    Raises:
+        ResourceError: no backend works; the message says why for each, and what to install.
+    """
+    wanted = environ.get("MUJOCO_GL")
+    if platform != "linux" and not wanted:
+        return None
+    reasons = []
+    for backend in (wanted,) if wanted else _LINUX_BACKENDS:
+        reason = _fault(backend, environ)
+        if reason is None:
+            return backend
+        reasons.append(f"{backend}: {reason}")
+    chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if wanted else ""
+    raise ResourceError(f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {_FIX}")
+
+
+def _fault(backend: str, environ: Mapping[str, str]) -> str | None:
+    """Why a backend does not work; None if it does."""
+    environment = {**environ, "MUJOCO_GL": backend}
+    # PyOpenGL's own choice has to agree with MuJoCo's, or the import fails.
+    environment.pop("PYOPENGL_PLATFORM", None)
+    try:
+        probe = subprocess.run(
+            [sys.executable, "-c", _PROBE],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=_PROBE_SECONDS,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"hangs (gave up after {_PROBE_SECONDS:g} s)"
+    if probe.returncode == 0:
+        return None
+    lines = [line for line in probe.stderr.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else f"crashes (exit code {probe.returncode})"

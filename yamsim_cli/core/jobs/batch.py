@@ -1,0 +1,94 @@
+"""Run a task many times without drawing, and count."""
+
+from __future__ import annotations
+
+import functools
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..config.record import RecordConfig
+from ..dataset.records import attempt_record, plain
+from ..dataset.statistics import spread, wilson95
+from ..errors import InterruptedJobError, ResourceError
+from ..files import write_file
+from ..resources import Locations
+from ..types import EpisodeJob, EpisodePayload
+from .episode import EpisodeRunner
+from .workers import WorkerPool
+
+# Called with trials done and trials wanted.
+Progress = Callable[[int, int], None]
+
+
+def run_batch(
+    config: RecordConfig, locations: Locations, thresholds: Sequence[float], progress: Progress
+) -> dict[str, Any]:
+    """Run `config.episodes` trials, the same that `record` would make with the same seed.
+
+    Args:
+        thresholds: in metres, by which the outcomes are scored beside the task's own.
+
+    Returns:
+        JSON-ready: n, n_success, success_rate, wilson95, rates per threshold, dxy_m, causes, seconds, trials.
+
+    Raises:
+        InterruptedJobError: stopped by the user; nothing is lost but the time.
+    """
+    began = time.monotonic()
+    n = config.episodes
+    # Meshes are looks; without drawing nobody looks.
+    factory = functools.partial(EpisodeRunner, config, locations, {}, draw=False)
+    payloads: list[EpisodePayload] = []
+    try:
+        with WorkerPool[EpisodeJob, EpisodePayload](factory, min(config.workers, n)) as pool:
+            started = 0
+            while len(payloads) < n:
+                while pool.idle and started < n:
+                    pool.submit(EpisodeJob(config.seed, started))
+                    started += 1
+                payloads.append(pool.result()[1])
+                progress(len(payloads), n)
+    except KeyboardInterrupt:
+        raise InterruptedJobError(f"interrupted after {len(payloads)} of {n} trials; run again to count them all") from None
+    seconds = time.monotonic() - began
+
+    payloads.sort(key=lambda payload: payload.job.attempt)
+    records = [attempt_record(payload, None) for payload in payloads]
+    succeeded = sum(record.outcome.success for record in records)
+    height = config.task.success.max_height
+    trials = []
+    for record in records:
+        trial = plain(record)
+        trial["trial"] = trial.pop("attempt")
+        del trial["episode"]
+        trials.append(trial)
+    return {
+        "n": n,
+        "n_success": succeeded,
+        "success_rate": succeeded / n,
+        "wilson95": wilson95(succeeded, n),
+        "threshold_m": config.task.success.threshold,
+        "rates": {f"{t:g}": sum(record.outcome.within(t, height) for record in records) / n for t in thresholds},
+        "dxy_m": spread([record.outcome.dxy_m for record in records if record.outcome.dxy_m is not None]),
+        "causes": dict(Counter(record.outcome.cause for record in records if record.outcome.cause)),
+        "seed": config.seed,
+        "seconds": seconds,
+        "core_seconds_per_trial": seconds * min(config.workers, n) / n,
+        "trials": trials,
+    }
+
+
+def write_report(report: dict[str, Any], path: Path) -> None:
+    """Write a report as JSON, atomically.
+
+    Raises:
+        ResourceError: the file cannot be written.
+    """
+    try:
+        write_file(path, (json.dumps(report, indent=2, allow_nan=False) + "\n").encode())
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --out") from error

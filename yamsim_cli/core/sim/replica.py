@@ -1,0 +1,46 @@
+"""A copy of the scene that is put into recorded states to be looked at; it is never stepped."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..geometry.camera import opencv_from_mujoco
+from ..geometry.se3 import Array, inverse, pose
+from ..scene.compiled import CompiledScene
+from ..types import StepState
+
+
+class Replica:
+    """Poses of everything in one recorded state, all in the base frame of the robot."""
+
+    def __init__(self, scene: CompiledScene) -> None:
+        self.scene = scene
+        self.data = mujoco.MjData(scene.model)
+        self._T_world_in_base = inverse(scene.T_base_in_world)
+
+    def show(self, state: StepState) -> None:
+        """Take on a state: positions of all bodies, cameras and lights."""
+        self.data.qpos[:] = state.qpos
+        mujoco.mj_kinematics(self.scene.model, self.data)
+        mujoco.mj_comPos(self.scene.model, self.data)
+        mujoco.mj_camlight(self.scene.model, self.data)
+
+    def joints(self) -> Array:
+        """The six joints in rad and the opening of one finger in m, (7,)."""
+        return np.append(self.data.qpos[self.scene.joint_qpos], self.data.qpos[self.scene.gripper_qpos[0]])
+
+    def T_object_in_base(self, name: str) -> Array:
+        """Pose (4, 4) of a body."""
+        body = self.data.body(name)
+        return self._T_world_in_base @ pose(body.xpos, body.xmat.reshape(3, 3))
+
+    def T_grasp_in_base(self) -> Array:
+        """Pose (4, 4) of `grasp_site`."""
+        site = self.data.site("grasp_site")
+        return self._T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3))
+
+    def T_cam_in_base(self, camera: str) -> Array:
+        """Pose (4, 4) of a camera, in OpenCV's convention."""
+        view = self.data.cam(camera)
+        return self._T_world_in_base @ pose(view.xpos, opencv_from_mujoco(view.xmat))

@@ -1,0 +1,75 @@
+"""The `yamsim` executable: its commands, and the one place where errors become messages and exit codes."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from types import FrameType
+from typing import Annotated, NoReturn
+
+import typer
+from typer.exceptions import TyperException
+
+from . import __version__
+from .commands import assets, config, pickplace
+from .commands.record import record
+from .commands.summarize import summarize
+from .core.errors import YamsimError
+
+app = typer.Typer(
+    name="yamsim",
+    help="Simulation toolkit for the I2RT YAM arm.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+)
+app.command()(record)
+app.command()(summarize)
+app.add_typer(pickplace.app, name="pickplace")
+app.add_typer(config.app, name="config")
+app.add_typer(assets.app, name="assets")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        sys.stdout.write(f"yamsim {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Simulation toolkit for the I2RT YAM arm: recorded demonstrations on MuJoCo."""
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    # A cluster's stop is the same wish as Ctrl-C: end cleanly, keep what is done.
+    raise KeyboardInterrupt
+
+
+def main() -> NoReturn:
+    """Run the command line; a `YamsimError` is one line and its exit code, anything else a traceback and 1."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        code = app(standalone_mode=False)
+    except YamsimError as error:
+        _fail(str(error), error.exit_code)
+    except TyperException as error:
+        if message := error.format_message():
+            _fail(f"{message.rstrip('.')}; see yamsim --help", error.exit_code)
+        sys.exit(error.exit_code)
+    except (typer.Abort, KeyboardInterrupt):
+        _fail("interrupted", 130)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    sys.stderr.write(f"yamsim: {message}\n")
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()
