@@ -43,8 +43,15 @@ def note(text: str) -> None:
 
 @contextmanager
 def progress_bar(label: str, unit: str) -> Iterator[Advance]:
-    """A bar with rate and time left, on a terminal alone; called with how many are done, how many there are, and a remark."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    """A bar with rate and time left, on a terminal alone; it is called with the number done, the total and a remark."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     columns = (
         TextColumn("{task.description}"),

@@ -91,4 +91,6 @@ def record(
             }
         )
     else:
-        print_line(f"{report.episodes} episodes from {report.attempts} attempts in {report.path} ({report.seconds:.1f} s)")
+        print_line(
+            f"{report.episodes} episodes from {report.attempts} attempts in {report.path} ({report.seconds:.1f} s)"
+        )

@@ -58,7 +58,9 @@ def _table(report: dict[str, Any]) -> object:
     for limit, rate in report["success_rate"].items():
         if rate is not None:
             low, high = report["wilson95"][limit]
-            table.add_row(f"episodes within {float(limit) * 100:g} cm", f"{rate:.1%} (95 % interval {low:.1%} to {high:.1%})")
+            table.add_row(
+                f"episodes within {float(limit) * 100:g} cm", f"{rate:.1%} (95 % interval {low:.1%} to {high:.1%})"
+            )
     attempts = report["attempts"]
     if attempts["n"]:
         causes = "".join(f", {count} {cause}" for cause, count in attempts["causes"].items())
@@ -68,7 +70,9 @@ def _table(report: dict[str, Any]) -> object:
         if spread := report[key]:
             table.add_row(label, ", ".join(f"{name} {value * 1000:.1f} mm" for name, value in spread.items()))
     for name, axes in report["workspace"].items():
-        table.add_row(f"{name} starts at", ", ".join(f"{axis} {low:.2f}..{high:.2f} m" for axis, (low, high) in axes.items()))
+        table.add_row(
+            f"{name} starts at", ", ".join(f"{axis} {low:.2f}..{high:.2f} m" for axis, (low, high) in axes.items())
+        )
     for problem in report["problems"][:_SHOWN_PROBLEMS]:
         table.add_row("[red]problem[/red]", f"{_place(problem)}: {problem['problem']}")
     if len(report["problems"]) > _SHOWN_PROBLEMS:

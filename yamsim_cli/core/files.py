@@ -1,7 +1,7 @@
 """Files that are either wholly there or not there at all.
 
-Everything yamsim publishes goes through here: written beside its destination, flushed to the disk, then renamed. A crash
-at any moment leaves the old state or the new one under the final name, never half of either.
+Everything yamsim publishes goes through here: written beside its destination, flushed to the disk, then renamed. A
+crash at any moment leaves the old state or the new one under the final name, never half of either.
 """
 
 from __future__ import annotations

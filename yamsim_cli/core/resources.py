@@ -1,4 +1,4 @@
-"""Where configs, robot models and assets lie: from a checkout, from an installed wheel, or from the user's own folder."""
+"""Where configs, robot models and assets lie: in a checkout, in an installed wheel, or in the user's own folder."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ class Locations:
         for root in self.data:
             if (root / relative).is_file():
                 return root / relative
-        raise ResourceError(f"{relative} not found under {', '.join(map(str, self.data))}; set YAMSIM_DATA_DIR or reinstall yamsim")
+        raise ResourceError(
+            f"{relative} not found under {', '.join(map(str, self.data))}; set YAMSIM_DATA_DIR or reinstall yamsim"
+        )
 
     def config_names(self, kind: str) -> list[str]:
         """Names of the configs of one kind (`rigs`, `tasks`, ...), sorted."""

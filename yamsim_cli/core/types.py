@@ -81,7 +81,7 @@ class JointPath:
 
 @dataclass(frozen=True)
 class StepState:
-    """The simulation at the start of one recorded tick, and the command given there: all that rendering and replay need."""
+    """The simulation at the start of a recorded tick and the command given there: all that rendering needs."""
 
     time: float
     qpos: Array
@@ -140,7 +140,7 @@ class EpisodePayload:
     Attributes:
         job: the attempt.
         outcome: how it ended.
-        layout: object name -> start pose as `[x, y, z, yaw]` in `world`, m and rad, for the ledger; empty without a layout.
+        layout: object name -> start pose `[x, y, z, yaw]` in `world`, m and rad; empty without a layout.
         files: relative POSIX path -> content of the episode, without `episode.json`; empty unless it succeeded.
         frames: how many frames `files` holds.
         content_sha256: hash of the decoded lowdim values, which outlives changes of the pickle format.

@@ -1,4 +1,4 @@
-"""From a config's name or file to a checked model, with errors that say which file, which key, which value, and what would do."""
+"""From a config's name or file to a checked model, with errors that name file, key, value and what would be valid."""
 
 from __future__ import annotations
 
@@ -42,7 +42,11 @@ def model_of(kind: str) -> type[Config]:
 
 
 def load_config(
-    model: type[C], kind: str, name: str, locations: Locations, overrides: Mapping[KeyPath, tuple[str, Any]] | None = None
+    model: type[C],
+    kind: str,
+    name: str,
+    locations: Locations,
+    overrides: Mapping[KeyPath, tuple[str, Any]] | None = None,
 ) -> C:
     """Load, complete and check one config.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -41,9 +41,13 @@ class RecordConfig(Config):
     scene: Annotated[SceneConfig, Reference("scenes")]
     task: Annotated[TaskConfig, Reference("tasks")]
     grasp: Literal["weld"]
-    episodes: int = Field(ge=1, le=1_000_000)
-    workers: int = Field(ge=1, le=1024)
+    episodes: int = Field(default=500, ge=1, le=1_000_000)
+    workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
     wrist: bool
     image: ImageConfig
     render: RenderConfig
+
+    def data_config(self) -> dict[str, Any]:
+        """Everything that decides an episode's bytes, as plain data: how many there are and who makes them does not."""
+        return self.model_dump(mode="json", exclude={"episodes", "workers"})

@@ -24,7 +24,7 @@ class BasePose(Config):
 
 
 class WristCamera(Config):
-    """A camera on `link_6`: position in metres, axes of the OpenCV camera frame (x right, y down, z forward) in `link_6`."""
+    """A camera on `link_6`: its position (m) and the axes of its OpenCV frame (x right, y down, z forward) there."""
 
     position: Vector
     x_axis: Vector

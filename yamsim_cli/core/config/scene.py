@@ -12,7 +12,7 @@ from .base import Config, Name, NonNegative, Positive, Rgb, Rgba, Vector
 
 
 class Contact(Config):
-    """Surface properties in MuJoCo's terms: sliding, torsional (m) and rolling (m) friction, and the contact dimension."""
+    """Surface in MuJoCo's terms: sliding, torsional (m) and rolling (m) friction, and the contact dimension."""
 
     friction: tuple[NonNegative, NonNegative, NonNegative] = (1.0, 0.005, 0.0001)
     condim: Literal[1, 3, 4, 6] = 3
@@ -70,7 +70,7 @@ class ObjectMesh(Config):
 
 
 class Inertia(Config):
-    """Mass in grams, and the principal moments (kg m2) with the frame they hold in; the origin is the centre of mass."""
+    """Mass in grams, principal moments (kg m2) and the frame they hold in; the origin is the centre of mass."""
 
     mass_g: Positive
     diagonal: tuple[Positive, Positive, Positive]
@@ -87,7 +87,7 @@ _FINGER_RADIUS = 0.012
 
 
 class Grasp(Config):
-    """How the fingers take an object from above: the point between them, in the object's frame, and the axis they close along.
+    """How the fingers take an object from above: where they meet, and along which axis they close.
 
     Attributes:
         position: of the pinch point in the object's frame, m.
@@ -104,10 +104,12 @@ class Grasp(Config):
         angle = math.radians(self.axis_deg)
         reach = open_by + _FINGER_RADIUS / 2
         x, y, _ = self.position
-        return tuple((x + side * reach * math.cos(angle), y + side * reach * math.sin(angle), _FINGER_RADIUS) for side in (-1, 1))
+        return tuple(
+            (x + side * reach * math.cos(angle), y + side * reach * math.sin(angle), _FINGER_RADIUS) for side in (-1, 1)
+        )
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
-        """The pinch frame (4, 4) in the object's: z down into the object, y along the closing axis, either way round."""
+        """The pinch frame (4, 4) in the object's: z down into it, y along the closing axis, either way round."""
         down = pose(rotation=[[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
         turn = math.radians(self.axis_deg) + math.pi / 2 + (math.pi if flipped else 0.0)
         return pose(self.position, rotation_z(turn)) @ down
@@ -149,7 +151,9 @@ class ObjectConfig(Config):
     @property
     def support_height(self) -> float:
         """Height over the origin of the surface on which something put into the middle comes to lie, m."""
-        return max((part.centre[2] + part.half_height for part in self.collision if isinstance(part, Cylinder)), default=0.0)
+        return max(
+            (part.centre[2] + part.half_height for part in self.collision if isinstance(part, Cylinder)), default=0.0
+        )
 
 
 class Table(Config):
@@ -176,7 +180,7 @@ class Light(Config):
 
 
 class FixedCamera(Config):
-    """A camera that stands still in `world`: position and the point it looks at in metres; image up is away from the ground."""
+    """A camera that stands still in `world`: its position and the point it looks at (m); image up is world up."""
 
     position: Vector
     look_at: Vector

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,9 @@ class Problem:
     problem: str
 
 
-def check_episode(directory: Path, number: int, decode_image: Decoder) -> tuple[EpisodeRecord | None, list[Problem], int]:
+def check_episode(
+    directory: Path, number: int, decode_image: Decoder
+) -> tuple[EpisodeRecord | None, list[Problem], int]:
     """Open every file of an episode.
 
     Returns:
@@ -73,7 +76,7 @@ def check_episode(directory: Path, number: int, decode_image: Decoder) -> tuple[
         elif sha256_bytes(data) != record.files[name]:
             report(name, f"its content is not what was recorded: sha256 differs from {EPISODE}")
     times = [frame["timestamp"] for frame in frames if isinstance(frame.get("timestamp"), float)]
-    if any(later <= earlier for earlier, later in zip(times, times[1:], strict=False)):
+    if any(later <= earlier for earlier, later in itertools.pairwise(times)):
         report("", "timestamps do not increase")
     if not problems and content_hash(frames) != record.content_sha256:
         report("", "the decoded lowdim values are not what was recorded: content_sha256 differs")

@@ -1,12 +1,12 @@
 """Where everything lies in a dataset directory. The one place that knows the names.
 
-    <dataset>/config.yaml            the resolved configuration
-              attempts.jsonl         one line an attempt, successes and failures, in order
-              manifest.json          what is published; derived, can be rebuilt
-              ep_000000/episode.json seed, outcome, versions, sha256 of every file
-                        rgb/<camera>/000000.jpg
-                        lowdim/000000.pkl
-              .staging/              episodes being written; never read
+<dataset>/config.yaml            the resolved configuration
+attempts.jsonl         one line an attempt, successes and failures, in order
+manifest.json          what is published; derived, can be rebuilt
+ep_000000/episode.json seed, outcome, versions, sha256 of every file
+rgb/<camera>/000000.jpg
+lowdim/000000.pkl
+.staging/              episodes being written; never read
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ def lowdim_name(frame: int) -> str:
 def episode_directories(dataset: Path) -> list[tuple[int, Path]]:
     """Number and directory of every published episode, in order; the staging directory is not looked into."""
     found = [
-        (int(match.group(1)), path) for path in dataset.iterdir() if (match := _EPISODE_NAME.match(path.name)) and path.is_dir()
+        (int(match.group(1)), path)
+        for path in dataset.iterdir()
+        if (match := _EPISODE_NAME.match(path.name)) and path.is_dir()
     ]
     return sorted(found)

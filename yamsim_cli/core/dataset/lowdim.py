@@ -16,8 +16,8 @@ from ..errors import DatasetError
 # Fixed, so that the bytes do not change with Python's default.
 _PROTOCOL = 4
 
-# Everything a frame's pickle may name: numpy arrays, by numpy 2's and numpy 1's module names. Anything else is an attack
-# or a file of some other program.
+# Everything a frame's pickle may name: numpy arrays, by numpy 2's and numpy 1's module names. Anything else is an
+# attack, or a file of some other program.
 _ALLOWED = {
     (module, name)
     for core in ("numpy._core", "numpy.core")
@@ -93,8 +93,8 @@ def _f32(values: ArrayLike) -> NDArray[np.float32]:
 def dump_frame(data: Mapping[str, Any]) -> bytes:
     """Pickle a frame; equal frames give equal bytes.
 
-    Pickle's memo writes a second reference to an object it has seen, so the bytes would depend on whether two equal strings
-    happen to be one object. Fast mode has no memo; a frame has no cycles that would need it.
+    Pickle's memo writes a reference where it meets an object again, so the bytes would depend on whether two equal
+    strings happen to be one object. Fast mode has no memo; a frame has no cycles that would need it.
     """
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, protocol=_PROTOCOL)
@@ -121,7 +121,17 @@ def load_frame(data: bytes) -> dict[str, Any]:
     except DatasetError:
         raise
     # A broken pickle can make the machine it drives fail in any of these ways.
-    except (pickle.UnpicklingError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError, MemoryError, ImportError) as error:
+    except (
+        pickle.UnpicklingError,
+        EOFError,
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        MemoryError,
+        ImportError,
+    ) as error:
         raise DatasetError(f"not a whole pickle: {type(error).__name__}: {error}") from error
     if not isinstance(frame, dict):
         raise DatasetError(f"a frame must be a dictionary, not {type(frame).__name__}")
@@ -154,10 +164,10 @@ def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iter
     faults: list[str] = []
     arrays: dict[str, tuple[Any, tuple[int, ...]]] = {key: (frame.get(key), shape) for key, shape in SHAPES.items()}
     arrays |= {f"{name}_pose": (frame.get(f"{name}_pose"), (4, 4)) for name in objects}
-    for group, shape in (("intrinsics", (3, 3)), ("extrinsics", (4, 4))):
+    for group, side in (("intrinsics", 3), ("extrinsics", 4)):
         entries = frame.get(group)
         for camera in cameras:
-            arrays[f"{group}[{camera}]"] = (entries.get(camera) if isinstance(entries, Mapping) else None, shape)
+            arrays[f"{group}[{camera}]"] = (entries.get(camera) if isinstance(entries, Mapping) else None, (side, side))
     for key, (value, shape) in arrays.items():
         if value is None:
             faults.append(f"{key} is missing")

@@ -24,7 +24,7 @@ class Record(BaseModel):
 
 
 class OutcomeRecord(Record):
-    """An outcome in continuous numbers, so that any threshold can be applied later. Lengths in m, speed in m/s, tilt in rad."""
+    """An outcome in continuous numbers, so that any threshold can be applied later: m, m/s and rad."""
 
     success: bool
     cause: str | None
@@ -121,7 +121,9 @@ R = TypeVar("R", bound=Record)
 
 def to_json(record: Record, *, indent: int | None = None) -> bytes:
     """JSON text of a record; the same record always gives the same bytes."""
-    return (json.dumps(record.model_dump(mode="json"), indent=indent, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    return (
+        json.dumps(record.model_dump(mode="json"), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+    ).encode()
 
 
 def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:

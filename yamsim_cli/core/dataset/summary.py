@@ -37,7 +37,9 @@ def summarize(dataset: Path, thresholds: Sequence[float], decode_image: Decoder,
         raise DatasetError(f"{dataset} is not a directory; give the directory that `yamsim record` wrote")
     directories = episode_directories(dataset)
     if not directories and not (dataset / CONFIG).is_file():
-        raise DatasetError(f"{dataset} holds no episodes (ep_NNNNNN) and no {CONFIG}; give the directory that `yamsim record` wrote")
+        raise DatasetError(
+            f"{dataset} holds no episodes (ep_NNNNNN) and no {CONFIG}; give the directory that `yamsim record` wrote"
+        )
 
     records: list[EpisodeRecord] = []
     problems: list[Problem] = []
@@ -114,5 +116,11 @@ def _manifest_problems(dataset: Path, records: Sequence[EpisodeRecord]) -> list[
         return [Problem("", MANIFEST, str(error).removeprefix(f"{MANIFEST}: "))]
     listed, found = {entry.episode for entry in manifest.episodes}, {record.episode for record in records}
     if listed != found:
-        return [Problem("", MANIFEST, f"lists {len(listed)} episodes, {len(found)} are readable; `yamsim record --resume` writes it again")]
+        return [
+            Problem(
+                "",
+                MANIFEST,
+                f"lists {len(listed)} episodes, {len(found)} are readable; `yamsim record --resume` writes it again",
+            )
+        ]
     return []

@@ -1,8 +1,7 @@
-"""The only code that writes a dataset. One process calls it, episodes in order; every step leaves a whole dataset behind."""
+"""The only code that writes a dataset: one process, episode by episode; every step leaves a whole dataset behind."""
 
 from __future__ import annotations
 
-import os
 import shutil
 from enum import Enum
 from pathlib import Path
@@ -13,9 +12,6 @@ from ..errors import ConfigError, DatasetError, ResourceError, UsageError
 from ..files import append_line, publish_directory, sha256_bytes, write_file
 from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_directories, episode_name
 from .records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, from_json, to_json
-
-# What may differ between a dataset and the run that continues it: neither changes any episode's bytes.
-_FREE_KEYS = ("workers", "episodes")
 
 
 class OpenMode(Enum):
@@ -39,7 +35,7 @@ class DatasetWriter:
         """Open a dataset for writing.
 
         Args:
-            config: the resolved configuration as plain data.
+            config: everything that decides the data, as plain data.
 
         Raises:
             UsageError: the directory is not empty, or is no directory, and the mode does not say what to do.
@@ -80,7 +76,9 @@ class DatasetWriter:
     @property
     def missing(self) -> list[AttemptRecord]:
         """Attempts whose episode is in the ledger but not on the disk: it has to be made again."""
-        return [attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self._entries]
+        return [
+            attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self._entries
+        ]
 
     def publish(self, record: EpisodeRecord, files: dict[str, bytes]) -> None:
         """Make one episode visible, all of it at once.
@@ -116,7 +114,9 @@ class DatasetWriter:
     def _resume(self, config: dict[str, Any]) -> None:
         file = self.path / CONFIG
         if not file.is_file():
-            raise DatasetError(f"{self.path} has no {CONFIG}, so it is no dataset that could be resumed; choose another --out")
+            raise DatasetError(
+                f"{self.path} has no {CONFIG}, so it is no dataset that could be resumed; choose another --out"
+            )
         changed = _differences(parse_yaml(file.read_bytes(), str(file)).data, config)
         if changed:
             raise ConfigError(
@@ -131,7 +131,9 @@ class DatasetWriter:
             if number not in known:
                 # Published just before the crash, but not yet in the ledger.
                 if record.attempt != len(self.attempts):
-                    raise DatasetError(f"{directory} is attempt {record.attempt}, but {ATTEMPTS} ends before it; it cannot be resumed")
+                    raise DatasetError(
+                        f"{directory} is attempt {record.attempt}, but {ATTEMPTS} ends before it; it cannot be resumed"
+                    )
                 self.log(
                     AttemptRecord(
                         attempt=record.attempt,
@@ -186,20 +188,27 @@ def _move_aside(path: Path) -> Path:
     number = 1
     while (target := path.with_name(f"{path.name}.old-{number}")).exists():
         number += 1
-    os.rename(path, target)
+    path.rename(target)
     return target
 
 
 def _flatten(data: Any, prefix: str = "") -> dict[str, Any]:
     if isinstance(data, dict):
-        return {key: value for name, inner in data.items() for key, value in _flatten(inner, f"{prefix}.{name}" if prefix else name).items()}
+        return {
+            key: value
+            for name, inner in data.items()
+            for key, value in _flatten(inner, f"{prefix}.{name}" if prefix else name).items()
+        }
     if isinstance(data, list | tuple):
         return {key: value for k, inner in enumerate(data) for key, value in _flatten(inner, f"{prefix}[{k}]").items()}
     return {prefix: data}
 
 
 def _differences(recorded: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
-    """`key: recorded -> wanted` for every value that differs, the free ones left out."""
+    """`key: recorded value, wanted value` for every value that differs."""
     old, new = _flatten(recorded), _flatten(wanted)
-    keys = [key for key in dict.fromkeys([*old, *new]) if key.split(".")[0] not in _FREE_KEYS]
-    return [f"{key}: {old.get(key)!r} there, {new.get(key)!r} now" for key in keys if old.get(key) != new.get(key)]
+    return [
+        f"{key}: {old.get(key)!r} there, {new.get(key)!r} now"
+        for key in dict.fromkeys([*old, *new])
+        if old.get(key) != new.get(key)
+    ]

@@ -1,4 +1,4 @@
-"""Pinhole cameras in OpenCV's convention: x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel."""
+"""Pinhole cameras as OpenCV has them: x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Intrinsics:
 
 
 def opencv_from_mujoco(rotation: ArrayLike) -> Array:
-    """The rotation (3, 3) of the OpenCV camera frame, from that of the MuJoCo camera frame in the same reference; its own inverse."""
+    """The rotation (3, 3) of a camera's OpenCV frame, from that of its MuJoCo frame; the way back is the same."""
     return np.asarray(rotation, dtype=np.float64).reshape(3, 3) @ _FLIP_YZ
 
 

@@ -53,7 +53,9 @@ def run_batch(
                 payloads.append(pool.result()[1])
                 progress(len(payloads), n)
     except KeyboardInterrupt:
-        raise InterruptedJobError(f"interrupted after {len(payloads)} of {n} trials; run again to count them all") from None
+        raise InterruptedJobError(
+            f"interrupted after {len(payloads)} of {n} trials; run again to count them all"
+        ) from None
     seconds = time.monotonic() - began
 
     payloads.sort(key=lambda payload: payload.job.attempt)

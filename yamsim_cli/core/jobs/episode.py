@@ -1,4 +1,4 @@
-"""One attempt, from two numbers to an episode's bytes. Everything meets here; nothing here knows of processes or disks."""
+"""One attempt, from two numbers to an episode's bytes: everything meets here, but for processes and disks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 
-import mujoco
 import numpy as np
 
 from ... import __version__
@@ -36,11 +35,13 @@ _REACH_TOLERANCE = 0.005
 def versions() -> dict[str, str]:
     """Versions of what an episode's bytes depend on."""
     packages = {"mujoco": "mujoco", "mink": "mink", "numpy": "numpy", "opencv": "opencv-python-headless"}
-    return {"yamsim": __version__, "python": platform.python_version()} | {key: version(name) for key, name in packages.items()}
+    return {"yamsim": __version__, "python": platform.python_version()} | {
+        key: version(name) for key, name in packages.items()
+    }
 
 
 class EpisodeRunner:
-    """Makes attempts, each a pure function of its job. The scene is compiled once; a renderer is made when first needed.
+    """Makes attempts, each a pure function of its job. The scene is compiled once, a renderer made when first needed.
 
     Args:
         config: the recording.
@@ -89,9 +90,7 @@ class EpisodeRunner:
                 f"the hand ends {path.position_error * 1000:.0f} mm from where it should be "
                 f"(at most {_REACH_TOLERANCE * 1000:.0f}): out of the arm's reach"
             )
-            outcome = Outcome(
-                False, Cause.UNREACHABLE, detail, position_error=path.position_error, tilt=path.tilt
-            )
+            outcome = Outcome(False, Cause.UNREACHABLE, detail, position_error=path.position_error, tilt=path.tilt)
             return layout, outcome, None
 
         rollout = roll_out(self._scene, layout, path, plan.object, self._start_joints, task.timing)
@@ -120,7 +119,9 @@ class EpisodeRunner:
                 timestamp=state.time,
                 intrinsics=intrinsics,
                 extrinsics={camera: self._replica.T_cam_in_base(camera) for camera in self._scene.cameras},
-                object_poses={item.name: self._replica.T_object_in_base(item.name) for item in (task.object, task.target)},
+                object_poses={
+                    item.name: self._replica.T_object_in_base(item.name) for item in (task.object, task.target)
+                },
                 ee_pose=self._replica.T_grasp_in_base(),
                 ctrl=state.ctrl,
                 action_joints=state.action_joints,
@@ -145,7 +146,9 @@ class EpisodeRunner:
     def __enter__(self) -> EpisodeRunner:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
 

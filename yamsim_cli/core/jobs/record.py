@@ -11,7 +11,7 @@ from pathlib import Path
 from ..config.record import RecordConfig
 from ..dataset.records import AttemptRecord, EpisodeRecord, OutcomeRecord, attempt_record, file_hashes
 from ..dataset.writer import DatasetWriter, OpenMode
-from ..errors import InterruptedJobError, PartialJobError
+from ..errors import DatasetError, InterruptedJobError, PartialJobError
 from ..resources import Locations
 from ..types import EpisodeJob, EpisodePayload
 from .episode import EpisodeRunner
@@ -49,8 +49,8 @@ def record(
 ) -> RecordReport:
     """Record until the dataset holds `config.episodes` successful episodes.
 
-    Episode k is the k-th attempt that succeeds, in order of attempt and whichever worker finished first: so the data depends
-    on the configuration and the seed alone.
+    Episode k is the k-th attempt that succeeds, in order of attempt and whichever worker finished first: so the data
+    depends on the configuration and the seed alone.
 
     Raises:
         UsageError, ConfigError, DatasetError, ResourceError: the output cannot be used, see `DatasetWriter`.
@@ -58,7 +58,7 @@ def record(
         PartialJobError: the disk is full, a worker died, or the task fails too often.
     """
     began = time.monotonic()
-    writer = DatasetWriter(out, config.model_dump(mode="json"), mode)
+    writer = DatasetWriter(out, config.data_config(), mode)
     session = _Session(config, writer, progress)
     try:
         if not session.complete:
@@ -113,7 +113,7 @@ class _Session:
                 pool.submit(EpisodeJob(self._config.seed, self._take()))
             job, payload = pool.result()
             if job.attempt in self._lost:
-                self._publish(payload, self._lost.pop(job.attempt).episode or 0)
+                self._restore(payload)
             else:
                 self._finished[job.attempt] = payload
             while (done := self._finished.pop(len(self._writer.attempts), None)) is not None:
@@ -140,7 +140,9 @@ class _Session:
             return self._queue.pop()
         if self._next >= _MAX_ATTEMPTS_PER_EPISODE * self._config.episodes:
             last = self._writer.attempts[-1].outcome
-            raise PartialJobError(f"gave up after {self._next} attempts, the last one failed as {last.cause}: {last.detail}")
+            raise PartialJobError(
+                f"gave up after {self._next} attempts, the last one failed as {last.cause}: {last.detail}"
+            )
         self._next += 1
         return self._next - 1
 
@@ -150,10 +152,23 @@ class _Session:
             self._publish(payload, episode)
         self._writer.log(attempt_record(payload, episode))
 
+    def _restore(self, payload: EpisodePayload) -> None:
+        """Publish a lost episode again, under its old number."""
+        lost = self._lost[payload.job.attempt]
+        if not payload.outcome.success or lost.episode is None:
+            raise DatasetError(
+                f"{self._writer.path}: attempt {lost.attempt} gave episode {lost.episode} once and fails now "
+                f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
+            )
+        self._publish(payload, lost.episode)
+        del self._lost[lost.attempt]
+
     def _publish(self, payload: EpisodePayload, episode: int) -> None:
         config = self._config
         attempt: AttemptRecord = attempt_record(payload, episode)
-        cameras = dict.fromkeys((name.split("/")[1] for name in payload.files if name.startswith("rgb/")), config.image.size_px)
+        cameras = dict.fromkeys(
+            (name.split("/")[1] for name in payload.files if name.startswith("rgb/")), config.image.size_px
+        )
         record = EpisodeRecord(
             episode=episode,
             attempt=attempt.attempt,

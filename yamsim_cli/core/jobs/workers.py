@@ -1,7 +1,7 @@
-"""Processes that turn jobs into results. Knows nothing of robots: a runner is made in each process and asked job by job.
+"""Processes that turn jobs into results. Knows nothing of robots: each process makes a runner and asks it job by job.
 
-Each worker has a pipe of its own, so one that dies takes nothing with it but the job in its hands, and each ends by itself
-when its pipe closes, also when the parent is gone. Processes are spawned, never forked: a fork would share OpenGL state.
+Each worker has a pipe of its own, so one that dies takes nothing with it but the job in its hands, and each ends by
+itself when its pipe closes, also when the parent is gone. They are spawned, never forked: a fork would share OpenGL state.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from types import TracebackType
@@ -22,14 +22,16 @@ from ..errors import PartialJobError, YamsimError
 
 J = TypeVar("J")
 R = TypeVar("R")
+JobIn = TypeVar("JobIn", contravariant=True)
+ResultOut = TypeVar("ResultOut", covariant=True)
 
 _JOIN_SECONDS = 5.0
 
 
-class Runner(Protocol[J, R]):
+class Runner(Protocol[JobIn, ResultOut]):
     """What a worker runs: opened once in its process, then asked for one job after the other."""
 
-    def run(self, job: J) -> R:
+    def run(self, job: JobIn) -> ResultOut:
         """The result of a job; it depends on nothing else."""
         ...
 
@@ -38,7 +40,7 @@ class Runner(Protocol[J, R]):
 Factory = Callable[[], AbstractContextManager[Runner[J, R]]]
 
 
-class WorkerBug(RuntimeError):
+class WorkerBugError(RuntimeError):
     """An exception in a worker that is no `YamsimError`: a bug. Carries the worker's own traceback."""
 
 
@@ -47,7 +49,6 @@ class _Worker(Generic[J]):
     process: BaseProcess
     pipe: Connection
     job: J | None = None
-    started: bool = field(default=False)
 
 
 class WorkerPool(Generic[J, R]):
@@ -63,7 +64,9 @@ class WorkerPool(Generic[J, R]):
         self._workers: list[_Worker[J]] = []
         for number in range(workers):
             ours, theirs = context.Pipe()
-            process = context.Process(target=_serve, args=(theirs, factory), name=f"yamsim-worker-{number}", daemon=True)
+            process = context.Process(
+                target=_serve, args=(theirs, factory), name=f"yamsim-worker-{number}", daemon=True
+            )
             process.start()
             # Only the worker may hold its end, or the pipe would not close when it dies.
             theirs.close()
@@ -94,7 +97,7 @@ class WorkerPool(Generic[J, R]):
 
         Raises:
             YamsimError: the runner raised it.
-            WorkerBug: the runner raised anything else.
+            WorkerBugError: the runner raised anything else.
             PartialJobError: the worker died.
         """
         while not self._ready:
@@ -111,7 +114,7 @@ class WorkerPool(Generic[J, R]):
         if isinstance(answer, YamsimError):
             raise answer
         if isinstance(answer, _Failure):
-            raise WorkerBug(f"in {worker.process.name}, on {worker.job}:\n{answer.trace}")
+            raise WorkerBugError(f"in {worker.process.name}, on {worker.job}:\n{answer.trace}")
         assert worker.job is not None
         self._ready.append((worker.job, answer))
         worker.job = None
@@ -119,7 +122,11 @@ class WorkerPool(Generic[J, R]):
     def _lost(self, worker: _Worker[J]) -> PartialJobError:
         worker.process.join(_JOIN_SECONDS)
         code = worker.process.exitcode
-        how = f"was killed by {signal.Signals(-code).name}" if code is not None and code < 0 else f"ended with code {code}"
+        how = (
+            f"was killed by {signal.Signals(-code).name}"
+            if code is not None and code < 0
+            else f"ended with code {code}"
+        )
         hint = ", perhaps for memory: try fewer --workers" if code == -signal.SIGKILL else ""
         return PartialJobError(f"{worker.process.name} {how} on {worker.job}{hint}")
 
@@ -138,7 +145,9 @@ class WorkerPool(Generic[J, R]):
     def __enter__(self) -> WorkerPool[J, R]:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
 

@@ -11,14 +11,14 @@ import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, quat_from_rotation
 
-# Position decides; orientation follows as far as the arm can: heading before tilt. Where the arm has to lean outwards to
-# reach, it does, and the position stays exact to a fraction of a millimetre.
+# Position decides; orientation follows as far as the arm can: heading before tilt. Where the arm has to lean outwards
+# to reach, it does, and the position stays exact to a fraction of a millimetre.
 _POSITION_COST = 10.0
 _TILT_COST = 0.02
 _HEADING_COST = 0.05
 
-# Levenberg-Marquardt: a step that makes things worse is taken back and tried shorter. Without that the iteration runs away
-# where the arm is nearly stretched out, which is a third of the table.
+# Levenberg-Marquardt: a step that makes things worse is taken back and tried shorter. Without that the iteration runs
+# away where the arm is nearly stretched out, which is a third of the table.
 _DAMPING_START = 1e-5
 _DAMPING_MIN = 1e-8
 _DAMPING_MAX = 1e4
@@ -53,9 +53,7 @@ class IkSolver:
         self._T_world_in_base = inverse(T_base_in_world)
         self._configuration = mink.Configuration(model)
         self._limits = [mink.ConfigurationLimit(model)]
-        self._task = mink.FrameTask(
-            "tool", "site", _POSITION_COST, np.array([_TILT_COST, _TILT_COST, _HEADING_COST])
-        )
+        self._task = mink.FrameTask("tool", "site", _POSITION_COST, np.array([_TILT_COST, _TILT_COST, _HEADING_COST]))
         pinch = model.site("pinch_site")
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, pinch.quat)

@@ -9,8 +9,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from ..config.rig import ArmConfig
 from ..config.record import RecordConfig
+from ..config.rig import ArmConfig
 from ..config.scene import FixedCamera, SceneConfig
 from ..errors import SimulationError
 from ..geometry.camera import opencv_from_mujoco
@@ -77,7 +77,9 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Mapping[str,
     try:
         model = spec.compile()
     except ValueError as error:
-        raise SimulationError(f"the scene of rig {config.rig.name!r} does not compile: {' '.join(str(error).split())}") from error
+        raise SimulationError(
+            f"the scene of rig {config.rig.name!r} does not compile: {' '.join(str(error).split())}"
+        ) from error
     return _addresses(model, config, tuple(cameras))
 
 

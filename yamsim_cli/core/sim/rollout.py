@@ -42,10 +42,11 @@ def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
     """What the arm's drives (6,) are told on one tick, rad.
 
     The drives pull towards their command and brake every velocity (`kp (ctrl - q) - kv qvel`). Leading the reference by
-    `kv / kp` of its velocity turns that brake into a damping of the velocity's error, so the arm follows instead of lagging.
+    `kv / kp` of its velocity turns that brake into a damping of the velocity's error: the arm follows instead of lagging.
     """
     lead = path.joints[tick] + scene.velocity_lead * path.velocities[tick]
-    return np.clip(lead, scene.ctrl_range[:, 0], scene.ctrl_range[:, 1])
+    command: Array = np.clip(lead, scene.ctrl_range[:, 0], scene.ctrl_range[:, 1])
+    return command
 
 
 def roll_out(
@@ -75,7 +76,13 @@ def roll_out(
         data.ctrl[scene.gripper_ctrl] = path.gripper[tick]
         if tick % timing.ticks_per_frame == 0:
             states.append(
-                StepState(data.time, data.qpos.copy(), data.ctrl.copy(), np.append(reference, path.gripper[tick]), path.magnet[tick])
+                StepState(
+                    data.time,
+                    data.qpos.copy(),
+                    data.ctrl.copy(),
+                    np.append(reference, path.gripper[tick]),
+                    path.magnet[tick],
+                )
             )
         mujoco.mj_step(model, data, timing.physics_steps_per_tick)
         tracking = max(tracking, float(np.abs(data.qpos[scene.joint_qpos] - reference).max()))
@@ -98,5 +105,5 @@ def attach(scene: CompiledScene, data: mujoco.MjData, carried: str) -> None:
     mujoco.mju_negQuat(inverse_quat, hand.xquat)
     mujoco.mju_rotVecQuat(position, item.xpos - hand.xpos, inverse_quat)
     mujoco.mju_mulQuat(quat, inverse_quat, item.xquat)
-    # A weld's data: anchor in the second body (3), position (3) and quaternion (4) of the second body in the first, torque scale.
+    # Anchor in the second body (3), position (3) and quaternion (4) of the second body in the first, torque scale (1).
     model.eq_data[scene.weld, :11] = [0, 0, 0, *position, *quat, 1]

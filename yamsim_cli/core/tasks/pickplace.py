@@ -139,7 +139,10 @@ def judge(
     if speed > limits.max_speed:
         cause, detail = Cause.UNSTABLE, f"still moving at {speed:.3f} m/s, at most {limits.max_speed:g}"
     elif dz < 0.0:
-        cause, detail = Cause.DROPPED, f"{-dz * 1000:.0f} mm below the {task.target.name}, {dxy * 1000:.0f} mm beside its centre"
+        cause, detail = (
+            Cause.DROPPED,
+            f"{-dz * 1000:.0f} mm below the {task.target.name}, {dxy * 1000:.0f} mm beside its centre",
+        )
     elif dxy > limits.threshold or dz > limits.max_height:
         cause = Cause.OFF_TARGET
         detail = (

@@ -60,7 +60,8 @@ class SceneRenderer:
     def draw(self, data: mujoco.MjData, camera: str) -> Image:
         """An RGB image (height, width, 3) of the scene as `data` has it."""
         self._renderer.update_scene(data, camera, self._option)
-        return self._renderer.render()
+        image: Image = self._renderer.render()
+        return image
 
     def close(self) -> None:
         """Free the OpenGL context; safe to call twice."""
@@ -69,5 +70,7 @@ class SceneRenderer:
     def __enter__(self) -> SceneRenderer:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
