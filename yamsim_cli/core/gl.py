@@ -1,7 +1,7 @@
 """Which OpenGL backend MuJoCo is to use, found out before MuJoCo is imported: it reads `MUJOCO_GL` once, at import.
 
-A backend can be missing, broken or hung, and only trying tells. It is tried in a process of its own, under a time limit,
-so that a driver that hangs or crashes costs a message and nothing else.
+A backend can be missing, broken or hung, and only trying tells. It is tried in a process of its own, under a time
+limit, so that a driver that hangs or crashes costs a message and nothing else.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Rigid transforms as 4 x 4 matrices.
 
-`T_a_in_b` is the pose of frame a in frame b: `p_b = T_a_in_b @ p_a`, so `T_a_in_c = T_b_in_c @ T_a_in_b`. Quaternions are
-wxyz, lengths metres, angles radians.
+`T_a_in_b` is the pose of frame a in frame b: `p_b = T_a_in_b @ p_a`, so `T_a_in_c = T_b_in_c @ T_a_in_b`. Quaternions
+are wxyz, lengths metres, angles radians.
 """
 
 from __future__ import annotations

@@ -69,9 +69,8 @@ def record(
     except KeyboardInterrupt:
         raise InterruptedJobError(f"interrupted: {session.state()}; continue with --resume") from None
     except OSError as error:
-        raise PartialJobError(
-            f"{error.filename or out}: {error.strerror or error}: {session.state()}; make room and continue with --resume"
-        ) from error
+        what = f"{error.filename or out}: {error.strerror or error}"
+        raise PartialJobError(f"{what}: {session.state()}; mend it and continue with --resume") from error
     except PartialJobError as error:
         raise PartialJobError(f"{error}: {session.state()}; continue with --resume") from error
     finally:

@@ -1,7 +1,7 @@
 """Processes that turn jobs into results. Knows nothing of robots: each process makes a runner and asks it job by job.
 
 Each worker has a pipe of its own, so one that dies takes nothing with it but the job in its hands, and each ends by
-itself when its pipe closes, also when the parent is gone. They are spawned, never forked: a fork would share OpenGL state.
+itself when its pipe closes, also when the parent is gone. They are spawned, never forked: a fork would share OpenGL.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ from .ik import IkSolution, IkSolver
 _COLD_ITERATIONS = 100
 _WARM_ITERATIONS = 12
 
-# The fingers begin to close, or to open, in the last part of the way to the grasp, or to the place: the hand never stands
-# still to wait for them, and the weld lets go only once they are open.
+# The fingers begin to close, or to open, in the last part of the way to the grasp, or to the place: the hand never
+# stands still to wait for them, and the weld lets go only once they are open.
 _FINGERS_MOVE_FROM = 0.7
 
 

@@ -49,12 +49,11 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Mapping[str,
     spec.compiler.autolimits = True
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = config.task.timing.timestep
-    _visual(spec, config)
-    _surroundings(spec, config.scene)
-
     T = arm.base.T_base_in_world
     spec.body("arm").pos = T[:3, 3]
     spec.body("arm").quat = quat_from_rotation(T[:3, :3])
+    _visual(spec, config)
+    _surroundings(spec, config.scene)
     for item in (config.task.object, config.task.target):
         add_object(spec, item, meshes.get(item.mesh.set))
     spec.add_equality(
@@ -97,8 +96,7 @@ def _visual(spec: mujoco.MjSpec, config: RecordConfig) -> None:
     spec.stat.center = config.scene.table.position
     visual.map.znear = 0.01
     visual.map.zfar = 20.0
-    visual.map.shadowclip = 0.8
-    visual.map.shadowscale = 0.8
+    visual.map.shadowclip = 1.0
 
 
 def _surroundings(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
@@ -128,6 +126,8 @@ def _surroundings(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         pos=[0, 0, scene.safety_plane],
         size=[5, 5, 0.1],
         material="floor",
+        # What everything stands on would only cast dots of false shadow onto itself.
+        castshadow=False,
     )
     spec.add_material(name="table", rgba=scene.table.rgba, specular=0.1, shininess=0.1)
     spec.worldbody.add_geom(
@@ -139,7 +139,9 @@ def _surroundings(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         friction=scene.table.contact.friction,
         condim=scene.table.contact.condim,
         group=SEEN_GROUP,
+        castshadow=False,
     )
+    _add_legs(spec, scene)
     centre = np.asarray(scene.table.position)
     for k, light in enumerate(scene.lights):
         direction = np.asarray(light.direction) / np.linalg.norm(light.direction)
@@ -152,6 +154,30 @@ def _surroundings(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
             diffuse=light.diffuse,
             specular=light.specular,
             castshadow=light.castshadow,
+        )
+
+
+def _add_legs(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
+    """Legs under the table and a post under the arm, down to the floor; only seen, never touched."""
+    x, y, _ = scene.table.position
+    half_x, half_y, _ = scene.table.half_size
+    bottom = scene.table.top - 2 * scene.table.half_size[2]
+    inset = 0.03
+    posts = [(x + i * (half_x - inset), y + j * (half_y - inset), bottom, 0.02) for i in (-1, 1) for j in (-1, 1)]
+    arm = spec.body("arm").pos
+    posts.append((arm[0], arm[1], arm[2] - 0.001, 0.06))
+    for k, (px, py, top, half) in enumerate(posts):
+        height = top - scene.safety_plane
+        spec.worldbody.add_geom(
+            name=f"post_{k}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[px, py, top - height / 2],
+            size=[half, half, height / 2],
+            material="table",
+            group=SEEN_GROUP,
+            contype=0,
+            conaffinity=0,
+            castshadow=False,
         )
 
 

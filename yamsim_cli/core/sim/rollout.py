@@ -42,7 +42,7 @@ def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
     """What the arm's drives (6,) are told on one tick, rad.
 
     The drives pull towards their command and brake every velocity (`kp (ctrl - q) - kv qvel`). Leading the reference by
-    `kv / kp` of its velocity turns that brake into a damping of the velocity's error: the arm follows instead of lagging.
+    `kv / kp` of its velocity turns that brake into a damping of the velocity's error: the arm follows, it does not lag.
     """
     lead = path.joints[tick] + scene.velocity_lead * path.velocities[tick]
     command: Array = np.clip(lead, scene.ctrl_range[:, 0], scene.ctrl_range[:, 1])
