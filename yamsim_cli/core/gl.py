@@ -15,11 +15,18 @@ from .errors import ResourceError
 # GPU first, then Mesa's software renderer through EGL, then OSMesa, which newer Mesa no longer ships.
 _LINUX_BACKENDS = ("egl", "osmesa")
 _PROBE_SECONDS = 60.0
+# Drawn and read back: some backends make a context that then cannot draw.
 _PROBE = """
 import mujoco
-context = mujoco.GLContext(16, 16)
-context.make_current()
-context.free()
+model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+renderer = mujoco.Renderer(model, 16, 16)
+renderer.update_scene(data)
+drawn = renderer.render().any()
+renderer.close()
+if not drawn:
+    raise SystemExit("what it draws is black")
 """
 _FIX = (
     "on Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0, "

@@ -60,23 +60,31 @@ class Plan:
 
 @dataclass(frozen=True)
 class JointPath:
-    """A plan in joint space: one row a control tick.
+    """A plan in joint space, for n control ticks.
 
     Attributes:
-        joints: reference joint positions (n, 6) at the end of each tick, rad.
-        velocities: reference joint velocities (n, 6) there, rad/s.
+        joints: reference positions (n + 1, 6) at the ticks' boundaries, rad; the first row is where the arm starts.
+        torques: what moving so takes (n, 6), in the middle of each tick, N m.
         gripper: commanded opening (n,) of one finger, m.
         magnet: whether the weld holds during each tick, (n,) of bool.
+        tick: length of a tick, s.
         position_error: largest distance in metres between the planned and the reached object position at a waypoint.
         tilt: largest angle in radians of the gripper from straight down at the grasp and the release.
     """
 
     joints: Array
-    velocities: Array
+    torques: Array
     gripper: Array
     magnet: tuple[bool, ...]
+    tick: float
     position_error: float
     tilt: float
+
+    @property
+    def velocities(self) -> Array:
+        """Mean joint velocities (n, 6) during each tick, rad/s."""
+        change: Array = self.joints[1:] - self.joints[:-1]
+        return change / self.tick
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ..errors import ConfigError, suggest
+from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
 from .base import Config, Reference
 from .document import Document, KeyPath, load_yaml, parse_yaml
@@ -58,6 +58,7 @@ def load_config(
 
     Raises:
         ConfigError: with file, line, key path, value and what would be valid.
+        UsageError: the value at fault came by an override whose place begins with `--`.
     """
     document = _read(model, locations.config_file(kind, name))
     # References are resolved between the two passes, so that a flag may reach inside a config named by another flag.
@@ -94,7 +95,10 @@ def _check(model: type[C], document: Document, locations: Locations) -> C:
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
-        raise ConfigError(_explain(model, document, error)) from error
+        place, message = _explain(model, document, error)
+        # A bad value that came by a flag is a fault of the command line, not of any config.
+        kind = UsageError if place.startswith("--") else ConfigError
+        raise kind(f"{place}: {message}") from error
 
 
 def _references(model: type[Config]) -> Iterator[tuple[str, str, type[Config]]]:
@@ -121,14 +125,16 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
             _resolve_references(target, document, inner, locations)
 
 
-def _explain(model: type[Config], document: Document, error: ValidationError) -> str:
-    """One line for the first fault, and how many more there are."""
+def _explain(model: type[Config], document: Document, error: ValidationError) -> tuple[str, str]:
+    """Where the first fault stands; and one line on it, and on how many more there are."""
     # A mistyped key shows up twice, as unknown and as missing; the place where it stands comes first.
     details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] == "missing")
     first = details[0]
     path: KeyPath = tuple(key for key in first["loc"] if not _is_tag(document.data, first["loc"], key))
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    return f"{document.place(path)}: {_dotted(path) or 'config'}: {_reason(model, path, first)}{more}"
+    place = document.place(path)
+    key = "" if place.startswith("--") else f"{_dotted(path) or 'config'}: "
+    return place, f"{key}{_reason(model, path, first)}{more}"
 
 
 def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:

@@ -13,6 +13,9 @@ from ..files import append_line, publish_directory, sha256_bytes, write_file
 from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_directories, episode_name
 from .records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, from_json, to_json
 
+# A message stays one line that can be read.
+_SHOWN_CHANGES = 5
+
 
 class OpenMode(Enum):
     """What to do when the dataset's directory already holds something."""
@@ -119,8 +122,9 @@ class DatasetWriter:
             )
         changed = _differences(parse_yaml(file.read_bytes(), str(file)).data, config)
         if changed:
+            more = f"; and {len(changed) - _SHOWN_CHANGES} more" if len(changed) > _SHOWN_CHANGES else ""
             raise ConfigError(
-                f"{self.path} was recorded with another configuration: {'; '.join(changed)}; "
+                f"{self.path} was recorded with another configuration: {'; '.join(changed[:_SHOWN_CHANGES])}{more}; "
                 "run with the same values, or record into another --out"
             )
         self.attempts = read_attempts(self.path)

@@ -15,11 +15,12 @@ from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import content_hash, dump_frame, frame_data
 from ..geometry.se3 import Array, yaw
+from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolver
 from ..planning.path import best_plan, plan_path
 from ..resources import Locations
 from ..scene.build import build_scene
-from ..scene.robot import bare_arm
+from ..scene.robot import arm_spec, bare_arm
 from ..sim.replica import Replica
 from ..sim.rollout import Rollout, roll_out
 from ..tasks.pickplace import candidate_plans, judge, knocked, sample_layout
@@ -56,7 +57,9 @@ class EpisodeRunner:
         self._config = config
         self._draw = draw
         self._scene = build_scene(config, locations, meshes)
-        self._ik = IkSolver(bare_arm(config.rig.arms[0], locations), self._scene.T_base_in_world)
+        arm = config.rig.arms[0]
+        self._ik = IkSolver(bare_arm(arm, locations), self._scene.T_base_in_world)
+        self._dynamics = ArmDynamics(arm_spec(arm, locations, None).compile())
         self._start_joints = np.array(config.task.start_joints)
         self._replica = Replica(self._scene)
         self._renderer: SceneRenderer | None = None
@@ -83,8 +86,7 @@ class EpisodeRunner:
             return None, Outcome(False, Cause.NO_LAYOUT, detail), None
 
         plan = best_plan(self._ik, task, candidate_plans(task, layout, T_base), layout, T_base)
-        self._ik.hold(plan.T_object_in_pinch)
-        path = plan_path(self._ik, plan, self._start_joints, self._ik.pose_of(self._start_joints), task.timing)
+        path = plan_path(self._ik, self._dynamics, plan, self._start_joints, task.timing)
         if path.position_error > _REACH_TOLERANCE:
             detail = (
                 f"the hand ends {path.position_error * 1000:.0f} mm from where it should be "
@@ -93,7 +95,7 @@ class EpisodeRunner:
             outcome = Outcome(False, Cause.UNREACHABLE, detail, position_error=path.position_error, tilt=path.tilt)
             return layout, outcome, None
 
-        rollout = roll_out(self._scene, layout, path, plan.object, self._start_joints, task.timing)
+        rollout = roll_out(self._scene, layout, path, plan.object, task.timing)
         outcome = knocked(
             layout.T_in_world[plan.object], rollout.T_object_before_grasp, path.position_error, path.tilt
         ) or judge(

@@ -9,6 +9,7 @@ import numpy as np
 from ..config.task import TaskConfig, Timing
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose
 from ..types import JointPath, Layout, Plan
+from .dynamics import ArmDynamics
 from .ik import IkSolution, IkSolver
 
 # From a cold start the iteration may have to cross the workspace; along a path each tick starts next to its solution.
@@ -45,19 +46,18 @@ def _solve_waypoints(ik: IkSolver, plan: Plan, start: Array) -> list[IkSolution]
     return solutions
 
 
-def plan_path(ik: IkSolver, plan: Plan, start_joints: Array, T_object_at_start: Array, timing: Timing) -> JointPath:
+def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Array, timing: Timing) -> JointPath:
     """Solve a plan tick by tick.
 
     Args:
         start_joints: the arm's joints (6,) at rest before the first tick, rad.
-        T_object_at_start: where the held frame is then (4, 4), in `world`.
 
     Returns:
         The path; whether its errors are small enough is for the caller to say.
     """
     ik.hold(plan.T_object_in_pinch)
     ticks = timing.ticks_per_waypoint
-    knots = [T_object_at_start, *(waypoint.T_object_in_world for waypoint in plan.waypoints)]
+    knots = [ik.pose_of(start_joints), *(waypoint.T_object_in_world for waypoint in plan.waypoints)]
     velocities = _knot_velocities(plan, knots, ticks * timing.tick)
 
     joints, gripper, magnet = [start_joints], [], []
@@ -81,12 +81,13 @@ def plan_path(ik: IkSolver, plan: Plan, start_joints: Array, T_object_at_start: 
         gripper.append(gripper[-1])
         magnet.append(False)
 
-    path = np.array(joints)
+    path, opening = np.array(joints), np.array(gripper)
     return JointPath(
-        joints=path[1:],
-        velocities=np.gradient(path, timing.tick, axis=0)[1:],
-        gripper=np.array(gripper),
+        joints=path,
+        torques=dynamics.torques(path, opening, timing.tick),
+        gripper=opening,
         magnet=tuple(magnet),
+        tick=timing.tick,
         position_error=position_error,
         tilt=tilt,
     )

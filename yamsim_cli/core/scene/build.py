@@ -206,8 +206,6 @@ def _add_wrist_camera(spec: mujoco.MjSpec, arm: ArmConfig) -> None:
 def _addresses(model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, ...]) -> CompiledScene:
     drives = [model.actuator(name).id for name in ACTUATORS]
     arm = np.array(drives[:6])
-    kp = model.actuator_gainprm[arm, 0]
-    kv = -model.actuator_biasprm[arm, 2]
     objects = (config.task.object.name, config.task.target.name)
     return CompiledScene(
         model=model,
@@ -216,7 +214,8 @@ def _addresses(model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, 
         gripper_qpos=np.array([model.joint(name).qposadr[0] for name in (GRIPPER_JOINT, "right_finger")]),
         arm_ctrl=arm,
         gripper_ctrl=drives[6],
-        velocity_lead=kv / kp,
+        kp=model.actuator_gainprm[arm, 0].copy(),
+        kv=-model.actuator_biasprm[arm, 2],
         ctrl_range=model.actuator_ctrlrange[arm].copy(),
         weld=model.equality(WELD).id,
         object_qpos={name: int(model.joint(name).qposadr[0]) for name in objects},

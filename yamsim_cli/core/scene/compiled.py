@@ -24,7 +24,7 @@ class CompiledScene:
         joint_qpos, joint_dof: addresses (6,) of the arm's joints in `qpos` and `qvel`.
         gripper_qpos: addresses (2,) of the left and right finger in `qpos`.
         arm_ctrl, gripper_ctrl: the drives' places in `ctrl`.
-        velocity_lead: `kv / kp` (6,) of the arm's drives, s.
+        kp, kv: gains (6,) of the arm's drives, N m/rad and N m s/rad.
         ctrl_range: (6, 2) of the arm's drives, rad.
         weld: id of the equality that holds the object.
         object_qpos: object name -> address of its free joint in `qpos`.
@@ -39,7 +39,8 @@ class CompiledScene:
     gripper_qpos: Ids
     arm_ctrl: Ids
     gripper_ctrl: int
-    velocity_lead: Array
+    kp: Array
+    kv: Array
     ctrl_range: Array
     weld: int
     object_qpos: Mapping[str, int]

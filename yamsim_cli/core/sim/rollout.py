@@ -41,30 +41,29 @@ def object_pose(data: mujoco.MjData, name: str) -> Array:
 def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
     """What the arm's drives (6,) are told on one tick, rad.
 
-    The drives pull towards their command and brake every velocity (`kp (ctrl - q) - kv qvel`). Leading the reference by
-    `kv / kp` of its velocity turns that brake into a damping of the velocity's error: the arm follows, it does not lag.
+    A drive pulls towards its command and brakes every velocity: `kp (ctrl - q) - kv qvel`. So that the arm follows the
+    reference instead of lagging behind it and swinging past, the command is the reference in the middle of the tick and,
+    on top, what makes up for the brake (`kv / kp` of the velocity) and for the inertia (the torque over `kp`).
     """
-    lead = path.joints[tick] + scene.velocity_lead * path.velocities[tick]
-    command: Array = np.clip(lead, scene.ctrl_range[:, 0], scene.ctrl_range[:, 1])
-    return command
+    reference = (path.joints[tick] + path.joints[tick + 1]) / 2
+    command = reference + (scene.kv * path.velocities[tick] + path.torques[tick]) / scene.kp
+    clipped: Array = np.clip(command, scene.ctrl_range[:, 0], scene.ctrl_range[:, 1])
+    return clipped
 
 
-def roll_out(
-    scene: CompiledScene, layout: Layout, path: JointPath, carried: str, start_joints: Array, timing: Timing
-) -> Rollout:
+def roll_out(scene: CompiledScene, layout: Layout, path: JointPath, carried: str, timing: Timing) -> Rollout:
     """Simulate one attempt from a full reset; the same inputs give the same bits on one machine.
 
     Args:
         carried: name of the object the weld takes.
-        start_joints: the arm's joints (6,) at the start, rad.
     """
     model = scene.model
     data = mujoco.MjData(model)
-    scene.start(data, layout, start_joints, float(path.gripper[0]))
+    scene.start(data, layout, path.joints[0], float(path.gripper[0]))
     states: list[StepState] = []
     T_before_grasp = object_pose(data, carried)
     tracking = 0.0
-    for tick, reference in enumerate(path.joints):
+    for tick, reference in enumerate(path.joints[1:]):
         if path.magnet[tick] != bool(data.eq_active[scene.weld]):
             if path.magnet[tick]:
                 # mj_step leaves the poses of the step before.

@@ -1,0 +1,61 @@
+"""What all tests share. MuJoCo reads MUJOCO_GL when first imported: it is settled here, before any test module."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.gl import choose_backend
+from yamsim_cli.core.resources import Locations
+
+if "YAMSIM_TEST_GL" not in os.environ:
+    # xdist's workers inherit the answer instead of probing again.
+    try:
+        os.environ["YAMSIM_TEST_GL"] = choose_backend(os.environ) or "native"
+    except ResourceError:
+        os.environ["YAMSIM_TEST_GL"] = "none"
+    if os.environ["YAMSIM_TEST_GL"] not in ("native", "none"):
+        os.environ["MUJOCO_GL"] = os.environ["YAMSIM_TEST_GL"]
+    elif os.environ["YAMSIM_TEST_GL"] == "none":
+        os.environ["MUJOCO_GL"] = "disabled"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # `make test` sees to a backend, so a machine that runs the suite by other means is told rather than failed.
+    if os.environ["YAMSIM_TEST_GL"] == "none":
+        for item in items:
+            if item.get_closest_marker("render"):
+                item.add_marker(pytest.mark.skip(reason="no OpenGL backend works here: tools/ensure_gl.sh"))
+
+
+@pytest.fixture(scope="session")
+def locations() -> Locations:
+    return Locations.find(os.environ)
+
+
+@pytest.fixture(scope="session")
+def make_config(locations: Locations) -> Callable[..., RecordConfig]:
+    """The default recording with some values changed: `make_config({("image", "size_px"): [64, 48]})`."""
+
+    def make(changes: dict[tuple[str, ...], Any] | None = None) -> RecordConfig:
+        overrides = {path: ("test", value) for path, value in (changes or {}).items()}
+        return load_config(RecordConfig, "record", "default", locations, overrides)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
+    return make_config()
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    return Path(__file__).resolve().parents[1]

@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.planning.dynamics import ArmDynamics
+from yamsim_cli.core.planning.ik import IkSolver
+from yamsim_cli.core.planning.path import best_plan, plan_path
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.build import build_scene
+from yamsim_cli.core.scene.compiled import CompiledScene
+from yamsim_cli.core.scene.robot import arm_spec, bare_arm
+from yamsim_cli.core.sim.replica import Replica
+from yamsim_cli.core.sim.rollout import Rollout, attach, drive_command, object_pose, roll_out
+from yamsim_cli.core.tasks.pickplace import OPEN, candidate_plans, sample_layout
+from yamsim_cli.core.types import JointPath, Layout
+
+
+@pytest.fixture(scope="module")
+def scene(config: RecordConfig, locations: Locations) -> CompiledScene:
+    return build_scene(config, locations, {})
+
+
+@pytest.fixture(scope="module")
+def layout(config: RecordConfig) -> Layout:
+    layout = sample_layout(config.task, config.scene, np.random.default_rng(4))
+    assert layout is not None
+    return layout
+
+
+@pytest.fixture(scope="module")
+def path(config: RecordConfig, locations: Locations, layout: Layout) -> JointPath:
+    ik = IkSolver(bare_arm(config.rig.arms[0], locations), np.eye(4))
+    plan = best_plan(ik, config.task, candidate_plans(config.task, layout, np.eye(4)), layout, np.eye(4))
+    dynamics = ArmDynamics(arm_spec(config.rig.arms[0], locations, None).compile())
+    return plan_path(ik, dynamics, plan, np.array(config.task.start_joints), config.task.timing)
+
+
+def _run(scene: CompiledScene, config: RecordConfig, layout: Layout, path: JointPath) -> Rollout:
+    return roll_out(scene, layout, path, "banana", config.task.timing)
+
+
+@pytest.fixture(scope="module")
+def rollout(scene: CompiledScene, config: RecordConfig, layout: Layout, path: JointPath) -> Rollout:
+    return _run(scene, config, layout, path)
+
+
+def test_57_frames_two_ticks_apart(rollout: Rollout) -> None:
+    assert len(rollout.states) == 57
+    np.testing.assert_allclose([state.time for state in rollout.states], np.arange(57) * 0.064, atol=1e-9)
+
+
+def test_the_same_attempt_gives_the_same_bits_again(
+    scene: CompiledScene, config: RecordConfig, layout: Layout, path: JointPath, rollout: Rollout
+) -> None:
+    other = sample_layout(config.task, config.scene, np.random.default_rng(9))
+    assert other is not None
+    _run(scene, config, other, path)
+    again = _run(scene, config, layout, path)
+    for before, after in zip(rollout.states, again.states, strict=True):
+        assert (before.qpos == after.qpos).all()
+        assert (before.ctrl == after.ctrl).all()
+    assert (rollout.T_in_world["banana"] == again.T_in_world["banana"]).all()
+
+
+def test_banana_ends_on_the_plate(rollout: Rollout) -> None:
+    offset = rollout.T_in_world["banana"][:3, 3] - rollout.T_in_world["plate"][:3, 3]
+    assert np.hypot(*offset[:2]) < 0.015
+    assert 0.01 < offset[2] < 0.04
+    assert rollout.object_speed < 0.05
+
+
+def test_banana_lies_still_until_the_hand_comes(rollout: Rollout, layout: Layout) -> None:
+    moved = rollout.T_object_before_grasp[:3, 3] - layout.T_in_world["banana"][:3, 3]
+    assert np.linalg.norm(moved) < 0.002
+
+
+def test_banana_moves_with_the_hand_while_the_magnet_holds(scene: CompiledScene, rollout: Rollout) -> None:
+    replica = Replica(scene)
+    held = []
+    for state in rollout.states:
+        if state.magnet:
+            replica.show(state)
+            held.append(inverse(replica.T_grasp_in_base()) @ replica.T_object_in_base("banana"))
+    assert len(held) == 24
+    # The weld is soft: a few millimetres at the turns.
+    positions = np.array(held)[1:, :3, 3]
+    assert np.linalg.norm(positions - positions.mean(axis=0), axis=1).max() < 0.01
+
+
+def test_attaching_moves_nothing(scene: CompiledScene, config: RecordConfig, layout: Layout) -> None:
+    data = mujoco.MjData(scene.model)
+    scene.start(data, layout, np.array(config.task.start_joints), OPEN)
+    mujoco.mj_step(scene.model, data, 200)
+    mujoco.mj_kinematics(scene.model, data)
+    before = object_pose(data, "banana")
+    attach(scene, data, "banana")
+    data.eq_active[scene.weld] = True
+    mujoco.mj_step(scene.model, data, 50)
+    mujoco.mj_kinematics(scene.model, data)
+    np.testing.assert_allclose(object_pose(data, "banana"), before, atol=2e-3)
+
+
+def test_arm_follows_its_reference(rollout: Rollout) -> None:
+    assert rollout.tracking_error < 0.25
+
+
+def test_action_is_the_plan_and_ctrl_what_the_drives_got(
+    scene: CompiledScene, rollout: Rollout, path: JointPath
+) -> None:
+    for k, state in enumerate(rollout.states):
+        np.testing.assert_allclose(state.action_joints[:6], path.joints[2 * k + 1])
+        assert state.action_joints[6] == state.ctrl[6] == path.gripper[2 * k]
+        assert (state.ctrl[:6] >= scene.ctrl_range[:, 0]).all()
+        assert (state.ctrl[:6] <= scene.ctrl_range[:, 1]).all()
+
+
+def test_a_drive_at_rest_is_told_its_reference(scene: CompiledScene, path: JointPath) -> None:
+    np.testing.assert_allclose(drive_command(scene, path, 113), path.joints[-1], atol=0.02)

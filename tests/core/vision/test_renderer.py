@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.geometry.camera import project
+from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.build import build_scene
+from yamsim_cli.core.scene.compiled import CompiledScene
+from yamsim_cli.core.sim.replica import Replica
+from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
+from yamsim_cli.core.types import StepState
+from yamsim_cli.core.vision.jpeg import decode_jpeg, encode_jpeg
+from yamsim_cli.core.vision.renderer import SceneRenderer
+
+pytestmark = pytest.mark.render
+SIZE = (640, 480)
+
+
+@pytest.fixture(scope="module")
+def scene(make_config: Callable[..., RecordConfig], locations: Locations) -> CompiledScene:
+    return build_scene(make_config({("wrist",): True}), locations, {})
+
+
+@pytest.fixture(scope="module")
+def renderer(scene: CompiledScene) -> Iterator[SceneRenderer]:
+    with SceneRenderer(scene, SIZE) as renderer:
+        yield renderer
+
+
+@pytest.fixture(scope="module")
+def replica(scene: CompiledScene, config: RecordConfig) -> Replica:
+    layout = sample_layout(config.task, config.scene, np.random.default_rng(0))
+    assert layout is not None
+    data = mujoco.MjData(scene.model)
+    scene.start(data, layout, np.array(config.task.start_joints), OPEN)
+    replica = Replica(scene)
+    replica.show(StepState(0.0, data.qpos.copy(), data.ctrl.copy(), data.ctrl.copy(), magnet=False))
+    return replica
+
+
+def test_images_have_the_size_asked_for(renderer: SceneRenderer, replica: Replica, scene: CompiledScene) -> None:
+    for camera in scene.cameras:
+        image = renderer.draw(replica.data, camera)
+        assert image.shape == (480, 640, 3)
+        assert image.dtype == np.uint8
+        assert image.std() > 20
+
+
+def test_drawing_again_gives_the_same_bytes(renderer: SceneRenderer, replica: Replica) -> None:
+    first = renderer.draw(replica.data, "scene_camera").copy()
+    renderer.draw(replica.data, "right_wrist_camera")
+    assert (renderer.draw(replica.data, "scene_camera") == first).all()
+
+
+def test_cameras_are_where_the_record_says(renderer: SceneRenderer, replica: Replica, scene: CompiledScene) -> None:
+    """A ball put at a known point shows up where intrinsics and extrinsics put it, to a tenth of a pixel."""
+    model = scene.model
+    K = renderer.intrinsics("scene_camera").K
+    T_cam_in_base = replica.T_cam_in_base("scene_camera")
+    for point in ([0.4, 0.1, 0.25], [0.5, -0.2, 0.15], [0.3, 0.25, 0.3]):
+        seen = _ball_centroid(model, replica.data, renderer, np.array(point))
+        (expected,) = project(K, (inverse(T_cam_in_base) @ [*point, 1])[None, :3])
+        np.testing.assert_allclose(seen, expected, atol=0.1)
+
+
+def _ball_centroid(
+    model: mujoco.MjModel, data: mujoco.MjData, renderer: SceneRenderer, point: np.ndarray
+) -> np.ndarray:
+    """Centroid in pixels of a ball of 1 cm drawn at a point, from the difference of two pictures."""
+    scene = renderer._renderer.scene
+    images = []
+    for with_ball in (False, True):
+        renderer._renderer.update_scene(data, "scene_camera", renderer._option)
+        if with_ball:
+            geom = scene.geoms[scene.ngeom]
+            mujoco.mjv_initGeom(
+                geom,
+                mujoco.mjtGeom.mjGEOM_SPHERE,
+                np.array([0.01, 0, 0]),
+                point,
+                np.eye(3).ravel(),
+                np.array([1, 0, 1, 1], dtype=np.float32),
+            )
+            geom.emission = 1.0
+            geom.castshadow = 0
+            scene.ngeom += 1
+        images.append(renderer._renderer.render().astype(int))
+    rows, columns = np.nonzero(np.abs(images[1] - images[0]).max(axis=2) > 30)
+    assert len(rows) > 50
+    return np.array([columns.mean(), rows.mean()])
+
+
+def test_wrist_camera_sees_both_fingers(renderer: SceneRenderer, replica: Replica) -> None:
+    K = renderer.intrinsics("right_wrist_camera").K
+    T_base_in_cam = inverse(replica.T_cam_in_base("right_wrist_camera"))
+    for side in ("left", "right"):
+        tip = replica.data.geom(f"{side}_finger_tip_b1").xpos
+        ((u, v),) = project(K, (T_base_in_cam @ [*tip, 1])[None, :3])
+        assert 0 < u < 640
+        assert 0 < v < 480
+
+
+def test_a_renderer_that_cannot_be_made_is_a_missing_resource(scene: CompiledScene) -> None:
+    class Broken:
+        def __init__(self, *args: object, **kwargs: object) -> None:
+            raise ImportError("Cannot initialize a EGL device display.")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mujoco, "Renderer", Broken)
+        with pytest.raises(ResourceError, match=r"no OpenGL context.*EGL device display"):
+            SceneRenderer(scene, SIZE)
+
+
+def test_closing_twice_is_harmless(scene: CompiledScene) -> None:
+    renderer = SceneRenderer(scene, (64, 48))
+    renderer.close()
+    renderer.close()
+
+
+def test_jpeg_round_trip_keeps_colours_in_order() -> None:
+    image = np.zeros((32, 48, 3), np.uint8)
+    image[..., 0] = 200
+    decoded = decode_jpeg(encode_jpeg(image, 95))
+    assert decoded is not None
+    assert decoded.shape == image.shape
+    assert decoded[..., 0].mean() > 190
+    assert decoded[..., 2].mean() < 10
+
+
+def test_jpeg_reads_as_opencv_reads_it() -> None:
+    image = np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8)
+    data = encode_jpeg(image, 85)
+    expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    assert (decode_jpeg(data) == expected).all()
+
+
+def test_a_cut_jpeg_is_refused_at_every_length() -> None:
+    data = encode_jpeg(np.full((16, 16, 3), 90, np.uint8), 85)
+    assert decode_jpeg(data) is not None
+    for length in range(len(data)):
+        assert decode_jpeg(data[:length]) is None

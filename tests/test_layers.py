@@ -1,0 +1,113 @@
+"""Imports go only downwards: a module may use its own floor's package and the floors below."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "yamsim_cli"
+
+# Floors, from the bottom. Packages on one floor may not use each other.
+FLOORS: dict[str, int] = {
+    "core.errors": 1,
+    "core.files": 2,
+    "core.resources": 2,
+    "core.gl": 2,
+    "core.geometry": 2,
+    "core.types": 3,
+    "core.config": 3,
+    "core.assets": 3,
+    "core.scene": 4,
+    "core.tasks": 4,
+    "core.dataset": 4,
+    "core.sim": 5,
+    "core.vision": 5,
+    "core.planning": 5,
+    "core.jobs": 6,
+    "commands": 7,
+    "main": 8,
+}
+
+# Libraries that only some packages may know.
+CONFINED = {
+    "mink": {"core.planning.ik"},
+    "cv2": {"core.vision"},
+    "mujoco": {"core.scene", "core.sim", "core.vision", "core.planning", "core.jobs"},
+    "typer": {"commands", "main"},
+    "rich": {"commands"},
+}
+
+
+def _modules() -> list[str]:
+    paths = (path for path in PACKAGE.rglob("*.py") if "_data" not in path.parts)
+    return sorted(".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__") for path in paths)
+
+
+def _unit(module: str) -> str | None:
+    """The floor's name a module belongs to; None for the package markers."""
+    return next((unit for unit in FLOORS if module == unit or module.startswith(unit + ".")), None)
+
+
+def _imports(module: str) -> Iterator[str]:
+    """Absolute names of what a module imports: yamsim's own without the `yamsim_cli.`, libraries as they are."""
+    path = PACKAGE / Path(*module.split("."))
+    is_package = path.is_dir()
+    source = (path / "__init__.py" if is_package else path.with_suffix(".py")).read_text()
+    package = module.split(".") if is_package else module.split(".")[:-1]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] + (node.module.split(".") if node.module else [])
+            names = [".".join([*base, alias.name]) for alias in node.names]
+            yield from names
+            continue
+        else:
+            continue
+        yield from (name.removeprefix("yamsim_cli.") for name in names)
+
+
+def test_every_module_has_a_floor() -> None:
+    markers = {"__init__", "", "core", "commands"}
+    assert [module for module in _modules() if _unit(module) is None and module not in markers] == []
+
+
+@pytest.mark.parametrize("module", [module for module in _modules() if _unit(module)])
+def test_imports_go_only_downwards(module: str) -> None:
+    own = _unit(module)
+    assert own is not None
+    for name in _imports(module):
+        unit = _unit(name)
+        if unit and unit != own:
+            assert FLOORS[unit] < FLOORS[own], f"{module} (floor {FLOORS[own]}) imports {name} (floor {FLOORS[unit]})"
+
+
+@pytest.mark.parametrize("library", CONFINED)
+def test_libraries_stay_where_they_belong(library: str) -> None:
+    users = {module for module in _modules() for name in _imports(module) if name.split(".")[0] == library}
+    allowed = CONFINED[library]
+    assert [user for user in users if not any(user == unit or user.startswith(unit + ".") for unit in allowed)] == []
+    assert users, f"nothing imports {library} any more: drop it from the list"
+
+
+@pytest.mark.parametrize("module", [module for module in _modules() if module.startswith("core.")])
+def test_core_does_not_reach_outside(module: str) -> None:
+    """Core never prints, exits, or reads the command line or the environment."""
+    path = PACKAGE / Path(*module.split("."))
+    source = (path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            assert (node.value.id, node.attr) not in {
+                ("os", "environ"),
+                ("os", "getenv"),
+                ("sys", "argv"),
+                ("sys", "exit"),
+                ("sys", "stdout"),
+            }, f"{module}:{node.lineno}"
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in {"print", "input", "exit"}, f"{module}:{node.lineno}"
