@@ -49,7 +49,7 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Mapping[str,
     spec.compiler.autolimits = True
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = config.task.timing.timestep
-    T = arm.base.T_base_in_world
+    T = config.rig.T_base_in_world(0)
     spec.body("arm").pos = T[:3, 3]
     spec.body("arm").quat = quat_from_rotation(T[:3, :3])
     _visual(spec, config)
@@ -220,6 +220,6 @@ def _addresses(model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, 
         weld=model.equality(WELD).id,
         object_qpos={name: int(model.joint(name).qposadr[0]) for name in objects},
         object_dof={name: int(model.joint(name).dofadr[0]) for name in objects},
-        T_base_in_world=config.rig.arms[0].base.T_base_in_world,
+        T_base_in_world=config.rig.T_base_in_world(0),
         cameras=cameras,
     )

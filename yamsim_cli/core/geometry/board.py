@@ -1,0 +1,71 @@
+"""A flat board of ArUco markers: its measures, and the two frames it is spoken of in.
+
+`board`: origin at the centre, x right, y up, z out of the paper; this is the frame poses are given in.
+`board_cv`: OpenCV's `GridBoard` frame, origin at the top-left corner, x right, y down, z into the paper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .se3 import Array, pose
+
+
+@dataclass(frozen=True)
+class Board:
+    """A grid of square markers with gaps between them, read row by row from the top left.
+
+    Attributes:
+        name: for messages and prints.
+        first_id: id of the top-left marker; the others count up.
+        columns, rows: of the grid.
+        dictionary: name of OpenCV's predefined dictionary, such as "DICT_6X6_250".
+        marker_length: edge of a marker, m.
+        gap: between two markers, m.
+    """
+
+    name: str
+    first_id: int
+    columns: int
+    rows: int
+    dictionary: str
+    marker_length: float
+    gap: float
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Marker ids, row by row from the top left."""
+        return tuple(range(self.first_id, self.first_id + self.columns * self.rows))
+
+    @property
+    def width(self) -> float:
+        """From the left edge of the leftmost marker to the right edge of the rightmost, m."""
+        return self.columns * self.marker_length + (self.columns - 1) * self.gap
+
+    @property
+    def height(self) -> float:
+        """From the top edge of the topmost marker to the bottom edge of the lowest, m."""
+        return self.rows * self.marker_length + (self.rows - 1) * self.gap
+
+    @property
+    def T_board_in_board_cv(self) -> Array:
+        """Pose (4, 4) of the `board` frame in `board_cv`: `T_board_in_cam = T_board_cv_in_cam @ T_board_in_board_cv`."""
+        return pose((self.width / 2, self.height / 2, 0.0), np.diag([1.0, -1.0, -1.0]))
+
+    def corners(self) -> Array:
+        """Marker corners (n, 4, 3) in the `board` frame, m: markers as in `ids`, corners clockwise from the top left."""
+        step = self.marker_length + self.gap
+        length = self.marker_length
+        corners = np.zeros((self.columns * self.rows, 4, 3))
+        for k in range(len(corners)):
+            row, column = divmod(k, self.columns)
+            left, top = column * step - self.width / 2, self.height / 2 - row * step
+            corners[k, :, :2] = [
+                (left, top),
+                (left + length, top),
+                (left + length, top - length),
+                (left, top - length),
+            ]
+        return corners
