@@ -81,7 +81,7 @@ class BoardConfig(Config):
         if normal[2] < 1 - 1e-6:
             shown = ", ".join(f"{part:.3g}" for part in normal)
             raise ValueError(
-                f"board {self.name!r} does not lie flat on its base: its normal is ({shown}), not (0, 0, 1); mend `quat`"
+                f"board {self.name!r} does not lie flat on its base: its normal is ({shown}), not (0, 0, 1); mend quat"
             )
         return self
 

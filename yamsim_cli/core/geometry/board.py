@@ -51,11 +51,11 @@ class Board:
 
     @property
     def T_board_in_board_cv(self) -> Array:
-        """Pose (4, 4) of the `board` frame in `board_cv`: `T_board_in_cam = T_board_cv_in_cam @ T_board_in_board_cv`."""
+        """Pose (4, 4) of `board` in `board_cv`: `T_board_in_cam = T_board_cv_in_cam @ T_board_in_board_cv`."""
         return pose((self.width / 2, self.height / 2, 0.0), np.diag([1.0, -1.0, -1.0]))
 
     def corners(self) -> Array:
-        """Marker corners (n, 4, 3) in the `board` frame, m: markers as in `ids`, corners clockwise from the top left."""
+        """Marker corners (n, 4, 3) in the `board` frame, m: markers as in `ids`, each clockwise from its top left."""
         step = self.marker_length + self.gap
         length = self.marker_length
         corners = np.zeros((self.columns * self.rows, 4, 3))

@@ -41,9 +41,9 @@ def object_pose(data: mujoco.MjData, name: str) -> Array:
 def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
     """What the arm's drives (6,) are told on one tick, rad.
 
-    A drive pulls towards its command and brakes all motion: `kp (ctrl - q) - kv qvel`. So that the arm follows the
-    reference instead of lagging behind it and swinging past, the command is the reference in the middle of the tick and,
-    on top, what makes up for the brake (`kv / kp` of the velocity) and for the inertia (the torque over `kp`).
+    A drive pulls towards its command and brakes all motion: `kp (ctrl - q) - kv qvel`. So that the arm follows its
+    reference, neither lagging behind nor swinging past, the command is the reference in the middle of the tick and, on
+    top, what makes up for the brake (`kv / kp` of the velocity) and for the inertia (the torque over `kp`).
     """
     reference = (path.joints[tick] + path.joints[tick + 1]) / 2
     command = reference + (scene.kv * path.velocities[tick] + path.torques[tick]) / scene.kp

@@ -1,0 +1,113 @@
+"""Bad input gets one clear line, the documented exit code, and loses nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run_cli import yamsim
+
+USAGE, CONFIG, MISSING = 2, 3, 4
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "parts"),
+    [
+        (["record", "--rig", "singel"], CONFIG, ["--rig", "'singel'", "did you mean 'single'", "valid:"]),
+        (["record", "--task", "nothing"], CONFIG, ["--task", "'nothing'", "valid: pickplace"]),
+        (["record", "--config", "nothing"], CONFIG, ["'nothing'", "valid: default"]),
+        (["record", "--config", "nowhere.yaml"], CONFIG, ["nowhere.yaml", "does not exist"]),
+        (["record", "--n", "0"], USAGE, ["--n", "0 is not valid", "greater than or equal to 1"]),
+        (["record", "--n", "many"], USAGE, ["--n", "integer"]),
+        (["record", "--workers", "0"], USAGE, ["--workers", "0 is not valid"]),
+        (["record", "--seed", "-1"], USAGE, ["--seed", "-1 is not valid"]),
+        (["record", "--size", "-640x480"], USAGE, ["--size", "-640x480", "such as 640x480"]),
+        (["record", "--size", "640"], USAGE, ["--size", "'640'", "WIDTHxHEIGHT"]),
+        (["record", "--size", "2x2"], USAGE, ["--size", "2 is not valid", "16"]),
+        (["record", "--jpeg-quality", "101"], USAGE, ["--jpeg-quality", "101", "100"]),
+        (["record", "--grasp", "suction"], USAGE, ["--grasp", "'suction'", "weld"]),
+        (["record", "--resume", "--overwrite"], USAGE, ["--resume", "--overwrite"]),
+        (["record", "--nonsense"], USAGE, ["--nonsense"]),
+        (["pickplace", "batch", "--threshold", "-1"], USAGE, ["--threshold", "-1", "greater than 0"]),
+        (["pickplace", "batch", "--n", "0"], USAGE, ["--n", "0 is not valid"]),
+        (["summarize", "nowhere"], MISSING, ["nowhere", "yamsim record"]),
+        (["summarize", "."], MISSING, ["no episodes", "yamsim record"]),
+        (["summarize", ".", "--threshold", "0"], USAGE, ["--threshold", "0"]),
+        (["config", "show", "rigs", "nothing"], CONFIG, ["'nothing'", "valid:", "single"]),
+        (["config", "show", "nonsense", "x"], CONFIG, ["'nonsense'", "valid:", "rigs"]),
+        (["assets", "fetch", "nonsense"], USAGE, ["'nonsense'", "valid:", "ycb"]),
+        (["nonsense"], USAGE, ["nonsense"]),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) and value and not value[0].startswith("'") else None,
+)
+def test_one_line_and_the_exit_code(args: list[str], code: int, parts: list[str], tmp_path: Path) -> None:
+    run = yamsim(*args, cwd=tmp_path)
+    assert (run.code, run.out) == (code, "")
+    for part in parts:
+        assert part in run.message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unknown_key_in_a_file_is_named_with_its_line(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("rig: single\nscene: tabletop\ntask: pickplace\nimage:\n  size_px: [64, 48]\n  jpeg_qality: 9\n")
+    run = yamsim("record", "--config", file, cwd=tmp_path)
+    assert run.code == CONFIG
+    assert f"{file}:6: image.jpeg_qality: unknown key; did you mean 'jpeg_quality'?" in run.message
+
+
+def test_output_that_is_in_the_way_is_left_alone(tmp_path: Path) -> None:
+    precious = tmp_path / "dataset" / "precious.txt"
+    precious.parent.mkdir()
+    precious.write_text("keep me")
+    run = yamsim("record", "--n", "1", cwd=tmp_path)
+    assert run.code == USAGE
+    assert "dataset is not empty" in run.message
+    assert "--resume" in run.message
+    assert "--overwrite" in run.message
+    assert precious.read_text() == "keep me"
+    assert [path.name for path in precious.parent.iterdir()] == ["precious.txt"]
+
+
+def test_resuming_what_is_no_dataset_leaves_it_alone(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("keep me")
+    run = yamsim("record", "--n", "1", "--out", tmp_path, "--resume")
+    assert run.code == MISSING
+    assert "no dataset" in run.message
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_output_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    run = yamsim("record", "--n", "1", "--out", tmp_path / "file" / "dataset")
+    assert run.code == MISSING
+    assert "cannot be written" in run.message
+
+
+def test_no_gl_backend_is_said_before_anything_is_made(tmp_path: Path) -> None:
+    run = yamsim("record", "--n", "1", "--out", tmp_path / "d", env={"MUJOCO_GL": "glfw", "DISPLAY": ""})
+    assert run.code == MISSING
+    assert "no OpenGL backend" in run.message
+    assert "apt-get install" in run.message
+    assert not (tmp_path / "d").exists()
+
+
+def test_help_needs_nothing_heavy(tmp_path: Path) -> None:
+    import subprocess
+    import sys
+
+    code = (
+        "import sys; sys.argv = ['yamsim', '--help']\n"
+        "from yamsim_cli.main import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'mujoco', 'mink', 'cv2', 'numpy', 'pydantic', 'yaml'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_json_errors_leave_stdout_empty(tmp_path: Path) -> None:
+    run = yamsim("summarize", tmp_path, "--json")
+    assert (run.code, run.out) == (MISSING, "")

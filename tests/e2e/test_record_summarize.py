@@ -1,0 +1,219 @@
+"""The main job, as a user runs it: record, summarize, interrupt, resume."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.run_cli import yamsim
+
+pytestmark = pytest.mark.render
+
+SMALL = ("--size", "96x72", "--wrist", "--seed", "3")
+
+
+def digest(dataset: Path) -> dict[str, str]:
+    """Every file of a dataset with its hash."""
+    return {
+        path.relative_to(dataset).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(dataset.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("record") / "two_workers"
+    run = yamsim("record", "--n", "3", "--workers", "2", "--out", path, *SMALL, "--json")
+    assert run.code == 0, run.err
+    assert run.json["episodes"] == 3
+    assert run.json["path"] == str(path)
+    assert run.json["attempts"] >= 3
+    return path
+
+
+def test_layout_on_the_disk(dataset: Path) -> None:
+    assert sorted(path.name for path in dataset.iterdir()) == [
+        "attempts.jsonl",
+        "config.yaml",
+        "ep_000000",
+        "ep_000001",
+        "ep_000002",
+        "manifest.json",
+    ]
+    for camera in ("scene_camera", "right_wrist_camera"):
+        frames = sorted(path.name for path in (dataset / "ep_000001" / "rgb" / camera).iterdir())
+        assert frames == [f"{k:06d}.jpg" for k in range(57)]
+    assert len(list((dataset / "ep_000001" / "lowdim").iterdir())) == 57
+
+
+def test_lowdim_reads_without_yamsim(dataset: Path) -> None:
+    """A consumer has numpy and pickle, and the documented keys."""
+    frame = pickle.loads((dataset / "ep_000000" / "lowdim" / "000030.pkl").read_bytes())
+    assert list(frame) == [
+        "joints",
+        "timestamp",
+        "intrinsics",
+        "extrinsics",
+        "banana_pose",
+        "plate_pose",
+        "ee_pose",
+        "ctrl",
+        "action_joints",
+        "magnet",
+        "language_task",
+        "language_prompt",
+        "K_wrist",
+    ]
+    assert frame["joints"].shape == frame["ctrl"].shape == frame["action_joints"].shape == (7,)
+    assert frame["timestamp"] == pytest.approx(30 * 0.064)
+    assert frame["magnet"] is True
+    for key in ("banana_pose", "plate_pose", "ee_pose"):
+        assert frame[key].shape == (4, 4)
+        assert frame[key].dtype == np.float32
+        np.testing.assert_allclose(frame[key][:3, :3] @ frame[key][:3, :3].T, np.eye(3), atol=1e-5)
+    for camera in ("scene_camera", "right_wrist_camera"):
+        assert frame["intrinsics"][camera].shape == (3, 3)
+        assert frame["extrinsics"][camera].shape == (4, 4)
+    np.testing.assert_array_equal(frame["K_wrist"], frame["intrinsics"]["right_wrist_camera"])
+    # The banana is in the hand.
+    assert np.linalg.norm(frame["banana_pose"][:3, 3] - frame["ee_pose"][:3, 3]) < 0.08
+
+
+def test_summary_of_a_whole_dataset(dataset: Path) -> None:
+    run = yamsim("summarize", dataset, "--json")
+    assert run.code == 0, run.err
+    report = run.json
+    assert (report["episodes"], report["frames"], report["problems"]) == (3, 171, [])
+    assert report["success_rate"] == {"0.05": 1.0, "0.08": 1.0}
+    assert report["bytes"] == sum(p.stat().st_size for p in dataset.rglob("ep_*/**/*") if p.is_file())
+    assert 0.29 < report["workspace"]["banana"]["x"][0] <= report["workspace"]["banana"]["x"][1] < 0.56
+    assert run.err == ""
+
+
+def test_summary_for_a_person(dataset: Path) -> None:
+    run = yamsim("summarize", dataset)
+    assert run.code == 0
+    assert "3, 171" in run.out
+    assert "none: every file was opened" in run.out
+
+
+def test_rescoring_needs_no_simulation(dataset: Path) -> None:
+    run = yamsim("summarize", dataset, "--threshold", "0.0001", "--json")
+    assert run.json["success_rate"] == {"0.0001": 0.0}
+
+
+def test_damage_is_named_and_fails(dataset: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "damaged"
+    shutil.copytree(dataset, copy)
+    image = copy / "ep_000001" / "rgb" / "scene_camera" / "000010.jpg"
+    image.write_bytes(image.read_bytes()[:-40])
+    (copy / "ep_000002" / "lowdim" / "000003.pkl").unlink()
+    run = yamsim("summarize", copy, "--json")
+    assert run.code == 4
+    assert [(p["episode"], p["file"]) for p in run.json["problems"]] == [
+        ("ep_000001", "rgb/scene_camera/000010.jpg"),
+        ("ep_000002", "lowdim/000003.pkl"),
+    ]
+    assert "ep_000001/rgb/scene_camera/000010.jpg" in run.message
+
+
+def test_one_worker_gives_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
+    run = yamsim("record", "--n", "3", "--workers", "1", "--out", tmp_path / "one", *SMALL)
+    assert run.code == 0, run.err
+    assert digest(tmp_path / "one") == digest(dataset)
+
+
+def test_interrupted_then_resumed_gives_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
+    path = tmp_path / "interrupted"
+    command = [
+        sys.executable,
+        "-m",
+        "yamsim_cli.main",
+        "record",
+        "--n",
+        "3",
+        "--workers",
+        "2",
+        "--out",
+        str(path),
+        *SMALL,
+    ]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        end = time.monotonic() + 120
+        while not (path / "ep_000000").exists() and time.monotonic() < end:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "episodes are whole" in err
+    assert "--resume" in err
+    published = sorted(path.glob("ep_*"))
+    assert 1 <= len(published) < 3
+    assert yamsim("summarize", path, "--json").json["problems"] == []
+
+    run = yamsim("record", "--n", "3", "--workers", "1", "--out", path, *SMALL, "--resume", "--json")
+    assert run.code == 0, run.err
+    assert digest(path) == digest(dataset)
+
+
+def test_a_lost_episode_is_made_again(dataset: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "lost"
+    shutil.copytree(dataset, copy)
+    shutil.rmtree(copy / "ep_000001")
+    (copy / "manifest.json").unlink()
+    run = yamsim("record", "--n", "3", "--out", copy, *SMALL, "--resume")
+    assert run.code == 0, run.err
+    assert digest(copy) == digest(dataset)
+
+
+def test_resuming_a_finished_dataset_changes_nothing(dataset: Path, tmp_path: Path) -> None:
+    before = digest(dataset)
+    run = yamsim("record", "--n", "3", "--out", dataset, *SMALL, "--resume", "--json")
+    assert run.code == 0, run.err
+    assert digest(dataset) == before
+
+
+def test_resuming_with_another_seed_is_refused(dataset: Path) -> None:
+    before = digest(dataset)
+    run = yamsim("record", "--n", "4", "--out", dataset, "--size", "96x72", "--wrist", "--seed", "4", "--resume")
+    assert run.code == 3
+    assert "seed: 3 there, 4 now" in run.message
+    assert digest(dataset) == before
+
+
+def test_overwrite_moves_the_old_dataset_aside(dataset: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "again"
+    shutil.copytree(dataset, copy)
+    run = yamsim("record", "--n", "1", "--out", copy, *SMALL, "--overwrite", "--json")
+    assert run.code == 0, run.err
+    assert digest(Path(run.json["moved_aside"])) == digest(dataset)
+    assert len(list(copy.glob("ep_*"))) == 1
+
+
+def test_disk_full_loses_nothing(tmp_path: Path) -> None:
+    """A file size limit stands in for a full disk: the first large enough write fails as it would there."""
+    path = tmp_path / "full"
+    script = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000))\n"
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"sys.argv = ['yamsim', 'record', '--n', '1', '--workers', '1', '--size', '96x72', '--out', {str(path)!r}]\n"
+        "from yamsim_cli.main import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False, env=os.environ
+    )
+    assert done.returncode == 6, done.stderr
+    assert "0 of 1 episodes are whole" in done.stderr
+    assert list(path.glob("ep_*")) == []
+    assert not (path / ".staging").exists()
