@@ -1,4 +1,4 @@
-"""Runners for the worker pool that have nothing to do with robots. In a module of their own, for spawned processes to find."""
+"""Runners that have nothing to do with robots, in a module of their own for spawned processes to find."""
 
 from __future__ import annotations
 
