@@ -20,6 +20,7 @@ FLOORS: dict[str, int] = {
     "core.types": 3,
     "core.config": 3,
     "core.assets": 3,
+    "core.boards": 3,
     "core.scene": 4,
     "core.tasks": 4,
     "core.dataset": 4,
@@ -34,10 +35,11 @@ FLOORS: dict[str, int] = {
 # Libraries that only some packages may know.
 CONFINED = {
     "mink": {"core.planning.ik"},
-    "cv2": {"core.vision"},
+    "cv2": {"core.boards", "core.vision"},
     "mujoco": {"core.scene", "core.sim", "core.vision", "core.planning", "core.jobs"},
     "typer": {"commands", "main"},
     "rich": {"commands"},
+    "reportlab": {"core.boards"},
 }
 
 

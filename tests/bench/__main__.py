@@ -44,7 +44,8 @@ def measure(episodes: int) -> dict[str, float]:
     from yamsim_cli.core.planning.ik import IkSolver
     from yamsim_cli.core.planning.path import best_plan, plan_path
     from yamsim_cli.core.resources import Locations
-    from yamsim_cli.core.scene.build import build_scene, mesh_sets
+    from yamsim_cli.core.scene.build import build_scene
+    from yamsim_cli.core.scene.compose import mesh_sets
     from yamsim_cli.core.scene.robot import arm_spec, bare_arm
     from yamsim_cli.core.sim.rollout import roll_out
     from yamsim_cli.core.tasks.pickplace import OPEN, candidate_plans, sample_layout
@@ -56,7 +57,7 @@ def measure(episodes: int) -> dict[str, float]:
     where = Locations.find(os.environ)
     config = load_config(RecordConfig, "record", "default", where)
     lock, store = load_lock(where), AssetStore(where.assets)
-    meshes = {name: store.resolve(lock.sets[name]) for name in mesh_sets(config)}
+    meshes = {name: store.resolve(lock.sets[name]) for name in mesh_sets(config.rig, (config.task.object, config.task.target))}
     arm, task = config.rig.arms[0], config.task
     scene = build_scene(config, where, meshes)
     ik = IkSolver(bare_arm(arm, where), scene.T_base_in_world)
@@ -65,7 +66,7 @@ def measure(episodes: int) -> dict[str, float]:
 
     layouts = []
     for k in range(episodes + 1):
-        layout = sample_layout(task, config.scene, generator(EpisodeJob(0, k), Stream.LAYOUT))
+        layout = sample_layout(task, config.table, generator(EpisodeJob(0, k), Stream.LAYOUT))
         assert layout is not None
         layouts.append(layout)
 

@@ -67,13 +67,14 @@ def record(
 
     from yamsim_cli.core.dataset.writer import OpenMode
     from yamsim_cli.core.jobs.record import record as run
+    from yamsim_cli.core.scene.compose import mesh_sets
 
     mode = OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
     with progress_bar("recording", "episodes") as advance:
         report = run(
             settings,
             where,
-            resolve_meshes(settings, where),
+            resolve_meshes(mesh_sets(settings.rig, (settings.task.object, settings.task.target)), where),
             out,
             mode,
             lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -72,14 +72,12 @@ def skip_gl() -> None:
     os.environ.setdefault("MUJOCO_GL", "disabled")
 
 
-def resolve_meshes(config: RecordConfig, where: Locations) -> dict[str, Path | None]:
-    """Folder of each mesh set the scene shows; None, with a word to the user, where a set is not here."""
+def resolve_meshes(names: Iterable[str], where: Locations) -> dict[str, Path | None]:
+    """Folder of each mesh set; None, with a word to the user, where a set is not here."""
     from yamsim_cli.core.assets import AssetStore, load_lock
-    from yamsim_cli.core.scene.build import mesh_sets
 
     lock, store = load_lock(where), AssetStore(where.assets)
-    lock.select(names := mesh_sets(config))
-    meshes = {name: store.resolve(lock.sets[name]) for name in names}
+    meshes = {assets.name: store.resolve(assets) for assets in lock.select(names)}
     if missing := [name for name, folder in meshes.items() if folder is None]:
         note(f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`.")
     return meshes

@@ -36,7 +36,7 @@ def dynamics(config: RecordConfig, locations: Locations) -> ArmDynamics:
 def paths(config: RecordConfig, ik: IkSolver, dynamics: ArmDynamics) -> list[tuple[Plan, JointPath]]:
     made = []
     for attempt in range(30):
-        layout = sample_layout(config.task, config.scene, generator(EpisodeJob(3, attempt), Stream.LAYOUT))
+        layout = sample_layout(config.task, config.table, generator(EpisodeJob(3, attempt), Stream.LAYOUT))
         assert layout is not None
         plan = best_plan(ik, config.task, candidate_plans(config.task, layout, np.eye(4)), layout, np.eye(4))
         start = np.array(config.task.start_joints)
@@ -85,7 +85,7 @@ def test_out_of_reach_is_said_not_hidden(ik: IkSolver) -> None:
 def test_the_whole_box_is_in_reach(config: RecordConfig, ik: IkSolver, dynamics: ArmDynamics) -> None:
     worst_tilt = 0.0
     for attempt in range(300):
-        layout = sample_layout(config.task, config.scene, generator(EpisodeJob(11, attempt), Stream.LAYOUT))
+        layout = sample_layout(config.task, config.table, generator(EpisodeJob(11, attempt), Stream.LAYOUT))
         assert layout is not None
         plan = best_plan(ik, config.task, candidate_plans(config.task, layout, np.eye(4)), layout, np.eye(4))
         path = plan_path(ik, dynamics, plan, np.array(config.task.start_joints), config.task.timing)

@@ -8,8 +8,9 @@ import pytest
 
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.build import SCENE_CAMERA, WELD, build_scene, mesh_sets
+from yamsim_cli.core.scene.build import SCENE_CAMERA, WELD, build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
+from yamsim_cli.core.scene.compose import mesh_sets
 from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
 from yamsim_cli.core.types import Layout
 
@@ -20,7 +21,7 @@ def scene(make_config: Callable[..., RecordConfig], locations: Locations) -> Com
 
 
 def _layout(config: RecordConfig, seed: int) -> Layout:
-    layout = sample_layout(config.task, config.scene, np.random.default_rng(seed))
+    layout = sample_layout(config.task, config.table, np.random.default_rng(seed))
     assert layout is not None
     return layout
 
@@ -120,7 +121,7 @@ def test_wrist_camera_looks_along_the_fingers(scene: CompiledScene, config: Reco
 
 
 def test_mesh_sets_are_those_of_arm_and_objects(config: RecordConfig) -> None:
-    assert mesh_sets(config) == ("i2rt_yam_crank", "ycb")
+    assert mesh_sets(config.rig, (config.task.object, config.task.target)) == ("i2rt_yam_crank", "ycb")
 
 
 def test_names_are_unique_and_the_arm_keeps_its_own(scene: CompiledScene) -> None:

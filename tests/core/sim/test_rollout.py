@@ -26,7 +26,7 @@ def scene(config: RecordConfig, locations: Locations) -> CompiledScene:
 
 @pytest.fixture(scope="module")
 def layout(config: RecordConfig) -> Layout:
-    layout = sample_layout(config.task, config.scene, np.random.default_rng(4))
+    layout = sample_layout(config.task, config.table, np.random.default_rng(4))
     assert layout is not None
     return layout
 
@@ -56,7 +56,7 @@ def test_57_frames_two_ticks_apart(rollout: Rollout) -> None:
 def test_the_same_attempt_gives_the_same_bits_again(
     scene: CompiledScene, config: RecordConfig, layout: Layout, path: JointPath, rollout: Rollout
 ) -> None:
-    other = sample_layout(config.task, config.scene, np.random.default_rng(9))
+    other = sample_layout(config.task, config.table, np.random.default_rng(9))
     assert other is not None
     _run(scene, config, other, path)
     again = _run(scene, config, layout, path)

@@ -14,7 +14,7 @@ from yamsim_cli.core.types import Cause, EpisodeJob, Layout
 
 
 def _layouts(config: RecordConfig, n: int) -> list[Layout]:
-    layouts = [sample_layout(config.task, config.scene, generator(EpisodeJob(5, k), Stream.LAYOUT)) for k in range(n)]
+    layouts = [sample_layout(config.task, config.table, generator(EpisodeJob(5, k), Stream.LAYOUT)) for k in range(n)]
     assert all(layouts)
     return [layout for layout in layouts if layout]
 
@@ -44,7 +44,7 @@ def test_banana_positions_are_uniform(config: RecordConfig) -> None:
 
 def test_an_attempt_depends_on_its_own_numbers_alone(config: RecordConfig) -> None:
     def draw(seed: int, attempt: int) -> np.ndarray:
-        layout = sample_layout(config.task, config.scene, generator(EpisodeJob(seed, attempt), Stream.LAYOUT))
+        layout = sample_layout(config.task, config.table, generator(EpisodeJob(seed, attempt), Stream.LAYOUT))
         assert layout is not None
         return layout.T_in_world["banana"]
 
@@ -55,7 +55,7 @@ def test_an_attempt_depends_on_its_own_numbers_alone(config: RecordConfig) -> No
 
 def test_a_box_too_small_for_both_gives_no_layout(make_config: Callable[..., RecordConfig]) -> None:
     config = make_config({("task", "sampling", "x"): [0.4, 0.45], ("task", "sampling", "y"): [0.0, 0.05]})
-    assert sample_layout(config.task, config.scene, np.random.default_rng(0)) is None
+    assert sample_layout(config.task, config.table, np.random.default_rng(0)) is None
 
 
 def test_plan_carries_the_object_not_the_hand_over_the_plate(config: RecordConfig) -> None:

@@ -37,7 +37,7 @@ def renderer(scene: CompiledScene) -> Iterator[SceneRenderer]:
 
 @pytest.fixture(scope="module")
 def replica(scene: CompiledScene, config: RecordConfig) -> Replica:
-    layout = sample_layout(config.task, config.scene, np.random.default_rng(0))
+    layout = sample_layout(config.task, config.table, np.random.default_rng(0))
     assert layout is not None
     data = mujoco.MjData(scene.model)
     scene.start(data, layout, np.array(config.task.start_joints), OPEN)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .base import Config, Reference
 from .rig import RigConfig
-from .scene import SceneConfig
+from .scene import SceneConfig, Table
 from .task import TaskConfig
 
 
@@ -47,6 +47,24 @@ class RecordConfig(Config):
     wrist: bool
     image: ImageConfig
     render: RenderConfig
+
+    @model_validator(mode="after")
+    def _complete(self) -> RecordConfig:
+        for part in ("table", "scene_camera"):
+            if getattr(self.scene, part) is None:
+                raise ValueError(f"scene {self.scene.name!r} has no {part}, which task {self.task.name!r} needs")
+        if len(self.rig.arms) > 1:
+            raise ValueError(
+                f"task {self.task.name!r} is for one arm, and rig {self.rig.name!r} has {len(self.rig.arms)}; "
+                "use a rig with one, such as single"
+            )
+        return self
+
+    @property
+    def table(self) -> Table:
+        """The scene's table."""
+        assert self.scene.table is not None
+        return self.scene.table
 
     def data_config(self) -> dict[str, Any]:
         """Everything that decides an episode's bytes, as plain data: how many there are and who makes them does not."""

@@ -197,21 +197,23 @@ class SceneConfig(Config):
     """A station's surroundings.
 
     Attributes:
-        safety_plane: height in `world` of the plane that catches what falls, m.
+        table: the work surface; without one, a rig stands on the floor.
+        safety_plane: height in `world` of the floor, which catches what falls, m.
         floor_rgba, sky: what is seen around the table.
+        scene_camera: the camera that recordings are made with.
     """
 
     name: Name
-    table: Table
+    table: Table | None = None
     safety_plane: float
     floor_rgba: tuple[Rgb, Rgb]
     sky: tuple[Rgb, Rgb]
     ambient: Rgb
     lights: tuple[Light, ...] = Field(min_length=1)
-    scene_camera: FixedCamera
+    scene_camera: FixedCamera | None = None
 
     @model_validator(mode="after")
     def _plane_below_table(self) -> SceneConfig:
-        if self.safety_plane >= self.table.top:
+        if self.table and self.safety_plane >= self.table.top:
             raise ValueError(f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top} m")
         return self

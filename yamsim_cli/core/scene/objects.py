@@ -37,7 +37,9 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None) -> 
     for k, part in enumerate(item.look):
         _add_primitive(body, f"{item.name}_look_{k}", part, None, material.name, hidden=False)
     if meshes is not None:
-        mesh = spec.add_mesh(name=item.name, file=str(meshes / item.mesh.file), refpos=item.mesh.origin)
+        file = f"meshes/{item.mesh.set}/{item.mesh.file}"
+        spec.assets = {**spec.assets, file: (meshes / item.mesh.file).read_bytes()}
+        mesh = spec.add_mesh(name=item.name, file=file, refpos=item.mesh.origin)
         body.add_geom(
             name=f"{item.name}_look",
             type=mujoco.mjtGeom.mjGEOM_MESH,

@@ -14,6 +14,9 @@ GRIPPER_JOINT = "left_finger"
 ACTUATORS = (*JOINTS, "gripper")
 FINGERS = ("link_left_finger", "link_right_finger")
 
+# The arms' resting joints. Source: MuJoCo Menagerie i2rt_yam, keyframe `home`.
+HOME = (0.0, 1.047, 1.047, 0.0, 0.0, 0.0)
+
 # Asset set with the visual meshes of each (model, gripper).
 MESH_SETS = {("i2rt_yam", "crank"): "i2rt_yam_crank"}
 
@@ -39,8 +42,12 @@ def arm_spec(arm: ArmConfig, locations: Locations, meshes: Path | None) -> mujoc
     """
     spec = _load(arm, locations)
     if meshes is not None:
+        files: dict[str, bytes] = {}
         for mesh in spec.meshes:
-            mesh.file = str(meshes / mesh.file)
+            name = f"meshes/{MESH_SETS[arm.model, arm.gripper]}/{mesh.file}"
+            files[name] = (meshes / mesh.file).read_bytes()
+            mesh.file = name
+        spec.assets = files
         return spec
     for body in spec.bodies:
         for geom in list(body.geoms):

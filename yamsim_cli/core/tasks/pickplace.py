@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..config.scene import ObjectConfig, SceneConfig
+from ..config.scene import ObjectConfig, Table
 from ..config.task import TaskConfig
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_z, yaw
 from ..types import Cause, Layout, Outcome, Plan, Waypoint
@@ -24,16 +24,16 @@ _MAX_DRAWS = 1000
 KNOCK_DISTANCE = 0.02
 
 
-def sample_layout(task: TaskConfig, scene: SceneConfig, rng: np.random.Generator) -> Layout | None:
+def sample_layout(task: TaskConfig, table: Table, rng: np.random.Generator) -> Layout | None:
     """Draw where the object and the target start.
 
     Returns:
         The layout, or None when no free place for the target was found in 1000 draws.
     """
     box = task.sampling
-    T_object = _draw(task.object, box.x, box.y, box.object_yaw_deg, scene, rng)
+    T_object = _draw(task.object, box.x, box.y, box.object_yaw_deg, table, rng)
     for _ in range(_MAX_DRAWS):
-        T_target = _draw(task.target, box.x, box.y, box.target_yaw_deg, scene, rng)
+        T_target = _draw(task.target, box.x, box.y, box.target_yaw_deg, table, rng)
         apart = float(np.hypot(*(T_object[:2, 3] - T_target[:2, 3])))
         if apart >= box.min_separation and _gap(task.object, T_object, task.target, T_target) >= box.clearance:
             return Layout({task.object.name: T_object, task.target.name: T_target})
@@ -45,10 +45,10 @@ def _draw(
     x: tuple[float, float],
     y: tuple[float, float],
     yaw_deg: tuple[float, float],
-    scene: SceneConfig,
+    table: Table,
     rng: np.random.Generator,
 ) -> Array:
-    position = (rng.uniform(*x), rng.uniform(*y), scene.table.top + item.rest_height + SPAWN_GAP)
+    position = (rng.uniform(*x), rng.uniform(*y), table.top + item.rest_height + SPAWN_GAP)
     return pose(position, rotation_z(math.radians(rng.uniform(*yaw_deg))))
 
 

@@ -1,0 +1,82 @@
+"""`yamsim boards`: a rig's boards, ready to print."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+
+from .console import print_json, print_line
+from .session import Json, locations
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.boards.sheet import Sheet
+
+
+class PaperSize(StrEnum):
+    """The papers of `core.boards.sheet`, named here so that --help need not load OpenCV."""
+
+    A4 = "A4"
+    LETTER = "Letter"
+
+
+def boards(
+    rig: Annotated[str, typer.Option(help="Rig: a name from configs/rigs/ or a YAML file.")] = "single",
+    out: Annotated[Path, typer.Option(help="One .pdf with a page a board, or a .png a board.")] = Path("boards.pdf"),
+    paper: Annotated[PaperSize, typer.Option(case_sensitive=False, help="What the printer holds.")] = PaperSize.A4,
+    json: Json = False,
+) -> None:
+    """Write a rig's fiducial boards as pages that print at true size. With .png, the arm's name is put in the file's.
+
+    Example: yamsim boards --rig bimanual --out boards.pdf
+    """
+    if out.suffix.lower() not in (".pdf", ".png"):
+        raise UsageError(f"--out {out} is not valid: end it in .pdf or .png")
+    if not out.parent.is_dir():
+        raise UsageError(f"--out {out}: there is no directory {out.parent}; make it, or choose another")
+
+    from yamsim_cli.core.boards.sheet import PAPERS, board_sheet
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.rig import RigConfig
+    from yamsim_cli.core.files import write_file
+
+    arms = load_config(RigConfig, "rigs", rig, locations()).arms
+    owned = {arm.name: arm.board for arm in arms if arm.board}
+    if not owned:
+        raise ConfigError(f"rig {rig!r} has no boards to print; give one of its arms a `board`, or choose another rig")
+
+    sheets = {name: board_sheet(config.board, name, PAPERS[paper]) for name, config in owned.items()}
+    files = _files(sheets, out)
+    for path, data in files.items():
+        try:
+            write_file(path, data)
+        except OSError as error:
+            raise ResourceError(f"{path} could not be written: {error.strerror}; choose another --out") from error
+    if json:
+        described = [
+            {
+                "arm": name,
+                "name": config.name,
+                "ids": list(config.board.ids),
+                "marker_length_mm": config.marker_length_mm,
+                "paper": str(paper),
+            }
+            for name, config in owned.items()
+        ]
+        print_json({"files": [str(path) for path in files], "boards": described})
+        return
+    for path in files:
+        print_line(str(path))
+
+
+def _files(sheets: dict[str, Sheet], out: Path) -> dict[Path, bytes]:
+    """What to write where."""
+    from yamsim_cli.core.boards.pages import pdf_bytes, png_bytes
+
+    if out.suffix.lower() == ".pdf":
+        return {out: pdf_bytes(list(sheets.values()))}
+    return {out.with_name(f"{out.stem}_{name}{out.suffix}"): png_bytes(sheet) for name, sheet in sheets.items()}

@@ -1,0 +1,144 @@
+"""Any rig as one MjSpec: arms, base boards, mounts, and what stands around them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from ..config.rig import RigConfig
+from ..config.scene import ObjectConfig, SceneConfig
+from ..errors import SimulationError
+from ..geometry.se3 import Array, quat_from_rotation
+from ..resources import Locations
+from .fiducials import add_base_board
+from .objects import add_object
+from .robot import HOME, JOINTS, MESH_SETS, arm_spec
+from .surroundings import add_background, add_lights, add_table
+
+Meshes = Mapping[str, Path | None]
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a composed scene is to hold beside its arms.
+
+    Attributes:
+        boards: base boards and mounts.
+        background: sky and floor.
+        objects: free bodies to be added, for a task.
+    """
+
+    boards: bool = True
+    background: bool = True
+    objects: tuple[ObjectConfig, ...] = ()
+
+
+def mesh_sets(rig: RigConfig, objects: Sequence[ObjectConfig] = ()) -> tuple[str, ...]:
+    """Names of the asset sets whose meshes a scene shows."""
+    robots = {MESH_SETS[arm.model, arm.gripper] for arm in rig.arms}
+    return tuple(sorted(robots | {item.mesh.set for item in objects}))
+
+
+def compose(
+    rig: RigConfig, scene: SceneConfig, contents: Contents, locations: Locations, meshes: Meshes
+) -> mujoco.MjSpec:
+    """Put a rig together.
+
+    The first arm's names stay as its model has them where its prefix is empty; another arm's carry its prefix.
+
+    Args:
+        locations: where the robot models are.
+        meshes: asset set -> folder of its files, or None to show primitives.
+
+    Raises:
+        ConfigError: a mount's STL cannot be read, or a board's dictionary does not exist.
+    """
+    bases = [rig.T_base_in_world(k) for k in range(len(rig.arms))]
+    spec = _arms(rig, bases, locations, meshes)
+    spec.modelname = rig.name
+    spec.compiler.autolimits = True
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    if contents.boards:
+        for arm, T in zip(rig.arms, bases, strict=True):
+            add_base_board(spec, arm, T)
+    for item in contents.objects:
+        add_object(spec, item, meshes.get(item.mesh.set))
+    if contents.background or scene.table:
+        add_background(spec, scene)
+    if scene.table:
+        add_table(spec, scene.table, scene.safety_plane, bases)
+    middle = scene.table.position if scene.table else np.mean([T[:3, 3] for T in bases], axis=0)
+    add_lights(spec, scene, middle)
+    visual = spec.visual
+    visual.headlight.ambient = scene.ambient
+    visual.headlight.diffuse = (0.15, 0.15, 0.15)
+    visual.headlight.specular = (0, 0, 0)
+    # Fixed rather than fitted to the model, so that no object changes the clip planes or the shadow map's resolution.
+    spec.stat.extent = 1.0
+    spec.stat.center = middle
+    visual.map.znear = 0.01
+    visual.map.zfar = 20.0
+    visual.map.shadowclip = 1.0
+    return spec
+
+
+def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
+    """All arms in one spec: the first without a prefix is its root, since attaching would need one."""
+    specs = [arm_spec(arm, locations, meshes.get(MESH_SETS[arm.model, arm.gripper])) for arm in rig.arms]
+    root = mujoco.MjSpec()
+    for arm, child, T in zip(rig.arms, specs, bases, strict=True):
+        if arm.prefix:
+            frame = root.worldbody.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
+            root.attach(child, frame=frame, prefix=arm.prefix)
+        else:
+            root = child
+            root.body("arm").pos = T[:3, 3]
+            root.body("arm").quat = quat_from_rotation(T[:3, :3])
+    _share_files(root)
+    return root
+
+
+def _share_files(spec: mujoco.MjSpec) -> None:
+    """Let arms with the same meshes use the same files: attaching renames each arm's own copy."""
+    first: dict[bytes, str] = {}
+    shared = {name: first.setdefault(data, name) for name, data in spec.assets.items()}
+    for mesh in spec.meshes:
+        mesh.file = shared.get(mesh.file, mesh.file)
+
+
+def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a composed scene.
+
+    Raises:
+        SimulationError: MuJoCo refused it.
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise SimulationError(f"scene {spec.modelname!r} does not compile: {' '.join(str(error).split())}") from error
+
+
+def add_home_key(
+    spec: mujoco.MjSpec, rig: RigConfig, start: Mapping[str, Array], joints: Sequence[float] = HOME
+) -> mujoco.MjModel:
+    """Add a keyframe `home` of the composed model's size, and compile.
+
+    Args:
+        start: object -> pose (4, 4) in `world`.
+        joints: of every arm (6,), rad.
+    """
+    model = compile_spec(spec)
+    qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
+    for arm in rig.arms:
+        for name, angle in zip(JOINTS, joints, strict=True):
+            qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
+            ctrl[model.actuator(arm.prefix + name).id] = angle
+    for name, T in start.items():
+        address = int(model.joint(name).qposadr[0])
+        qpos[address : address + 7] = [*T[:3, 3], *quat_from_rotation(T[:3, :3])]
+    spec.add_key(name="home", qpos=qpos, ctrl=ctrl)
+    return compile_spec(spec)

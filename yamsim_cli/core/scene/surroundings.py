@@ -1,0 +1,102 @@
+"""What stands around a rig: floor, sky, lights, and the table with its legs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from ..config.scene import SceneConfig, Table
+from ..geometry.se3 import Array
+from .objects import SEEN_GROUP
+
+
+def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
+    """The sky and the floor, which catches what falls."""
+    floor = spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=scene.floor_rgba[0],
+        rgb2=scene.floor_rgba[1],
+        width=256,
+        height=256,
+    )
+    material = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True, specular=0.1, shininess=0.1)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = floor.name
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=scene.sky[1],
+        rgb2=scene.sky[0],
+        width=64,
+        height=64,
+    )
+    spec.worldbody.add_geom(
+        name="safety_plane",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=[0, 0, scene.safety_plane],
+        size=[5, 5, 0.1],
+        material=material.name,
+        # What everything stands on would only cast dots of false shadow onto itself.
+        castshadow=False,
+    )
+
+
+def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] | Array) -> None:
+    """The scene's directional lights; their shadows are sharpest around `centre` (3,), in `world`."""
+    for k, light in enumerate(scene.lights):
+        direction = np.asarray(light.direction) / np.linalg.norm(light.direction)
+        spec.worldbody.add_light(
+            name=f"light_{k}",
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            # A directional light's position only centres its shadow map.
+            pos=np.asarray(centre) - direction,
+            dir=direction,
+            diffuse=light.diffuse,
+            specular=light.specular,
+            castshadow=light.castshadow,
+        )
+
+
+def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[Array]) -> None:
+    """The table, its legs, and a post under each arm down to the floor; legs and posts are only seen.
+
+    Args:
+        floor: height of the floor, m.
+        bases: pose (4, 4) of each arm's base in `world`.
+    """
+    material = spec.add_material(name="table", rgba=table.rgba, specular=0.1, shininess=0.1)
+    spec.worldbody.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=table.position,
+        size=table.half_size,
+        material=material.name,
+        friction=table.contact.friction,
+        condim=table.contact.condim,
+        group=SEEN_GROUP,
+        castshadow=False,
+    )
+    x, y, _ = table.position
+    half_x, half_y, half_z = table.half_size
+    inset = 0.03
+    bottom = table.top - 2 * half_z
+    posts = [(x + i * (half_x - inset), y + j * (half_y - inset), bottom, 0.02) for i in (-1, 1) for j in (-1, 1)]
+    # A hair below the base, so that the two surfaces do not flicker through each other.
+    posts += [(T[0, 3], T[1, 3], T[2, 3] - 0.001, 0.06) for T in bases]
+    for k, (px, py, top, half) in enumerate(posts):
+        height = top - floor
+        spec.worldbody.add_geom(
+            name=f"post_{k}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[px, py, top - height / 2],
+            size=[half, half, height / 2],
+            material=material.name,
+            group=SEEN_GROUP,
+            contype=0,
+            conaffinity=0,
+            castshadow=False,
+        )
