@@ -13,10 +13,10 @@ READY := $(VENV)/.ready
 DEMO := out/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup gl meshes demo test test-all lint type bench build lock clean
+.PHONY: help setup gl meshes demo test test-all golden-update lint type bench build lock clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(READY) ## make .venv with the locked versions and this checkout in it (needs Python 3.11+)
 
@@ -47,6 +47,9 @@ test: gl meshes ## run the tests, without the slow ones and those that need the 
 
 test-all: gl meshes ## run all tests
 	$(PYTHON_BIN) -m pytest -n auto $(PYTEST_ARGS)
+
+golden-update: gl ## make today's pictures the golden ones: look at each before committing
+	$(PYTHON_BIN) -m tests.golden.update
 
 lint: setup ## check style and format
 	$(PYTHON_BIN) -m ruff check

@@ -12,7 +12,10 @@ from typer.exceptions import TyperException
 
 from . import __version__
 from .commands import assets, config, pickplace
+from .commands.boards import boards
+from .commands.compose_xml import compose_xml
 from .commands.record import record
+from .commands.render_views import render_views
 from .commands.summarize import summarize
 from .core.errors import YamsimError
 
@@ -25,6 +28,9 @@ app = typer.Typer(
 )
 app.command()(record)
 app.command()(summarize)
+app.command("compose-xml")(compose_xml)
+app.command("render-views")(render_views)
+app.command()(boards)
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(assets.app, name="assets")

@@ -57,7 +57,9 @@ def measure(episodes: int) -> dict[str, float]:
     where = Locations.find(os.environ)
     config = load_config(RecordConfig, "record", "default", where)
     lock, store = load_lock(where), AssetStore(where.assets)
-    meshes = {name: store.resolve(lock.sets[name]) for name in mesh_sets(config.rig, (config.task.object, config.task.target))}
+    meshes = {
+        name: store.resolve(lock.sets[name]) for name in mesh_sets(config.rig, (config.task.object, config.task.target))
+    }
     arm, task = config.rig.arms[0], config.task
     scene = build_scene(config, where, meshes)
     ik = IkSolver(bare_arm(arm, where), scene.T_base_in_world)
@@ -86,7 +88,7 @@ def measure(episodes: int) -> dict[str, float]:
         figures["a whole trial without rendering"] = median_seconds(lambda k: runner.run(EpisodeJob(0, k)), episodes)
     data = mujoco.MjData(scene.model)
     scene.start(data, layouts[0], start, OPEN)
-    with SceneRenderer(scene, config.image.size_px) as renderer:
+    with SceneRenderer(scene.model, config.image.size_px) as renderer:
         figures["render a frame"] = median_seconds(lambda _: renderer.draw(data, "scene_camera"), 20)
         image = renderer.draw(data, "scene_camera").copy()
         print(f"renderer: {renderer.description}, {image.shape[1]}x{image.shape[0]}")

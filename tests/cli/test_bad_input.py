@@ -24,7 +24,7 @@ USAGE, CONFIG, MISSING = 2, 3, 4
         (["record", "--seed", "-1"], USAGE, ["--seed", "-1 is not valid"]),
         (["record", "--size", "-640x480"], USAGE, ["--size", "-640x480", "such as 640x480"]),
         (["record", "--size", "640"], USAGE, ["--size", "'640'", "WIDTHxHEIGHT"]),
-        (["record", "--size", "2x2"], USAGE, ["--size", "2 is not valid", "16"]),
+        (["record", "--size", "2x2"], USAGE, ["--size", "'2x2'", "16..4096"]),
         (["record", "--jpeg-quality", "101"], USAGE, ["--jpeg-quality", "101", "100"]),
         (["record", "--grasp", "suction"], USAGE, ["--grasp", "'suction'", "weld"]),
         (["record", "--resume", "--overwrite"], USAGE, ["--resume", "--overwrite"]),

@@ -59,7 +59,7 @@ def record(
             "--seed": (("seed",), seed),
             "--grasp": (("grasp",), grasp),
             "--wrist": (("wrist",), wrist),
-            "--size": (("image", "size_px"), parse_size(size)),
+            "--size": (("image", "size_px"), parse_size(size) if size else None),
             "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
         },
     )

@@ -15,6 +15,7 @@ from .console import note
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.resources import Locations
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
@@ -23,6 +24,8 @@ ConfigOption = Annotated[
     typer.Option("--config", metavar="NAME|FILE", help="Record config: a name from configs/record/ or a YAML file."),
 ]
 Rig = Annotated[str | None, typer.Option(help="Rig: a name from configs/rigs/ or a YAML file.")]
+RigName = Annotated[str, typer.Option("--rig", help="Rig: a name from configs/rigs/ or a YAML file.")]
+Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
 Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
 Seed = Annotated[int | None, typer.Option(help="Everything random follows from it.")]
 Workers = Annotated[int | None, typer.Option(help="Worker processes; they never change the data.")]
@@ -44,18 +47,31 @@ def record_config(name: str, where: Locations, flags: Mapping[str, tuple[tuple[s
     return load_config(RecordConfig, "record", name, where, overrides)
 
 
-def parse_size(text: str | None) -> list[int] | None:
-    """WIDTHxHEIGHT as two numbers.
+def rig_config(name: str, where: Locations, margin: float | None = None) -> RigConfig:
+    """The named rig, with another margin if one was given."""
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.rig import RigConfig
+
+    overrides = {} if margin is None else {("margin",): ("--margin", margin)}
+    return load_config(RigConfig, "rigs", name, where, overrides)
+
+
+# What MuJoCo and OpenCV can be asked for without a machine running out of memory.
+_SIZES = range(16, 4097)
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT as two numbers of pixels.
 
     Raises:
-        UsageError: it is not of that form.
+        UsageError: it is not of that form, or out of range.
     """
-    if text is None:
-        return None
     width, cross, height = text.lower().partition("x")
     if not cross or not width.isdecimal() or not height.isdecimal():
         raise UsageError(f"--size {text!r} is not valid: give WIDTHxHEIGHT in pixels, such as 640x480")
-    return [int(width), int(height)]
+    if int(width) not in _SIZES or int(height) not in _SIZES:
+        raise UsageError(f"--size {text!r} is not valid: width and height must lie in {_SIZES[0]}..{_SIZES[-1]} pixels")
+    return int(width), int(height)
 
 
 def use_gl() -> None:

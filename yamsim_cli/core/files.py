@@ -47,7 +47,8 @@ def write_file(path: Path, data: bytes) -> None:
     """Replace or create one file atomically; its directory must exist.
 
     Raises:
-        OSError: the file could not be written; the old content, if any, is untouched.
+        OSError: the file could not be written; the old content, if any, is untouched. Only where the very last flush,
+            of the directory, fails is the new content there, whole.
     """
     part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
     try:
@@ -104,10 +105,23 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
         if final.exists():
             raise FileExistsError(f"{final} already exists")
         os.rename(stage, final)
+        try:
+            fsync_directory(final.parent)
+        except BaseException:
+            os.rename(final, stage)
+            raise
     except BaseException:
         shutil.rmtree(stage, ignore_errors=True)
         raise
-    fsync_directory(final.parent)
+
+
+def move_aside(path: Path) -> Path:
+    """Rename what is at `path` to the first free `<name>.old-<n>` beside it, and say where it went."""
+    number = 1
+    while (target := path.with_name(f"{path.name}.old-{number}")).exists():
+        number += 1
+    path.rename(target)
+    return target
 
 
 @contextlib.contextmanager

@@ -67,6 +67,7 @@ def _fault(backend: str, environ: Mapping[str, str]) -> str | None:
             env=environment,
             capture_output=True,
             text=True,
+            errors="replace",
             timeout=_PROBE_SECONDS,
             stdin=subprocess.DEVNULL,
             check=False,

@@ -31,7 +31,7 @@ def scene(make_config: Callable[..., RecordConfig], locations: Locations) -> Com
 
 @pytest.fixture(scope="module")
 def renderer(scene: CompiledScene) -> Iterator[SceneRenderer]:
-    with SceneRenderer(scene, SIZE) as renderer:
+    with SceneRenderer(scene.model, SIZE) as renderer:
         yield renderer
 
 
@@ -116,11 +116,11 @@ def test_a_renderer_that_cannot_be_made_is_a_missing_resource(scene: CompiledSce
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mujoco, "Renderer", Broken)
         with pytest.raises(ResourceError, match=r"no OpenGL context.*EGL device display"):
-            SceneRenderer(scene, SIZE)
+            SceneRenderer(scene.model, SIZE)
 
 
 def test_closing_twice_is_harmless(scene: CompiledScene) -> None:
-    renderer = SceneRenderer(scene, (64, 48))
+    renderer = SceneRenderer(scene.model, (64, 48))
     renderer.close()
     renderer.close()
 

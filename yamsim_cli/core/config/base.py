@@ -10,9 +10,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
 
 class Config(BaseModel):
-    """Base of all configs: immutable, and an unknown key is an error rather than a silent default."""
+    """Base of all configs: immutable, numbers finite, and an unknown key is an error rather than a silent default."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,14 @@ class _Loader(yaml.SafeLoader):
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  (PyYAML's own name)
 
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()  # type: ignore[no-untyped-call]
+            problem = f"alias *{event.anchor} is not supported; write the value out"
+            raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        return node
+
 
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
@@ -55,6 +63,23 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _decimal_int)
 _Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
 
 
+class _Dumper(yaml.SafeDumper):
+    """A safe dumper that quotes text which either version of YAML would take for something else."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012  (PyYAML's own name)
+        first: [*theirs, *_Loader.yaml_implicit_resolvers.get(first, [])]
+        for first, theirs in yaml.SafeDumper.yaml_implicit_resolvers.items()
+    }
+
+
+def _represent_text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    # Only inside double quotes does a NEL survive: elsewhere it is a line break.
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"' if "\x85" in text else None)
+
+
+_Dumper.add_representer(str, _represent_text)
+
+
 @dataclass
 class Document:
     """Plain data with the place each value came from.
@@ -78,9 +103,12 @@ class Document:
     def set(self, path: KeyPath, value: Any, place: str) -> None:
         """Override one value, creating the mappings above it."""
         target: Any = self.data
-        for key in path[:-1]:
-            target = target.setdefault(key, {}) if isinstance(target, dict) else target[key]
-        target[path[-1]] = value
+        try:
+            for key in path[:-1]:
+                target = target.setdefault(key, {}) if isinstance(target, dict) else target[key]
+            target[path[-1]] = value
+        except TypeError:
+            return  # Something else stands where a mapping must: checking the document names it.
         self.places = {known: where for known, where in self.places.items() if known[: len(path)] != path}
         self.places[path] = place
 
@@ -112,7 +140,7 @@ def parse_yaml(text: str | bytes, source: str) -> Document:
         loader = _Loader(text)
         try:
             root = loader.get_single_node()
-            if root is None or not isinstance(root, yaml.MappingNode):
+            if not isinstance(root, yaml.MappingNode) or root.tag != "tag:yaml.org,2002:map":
                 raise ConfigError(f"{source}: the top level must be a mapping of keys to values")
             _index(root, (), document)
             document.data = loader.construct_document(root)
@@ -121,13 +149,14 @@ def parse_yaml(text: str | bytes, source: str) -> Document:
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
         raise ConfigError(f"{source}{line}: not valid YAML: {error.problem}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+    # The last three: explicit tags on what does not fit them, and integers of thousands of digits.
+    except (yaml.YAMLError, RecursionError, ValueError, KeyError, AttributeError) as error:
         raise ConfigError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
     return document
 
 
 def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
-    """Note each value's line and refuse duplicate, non-text and merged keys and aliases."""
+    """Note each value's line and refuse duplicate and non-text keys."""
     document.places[path] = f"{document.source}:{node.start_mark.line + 1}"
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}
@@ -149,7 +178,9 @@ def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
 
 def dump_yaml(data: Mapping[str, Any]) -> str:
     """YAML text of plain data, in the order given, that `parse_yaml` reads back the same."""
-    text: str = yaml.safe_dump(_plain(data), sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
+    text: str = yaml.dump(
+        _plain(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
+    )
     return text
 
 

@@ -14,7 +14,7 @@ from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
 from .base import Config, Reference
 from .document import Document, KeyPath, load_yaml, parse_yaml
-from .record import RecordConfig
+from .record import RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import ObjectConfig, SceneConfig
 from .task import TaskConfig
@@ -24,6 +24,7 @@ KINDS: Mapping[str, type[Config]] = {
     "scenes": SceneConfig,
     "tasks": TaskConfig,
     "objects": ObjectConfig,
+    "quality": RenderConfig,
     "record": RecordConfig,
 }
 
@@ -127,8 +128,13 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
 
 def _explain(model: type[Config], document: Document, error: ValidationError) -> tuple[str, str]:
     """Where the first fault stands; and one line on it, and on how many more there are."""
+    found = error.errors(include_url=False)
+    # A list with a faulty item is reported as too short as well: only what is inside says what to mend.
+    inside = {detail["loc"][:depth] for detail in found for depth in range(len(detail["loc"]))}
     # A mistyped key shows up twice, as unknown and as missing; the place where it stands comes first.
-    details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] == "missing")
+    details = sorted(
+        (detail for detail in found if detail["loc"] not in inside), key=lambda detail: detail["type"] == "missing"
+    )
     first = details[0]
     path: KeyPath = tuple(key for key in first["loc"] if not _is_tag(document.data, first["loc"], key))
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""

@@ -46,18 +46,13 @@ class RecordConfig(Config):
     seed: int = Field(ge=0, lt=2**63)
     wrist: bool
     image: ImageConfig
-    render: RenderConfig
+    render: Annotated[RenderConfig, Reference("quality")]
 
     @model_validator(mode="after")
     def _complete(self) -> RecordConfig:
         for part in ("table", "scene_camera"):
             if getattr(self.scene, part) is None:
                 raise ValueError(f"scene {self.scene.name!r} has no {part}, which task {self.task.name!r} needs")
-        if len(self.rig.arms) > 1:
-            raise ValueError(
-                f"task {self.task.name!r} is for one arm, and rig {self.rig.name!r} has {len(self.rig.arms)}; "
-                "use a rig with one, such as single"
-            )
         return self
 
     @property

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ..geometry.se3 import Array, pose, rotation_z
-from .base import Config, Name, NonNegative, Positive, Rgb, Rgba, Vector
+from .base import Config, Name, NonNegative, Positive, Quaternion, Rgb, Rgba, Vector
 
 
 class Contact(Config):
@@ -74,7 +74,7 @@ class Inertia(Config):
 
     mass_g: Positive
     diagonal: tuple[Positive, Positive, Positive]
-    quat: tuple[float, float, float, float]
+    quat: Quaternion
 
     @property
     def mass(self) -> float:

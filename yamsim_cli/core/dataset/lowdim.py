@@ -131,6 +131,10 @@ def load_frame(data: bytes) -> dict[str, Any]:
         AttributeError,
         MemoryError,
         ImportError,
+        OverflowError,
+        RecursionError,
+        SyntaxError,
+        SystemError,
     ) as error:
         raise DatasetError(f"not a whole pickle: {type(error).__name__}: {error}") from error
     if not isinstance(frame, dict):

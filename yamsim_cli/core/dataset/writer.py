@@ -9,7 +9,7 @@ from typing import Any
 
 from ..config.document import dump_yaml, parse_yaml
 from ..errors import ConfigError, DatasetError, ResourceError, UsageError
-from ..files import append_line, publish_directory, sha256_bytes, write_file
+from ..files import append_line, move_aside, publish_directory, sha256_bytes, write_file
 from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_directories, episode_name
 from .records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, from_json, to_json
 
@@ -55,7 +55,7 @@ class DatasetWriter:
         try:
             occupied = path.exists() and (not path.is_dir() or any(path.iterdir()))
             if occupied and mode is OpenMode.OVERWRITE:
-                self.moved_aside = _move_aside(path)
+                self.moved_aside = move_aside(path)
                 occupied = False
             if occupied and mode is OpenMode.NEW:
                 what = "is not empty" if path.is_dir() else "is not a directory"
@@ -69,7 +69,7 @@ class DatasetWriter:
                 write_file(path / CONFIG, dump_yaml(config).encode())
             shutil.rmtree(path / STAGING, ignore_errors=True)
         except OSError as error:
-            raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --out") from error
+            raise ResourceError(f"{path} cannot be written: {error.strerror or error}; choose another --out") from error
 
     @property
     def episodes(self) -> int:
@@ -128,6 +128,10 @@ class DatasetWriter:
                 "run with the same values, or record into another --out"
             )
         self.attempts = read_attempts(self.path)
+        ledger = self.path / ATTEMPTS
+        if ledger.is_file() and not ledger.read_bytes().endswith(b"\n"):
+            # Cut off: appending after it would leave the damaged line in the middle, where it counts as damage.
+            write_file(ledger, b"".join(map(to_json, self.attempts)))
         known = {attempt.episode: attempt for attempt in self.attempts}
         for number, directory in episode_directories(self.path):
             text = (directory / EPISODE).read_bytes() if (directory / EPISODE).is_file() else b""
@@ -160,7 +164,7 @@ def read_attempts(dataset: Path) -> list[AttemptRecord]:
     file = dataset / ATTEMPTS
     if not file.is_file():
         return []
-    lines = file.read_text().split("\n")
+    lines = file.read_bytes().split(b"\n")
     attempts: list[AttemptRecord] = []
     for number, line in enumerate(lines, start=1):
         if not line:
@@ -186,14 +190,6 @@ def _entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:
         bytes=size + len(text),
         sha256=sha256_bytes(text),
     )
-
-
-def _move_aside(path: Path) -> Path:
-    number = 1
-    while (target := path.with_name(f"{path.name}.old-{number}")).exists():
-        number += 1
-    path.rename(target)
-    return target
 
 
 def _flatten(data: Any, prefix: str = "") -> dict[str, Any]:

@@ -17,7 +17,7 @@ from ..errors import InterruptedJobError, ResourceError
 from ..files import write_file
 from ..resources import Locations
 from ..types import EpisodeJob, EpisodePayload
-from .episode import EpisodeRunner
+from .episode import EpisodeRunner, require_one_arm
 from .workers import WorkerPool
 
 # Called with trials done and trials wanted.
@@ -36,8 +36,10 @@ def run_batch(
         JSON-ready: n, n_success, success_rate, wilson95, rates per threshold, dxy_m, causes, seconds, trials.
 
     Raises:
+        ConfigError: the rig has more than one arm.
         InterruptedJobError: stopped by the user; nothing is lost but the time.
     """
+    require_one_arm(config)
     began = time.monotonic()
     n = config.episodes
     # Meshes are looks; without drawing nobody looks.

@@ -14,6 +14,7 @@ from ... import __version__
 from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import content_hash, dump_frame, frame_data
+from ..errors import ConfigError
 from ..geometry.se3 import Array, yaw
 from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolver
@@ -39,6 +40,19 @@ def versions() -> dict[str, str]:
     return {"yamsim": __version__, "python": platform.python_version()} | {
         key: version(name) for key, name in packages.items()
     }
+
+
+def require_one_arm(config: RecordConfig) -> None:
+    """Refuse a rig that the task's demonstrations are not made for.
+
+    Raises:
+        ConfigError: the rig has more than one arm.
+    """
+    if len(config.rig.arms) > 1:
+        raise ConfigError(
+            f"task {config.task.name!r} is demonstrated by one arm, and rig {config.rig.name!r} has "
+            f"{len(config.rig.arms)}; use a rig with one, such as single"
+        )
 
 
 class EpisodeRunner:
@@ -70,7 +84,7 @@ class EpisodeRunner:
         starts = {name: _start(T) for name, T in layout.T_in_world.items()} if layout else {}
         if not outcome.success or rollout is None or not self._draw:
             return EpisodePayload(job, outcome, starts)
-        renderer = self._renderer or SceneRenderer(self._scene, self._config.image.size_px)
+        renderer = self._renderer or SceneRenderer(self._scene.model, self._config.image.size_px)
         self._renderer = renderer
         files, content = self._render(rollout, renderer)
         return EpisodePayload(
@@ -80,7 +94,7 @@ class EpisodeRunner:
     def _simulate(self, job: EpisodeJob) -> tuple[Layout | None, Outcome, Rollout | None]:
         task = self._config.task
         T_base = self._scene.T_base_in_world
-        layout = sample_layout(task, self._config.scene, generator(job, Stream.LAYOUT))
+        layout = sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
         if layout is None:
             detail = f"no free place for the {task.target.name} in the sampling box"
             return None, Outcome(False, Cause.NO_LAYOUT, detail), None

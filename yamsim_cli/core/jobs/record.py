@@ -14,7 +14,7 @@ from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
 from ..resources import Locations
 from ..types import EpisodeJob, EpisodePayload
-from .episode import EpisodeRunner
+from .episode import EpisodeRunner, require_one_arm
 from .workers import WorkerPool
 
 # A task that fails this often will not be finished by trying on.
@@ -57,6 +57,7 @@ def record(
         InterruptedJobError: stopped by the user.
         PartialJobError: the disk is full, a worker died, or the task fails too often.
     """
+    require_one_arm(config)
     began = time.monotonic()
     writer = DatasetWriter(out, config.data_config(), mode)
     session = _Session(config, writer, progress)

@@ -87,17 +87,17 @@ def compose(
 
 
 def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
-    """All arms in one spec: the first without a prefix is its root, since attaching would need one."""
+    """All arms in one spec: the one without a prefix is its root, since attaching would need one."""
     specs = [arm_spec(arm, locations, meshes.get(MESH_SETS[arm.model, arm.gripper])) for arm in rig.arms]
     root = mujoco.MjSpec()
+    for arm, child, T in zip(rig.arms, specs, bases, strict=True):
+        if not arm.prefix:
+            root = child
+            root.body("arm").pos, root.body("arm").quat = T[:3, 3], quat_from_rotation(T[:3, :3])
     for arm, child, T in zip(rig.arms, specs, bases, strict=True):
         if arm.prefix:
             frame = root.worldbody.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
             root.attach(child, frame=frame, prefix=arm.prefix)
-        else:
-            root = child
-            root.body("arm").pos = T[:3, 3]
-            root.body("arm").quat = quat_from_rotation(T[:3, :3])
     _share_files(root)
     return root
 
@@ -128,17 +128,17 @@ def add_home_key(
     """Add a keyframe `home` of the composed model's size, and compile.
 
     Args:
-        start: object -> pose (4, 4) in `world`.
+        start: object -> pose (4, 4) in `world`, there and in the model's own reset.
         joints: of every arm (6,), rad.
     """
+    for name, T in start.items():
+        body = spec.body(name)
+        body.pos, body.quat = T[:3, 3], quat_from_rotation(T[:3, :3])
     model = compile_spec(spec)
     qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
     for arm in rig.arms:
         for name, angle in zip(JOINTS, joints, strict=True):
             qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
             ctrl[model.actuator(arm.prefix + name).id] = angle
-    for name, T in start.items():
-        address = int(model.joint(name).qposadr[0])
-        qpos[address : address + 7] = [*T[:3, 3], *quat_from_rotation(T[:3, :3])]
     spec.add_key(name="home", qpos=qpos, ctrl=ctrl)
     return compile_spec(spec)

@@ -24,7 +24,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None) -> 
     """
     body = spec.worldbody.add_body(name=item.name)
     body.add_freejoint(name=item.name)
-    body.mass = item.inertia.mass
+    body.mass, body.ipos = item.inertia.mass, (0, 0, 0)
     body.inertia = item.inertia.diagonal
     body.iquat = np.asarray(item.inertia.quat) / np.linalg.norm(item.inertia.quat)
     body.explicitinertial = True

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
-from ..scene.compiled import CompiledScene
 
 Image = NDArray[np.uint8]
+GeomIds = NDArray[np.int32]
 
 
 def _opengl_name() -> str:
@@ -32,18 +32,18 @@ class SceneRenderer:
         description: name of the OpenGL implementation that draws.
 
     Args:
-        scene: what to draw.
-        size: width and height in pixels; the scene must have been built for at least this size.
+        model: what to draw.
+        size: width and height in pixels; the model's offscreen buffer has to be at least as large.
 
     Raises:
         ResourceError: no OpenGL context could be made.
     """
 
-    def __init__(self, scene: CompiledScene, size: tuple[int, int]) -> None:
-        self._scene = scene
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
+        self._model = model
         self._width, self._height = size
         try:
-            self._renderer = mujoco.Renderer(scene.model, height=self._height, width=self._width)
+            self._renderer = mujoco.Renderer(model, height=self._height, width=self._width)
         # What PyOpenGL and MuJoCo raise differs by backend, driver and what is missing.
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
             raise ResourceError(
@@ -54,7 +54,7 @@ class SceneRenderer:
 
     def intrinsics(self, camera: str) -> Intrinsics:
         """The pinhole camera that a camera's images were taken with."""
-        fovy = math.radians(float(self._scene.model.cam(camera).fovy[0]))
+        fovy = math.radians(float(self._model.cam(camera).fovy[0]))
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
     def draw(self, data: mujoco.MjData, camera: str) -> Image:
@@ -62,6 +62,17 @@ class SceneRenderer:
         self._renderer.update_scene(data, camera, self._option)
         image: Image = self._renderer.render()
         return image
+
+    def segment(self, data: mujoco.MjData, camera: str) -> GeomIds:
+        """The id of the geom seen at each pixel, (height, width) of int32; -1 where there is none."""
+        self._renderer.update_scene(data, camera, self._option)
+        self._renderer.enable_segmentation_rendering()
+        try:
+            objects, kinds = np.moveaxis(self._renderer.render(), 2, 0)
+        finally:
+            self._renderer.disable_segmentation_rendering()
+        ids: GeomIds = np.where(kinds == mujoco.mjtObj.mjOBJ_GEOM, objects, -1).astype(np.int32)
+        return ids
 
     def close(self) -> None:
         """Free the OpenGL context; safe to call twice."""

@@ -1,0 +1,290 @@
+from typing import Any
+
+import pytest
+
+from yamsim_cli.core.config.document import dump_yaml
+from yamsim_cli.core.config.loader import KINDS, load_config, model_of, parse_config, validate_file
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.scene import ObjectConfig
+from yamsim_cli.core.config.task import TaskConfig
+from yamsim_cli.core.errors import ConfigError, UsageError, YamsimError
+from yamsim_cli.core.resources import Locations
+
+SHIPPED = sorted(
+    (path.parent.name, path.stem)
+    for kind in KINDS
+    for path in Locations.find({}).data[0].glob(f"configs/{kind}/*.yaml")
+)
+
+PUCK = """\
+mesh: {set: ycb, file: puck.stl, origin: [0, 0, 0], rgba: [1, 1, 1, 1]}
+inertia: {mass_g: 10, diagonal: [1e-5, 1e-5, 1e-5], quat: [1, 0, 0, 0]}
+collision:
+  - {type: cylinder, centre: [0, 0, 0.01], radius: 0.02, half_height: 0.01}
+rest_height: 0
+"""
+
+
+def refusal(load, *arguments: Any, kind: type[YamsimError] = ConfigError, **options: Any) -> str:
+    with pytest.raises(kind) as caught:
+        load(*arguments, **options)
+    message = str(caught.value)
+    assert type(caught.value) is kind
+    assert "\n" not in message
+    return message
+
+
+@pytest.fixture
+def puck(tmp_path, locations):
+    """Checks the puck with one line of it replaced."""
+
+    def check(old: str = "", new: str = "") -> ObjectConfig:
+        assert old in PUCK
+        path = tmp_path / "puck.yaml"
+        path.write_text(PUCK.replace(old, new))
+        return validate_file(ObjectConfig, path, locations)
+
+    return check
+
+
+@pytest.fixture
+def record(tmp_path, locations):
+    """Loads the default recording with lines of it replaced, and with overrides."""
+
+    def load(replaced: dict[str, str] | None = None, overrides: dict | None = None) -> RecordConfig:
+        text = locations.config_file("record", "default").read_text()
+        for old, new in (replaced or {}).items():
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "mine.yaml"
+        path.write_text(text)
+        return load_config(RecordConfig, "record", str(path), locations, overrides)
+
+    return load
+
+
+@pytest.mark.parametrize(("kind", "name"), SHIPPED)
+def test_every_shipped_config_is_valid_and_survives_being_written_down(kind, name, locations):
+    model = model_of(kind)
+    config = load_config(model, kind, name, locations)
+    again = parse_config(model, dump_yaml(config.model_dump(mode="json")), "resolved.yaml", locations)
+    assert again == config
+
+
+def test_every_kind_has_a_shipped_config():
+    assert {kind for kind, _ in SHIPPED} == set(KINDS)
+
+
+def test_a_datasets_own_config_needs_no_other_file(config, locations):
+    text = dump_yaml(config.data_config())
+    nowhere = Locations(data=(), assets=locations.assets)
+    again = parse_config(RecordConfig, text, "config.yaml", nowhere)
+    assert again.data_config() == config.data_config()
+    assert "episodes" not in text
+    assert "workers" not in text
+
+
+def test_an_unknown_kind_is_named_with_the_valid_ones():
+    message = refusal(model_of, "rig")
+    assert message.startswith("unknown kind of config 'rig'; did you mean 'rigs'?")
+    assert all(kind in message for kind in KINDS)
+
+
+def test_a_config_is_named_after_its_file_unless_it_says_otherwise(puck):
+    assert puck().name == "puck"
+    assert puck("rest_height: 0", "rest_height: 0\nname: disc").name == "disc"
+
+
+def test_a_file_whose_name_is_no_name_says_so(tmp_path, locations):
+    (tmp_path / "my-puck.yaml").write_text(PUCK)
+    message = refusal(validate_file, ObjectConfig, tmp_path / "my-puck.yaml", locations)
+    assert "my-puck.yaml:1: name: 'my-puck' is not valid" in message
+
+
+def test_an_unknown_key_names_file_line_valid_keys_and_the_closest(puck, tmp_path):
+    message = refusal(puck, "rest_height: 0", "rest_hieght: 0")
+    assert message.startswith(
+        f"{tmp_path / 'puck.yaml'}:5: rest_hieght: unknown key; did you mean 'rest_height'? valid: "
+    )
+    assert "collision, contact, grasp, inertia" in message
+    assert message.endswith("(and 1 more)")
+
+
+def test_an_unknown_key_inside_names_the_keys_valid_there(puck):
+    message = refusal(puck, "mass_g: 10", "mass_g: 10, masss: 3")
+    assert "puck.yaml:2: inertia.masss: unknown key; did you mean 'mass_g'? valid: diagonal, mass_g, quat" in message
+
+
+def test_an_unknown_key_of_a_list_item_has_the_items_number_in_its_path(puck):
+    message = refusal(puck, "half_height: 0.01", "half_height: 0.01, radus: 2")
+    assert "puck.yaml:4: collision[0].radus: unknown key; did you mean 'radius'?" in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "start"),
+    [
+        ("mass_g: 10", "mass_g: -10", "puck.yaml:2: inertia.mass_g: -10 is not valid: must be greater than 0"),
+        ("mass_g: 10", "mass_g: heavy", "puck.yaml:2: inertia.mass_g: 'heavy' is not valid: must be a valid number"),
+        ("radius: 0.02", "radius: 0", "puck.yaml:4: collision[0].radius: 0 is not valid: must be greater than 0"),
+        ("rest_height: 0", "rest_height:", "puck.yaml:5: rest_height: None is not valid: must be a valid number"),
+        (
+            "[1, 1, 1, 1]",
+            "[1, 2, 1, 1]",
+            "puck.yaml:1: mesh.rgba: [1, 2, 1, 1] is not valid: each part must lie in 0..1",
+        ),
+        ("quat: [1, 0, 0, 0]", "quat: [0, 0, 0, 0]", "puck.yaml:2: inertia.quat: [0, 0, 0, 0] is not valid: a zero"),
+        ("rest_height: 0", "rest_height: .inf", "puck.yaml:5: rest_height: inf is not valid: must be a finite number"),
+        (
+            "origin: [0, 0, 0]",
+            "origin: [0, .nan, 0]",
+            "puck.yaml:1: mesh.origin[1]: nan is not valid: must be a finite",
+        ),
+        ("origin: [0, 0, 0]", "origin: [0, 0]", "puck.yaml:1: mesh.origin[2]: missing; add it"),
+        (
+            "rest_height: 0",
+            "rest_height: 0\ncontact: 5",
+            "puck.yaml:6: contact: 5 is not valid: must be a valid dictionary",
+        ),
+    ],
+)
+def test_a_wrong_value_names_file_line_key_and_value(puck, tmp_path, old, new, start):
+    assert refusal(puck, old, new).startswith(f"{tmp_path}/{start}")
+
+
+def test_a_missing_key_is_named_with_the_place_it_should_stand_in(puck):
+    assert "puck.yaml:2: inertia.mass_g: missing; add it" in refusal(puck, "mass_g: 10, ", "")
+    assert "puck.yaml:1: rest_height: missing; add it" in refusal(puck, "rest_height: 0\n", "")
+    assert "puck.yaml:4: collision[0].radius: missing; add it" in refusal(puck, "radius: 0.02, ", "")
+
+
+def test_an_unknown_branch_of_a_union_names_the_valid_ones(puck):
+    message = refusal(puck, "type: cylinder", "type: cone")
+    assert "puck.yaml:4: collision[0]: " in message
+    assert "'cone'" in message
+    assert all(f"'{branch}'" in message for branch in ("capsule", "cylinder", "ring"))
+
+
+def test_a_union_without_its_discriminator_says_which_key_is_missing(puck):
+    message = refusal(puck, "type: cylinder, ", "")
+    assert "collision[0]" in message
+    assert "'type'" in message
+
+
+def test_the_branch_is_no_part_of_the_key_path(puck):
+    message = refusal(puck, "centre: [0, 0, 0.01]", "centre: [0, 0, high]")
+    assert "collision[0].centre[2]: 'high' is not valid" in message
+    assert "cylinder" not in message
+
+
+@pytest.mark.parametrize(("key", "kind"), [("rig", "rig"), ("scene", "scene"), ("task", "task")])
+def test_an_unknown_reference_names_where_it_stands_and_what_there_is(record, locations, key, kind):
+    known = locations.config_names(f"{kind}s")
+    line = next(
+        number
+        for number, text in enumerate(locations.config_file("record", "default").read_text().splitlines(), start=1)
+        if text.startswith(f"{key}:")
+    )
+    message = refusal(record, {f"{key}: ": f"{key}: x"})
+    assert f"mine.yaml:{line}: {key}: unknown {kind} 'x" in message
+    assert "did you mean" in message
+    assert message.endswith(f"valid: {', '.join(known)}")
+
+
+def test_an_unknown_object_of_a_named_task_is_found_in_the_tasks_file(tmp_path, record, locations):
+    text = locations.config_file("tasks", "pickplace").read_text()
+    task = tmp_path / "mytask.yaml"
+    task.write_text(text.replace("object: banana", "object: bananna"))
+    line = text[: text.index("object: banana")].count("\n") + 1
+    message = refusal(record, None, {("task",): ("--task", str(task))})
+    assert f"{task}:{line}: task.object: unknown object 'bananna'; did you mean 'banana'? valid: " in message
+
+
+def test_a_reference_to_a_file_that_is_not_there_is_named(record):
+    message = refusal(record, {"rig: single": "rig: nowhere.yaml"})
+    assert "mine.yaml:2: rig: rig config file nowhere.yaml does not exist" in message
+
+
+def test_a_fault_in_a_referenced_file_is_placed_in_that_file(tmp_path, record, locations):
+    rig = tmp_path / "mine2.yaml"
+    rig.write_text(locations.config_file("rigs", "single").read_text().replace("side: right", "side: middle"))
+    message = refusal(record, {"rig: single": f"rig: {rig}"})
+    assert message.startswith(f"{rig}:")
+    assert "rig.arms[0].side: 'middle' is not valid: must be 'left' or 'right'" in message
+
+
+def test_a_flag_overrides_the_file(record):
+    config = record(None, {("seed",): ("--seed", 7), ("image", "jpeg_quality"): ("--jpeg-quality", 33)})
+    assert (config.seed, config.image.jpeg_quality) == (7, 33)
+
+
+def test_a_flag_names_another_config(record):
+    assert record(None, {("render",): ("--quality", "high")}).render != record().render
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_flag_reaches_inside_a_reference_even_one_that_a_flag_named(record, locations, tmp_path, order):
+    task = tmp_path / "mytask.yaml"
+    task.write_text(
+        locations.config_file("tasks", "pickplace").read_text().replace("max_height: 0.10", "max_height: 0.3")
+    )
+    flags = [(("task",), ("--task", str(task))), (("task", "success", "threshold"), ("--threshold", 0.123))]
+    config = record(None, dict(flags[::order]))
+    assert config.task.name == "mytask"
+    assert (config.task.success.threshold, config.task.success.max_height) == (0.123, 0.3)
+
+
+def test_a_flag_inside_a_reference_may_be_a_reference(record, tmp_path):
+    (tmp_path / "puck.yaml").write_text(PUCK)
+    config = record(None, {("task", "target"): ("--target", str(tmp_path / "puck.yaml"))})
+    assert config.task.target.name == "puck"
+
+
+@pytest.mark.parametrize(
+    ("path", "flag", "value", "message"),
+    [
+        (("episodes",), "--n", 0, "--n: 0 is not valid: must be greater than or equal to 1"),
+        (
+            ("image", "jpeg_quality"),
+            "--jpeg-quality",
+            101,
+            "--jpeg-quality: 101 is not valid: must be less than or equal",
+        ),
+        (("task", "success", "threshold"), "--threshold", -1, "--threshold: -1 is not valid: must be greater than 0"),
+        (("image", "size_px"), "--size", [8, 480], "--size: 8 is not valid: must be greater than or equal to 16"),
+    ],
+)
+def test_a_bad_flag_is_a_usage_error_that_names_the_flag(record, path, flag, value, message):
+    assert refusal(record, None, {path: (flag, value)}, kind=UsageError).startswith(message)
+
+
+def test_an_unknown_reference_by_flag_names_the_flag(record):
+    message = refusal(record, None, {("rig",): ("--rig", "sinlge")}, kind=ConfigError)
+    assert message.startswith("--rig: rig: unknown rig 'sinlge'; did you mean 'single'?")
+
+
+@pytest.mark.parametrize("value", ["5", "", "[1, 2]", "true"])
+def test_a_flag_below_something_that_is_no_mapping_leaves_the_file_to_blame(record, value):
+    message = refusal(record, {"task: pickplace": f"task: {value}"}, {("task", "success", "threshold"): ("--t", 0.1)})
+    assert "mine.yaml:4: task: " in message
+    assert "must be a valid dictionary" in message
+
+
+def test_a_check_across_several_keys_needs_no_value_in_its_message(tmp_path, locations):
+    path = tmp_path / "floating.yaml"
+    path.write_text(
+        locations.config_file("scenes", "tabletop").read_text().replace("safety_plane: -0.5", "safety_plane: 1")
+    )
+    message = refusal(validate_file, model_of("scenes"), path, locations)
+    assert "safety_plane 1.0 m must lie below the table's top" in message
+    assert "{" not in message
+
+
+def test_faults_of_the_yaml_itself_come_through(tmp_path, locations):
+    path = tmp_path / "twice.yaml"
+    path.write_text("seed: 1\nseed: 2\n")
+    assert "twice.yaml:2: duplicate key 'seed'" in refusal(load_config, RecordConfig, "record", str(path), locations)
+
+
+def test_an_unknown_name_lists_the_configs(locations):
+    message = refusal(load_config, TaskConfig, "tasks", "pickplaec", locations)
+    assert message.startswith("unknown task 'pickplaec'; did you mean 'pickplace'? valid: ")

@@ -1,0 +1,231 @@
+import math
+from typing import get_args
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from yamsim_cli.core.config.base import Name, Quaternion, Range, Rgba
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.rig import BasePose
+from yamsim_cli.core.config.scene import Capsule, Cylinder, FixedCamera, Grasp, Inertia, ObjectConfig, Ring, Table
+from yamsim_cli.core.config.task import TaskConfig, Timing
+
+
+def models_in(model: BaseModel):
+    yield model
+    for _, value in model:
+        for part in value if isinstance(value, tuple) else (value,):
+            if isinstance(part, BaseModel):
+                yield from models_in(part)
+
+
+def changed(config: BaseModel, **changes) -> dict:
+    return config.model_dump() | changes
+
+
+def test_nothing_in_a_config_can_be_changed(config):
+    for model in models_in(config):
+        for name in type(model).model_fields:
+            with pytest.raises(ValidationError, match="frozen"):
+                setattr(model, name, getattr(model, name))
+
+
+def test_every_part_of_a_config_refuses_unknown_keys(config):
+    for model in models_in(config):
+        with pytest.raises(ValidationError, match="Extra inputs"):
+            type(model).model_validate(model.model_dump() | {"unheard_of": 1})
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_no_number_of_a_config_may_be_infinite_or_none_at_all(config, bad):
+    checked = 0
+    for model in models_in(config):
+        for name, value in model:
+            if type(value) is float:
+                with pytest.raises(ValidationError):
+                    type(model).model_validate(model.model_dump() | {name: bad})
+                checked += 1
+    assert checked > 20
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        *({"seed": -1}, {"seed": 2**63}, {"episodes": 0}, {"episodes": 1_000_001}, {"workers": 0}, {"workers": 1025}),
+        *({"grasp": "magic"}, {"wrist": "maybe"}, {"image": {"size_px": [15, 16], "jpeg_quality": 85}}),
+        *({"image": {"size_px": [16, 4097], "jpeg_quality": 85}}, {"image": {"size_px": [16, 16], "jpeg_quality": 0}}),
+        *({"render": {"multisamples": 3, "shadow_map_px": 0}}, {"render": {"multisamples": 4, "shadow_map_px": -1}}),
+    ],
+)
+def test_values_out_of_range_are_refused(config, changes):
+    with pytest.raises(ValidationError):
+        RecordConfig.model_validate(changed(config, **changes))
+
+
+@pytest.mark.parametrize("seed", [0, 2**63 - 1])
+def test_the_ends_of_the_seeds_range_are_valid(config, seed):
+    assert RecordConfig.model_validate(changed(config, seed=seed)).seed == seed
+
+
+@pytest.mark.parametrize(
+    ("kind", "good", "bad"),
+    [
+        (Range, (1.0, 1.0), (1.0, 0.9)),
+        (Rgba, (0.0, 1.0, 0.5, 1.0), (0.0, 1.0, 1.1, 1.0)),
+        (Rgba, (0.0, 0.0, 0.0, 0.0), (-0.1, 0.0, 0.0, 0.0)),
+        (Quaternion, (0.0, 0.0, 0.0, 2.0), (0.0, 0.0, 0.0, 0.0)),
+        (Name, "right_2", "2right"),
+        (Name, "A", ""),
+        (Name, "a", "a/b"),
+        (Name, "a", "a\n"),
+    ],
+)
+def test_small_types_accept_and_refuse(kind, good, bad):
+    adapter = TypeAdapter(kind)
+    assert adapter.validate_python(good) == good
+    with pytest.raises(ValidationError):
+        adapter.validate_python(bad)
+
+
+def test_what_decides_the_data_leaves_out_how_much_and_by_whom(config):
+    data = config.data_config()
+    assert set(data) == set(RecordConfig.model_fields) - {"episodes", "workers"}
+    other = RecordConfig.model_validate(changed(config, episodes=3, workers=7))
+    assert other.data_config() == data
+    assert RecordConfig.model_validate(changed(config, seed=config.seed + 1)).data_config() != data
+
+
+def test_a_base_stands_where_it_is_put_and_looks_where_it_is_turned():
+    T = BasePose(position=(1, 2, 3), yaw_deg=90).T
+    assert np.allclose(T @ [1, 0, 0, 1], [1, 3, 3, 1])
+
+
+def test_a_mass_in_grams_is_used_in_kilograms():
+    assert Inertia(mass_g=66, diagonal=(1, 1, 1), quat=(1, 0, 0, 0)).mass == pytest.approx(0.066)
+
+
+def test_the_inertias_frame_is_a_rotation():
+    with pytest.raises(ValidationError, match="zero quaternion"):
+        Inertia(mass_g=66, diagonal=(1, 1, 1), quat=(0, 0, 0, 0))
+
+
+def test_the_tables_top_is_its_upper_face():
+    assert Table(position=(0, 0, -0.011), half_size=(1, 1, 0.01), rgba=(1, 1, 1, 1)).top == pytest.approx(-0.001)
+
+
+def test_a_camera_cannot_look_at_itself():
+    with pytest.raises(ValidationError, match="same point"):
+        FixedCamera(position=(1, 2, 3), look_at=(1, 2, 3), fovy_deg=50)
+
+
+def test_the_floor_lies_below_the_table(config):
+    with pytest.raises(ValidationError, match="must lie below the table's top"):
+        type(config.scene).model_validate(changed(config.scene, safety_plane=config.table.top))
+
+
+@given(
+    st.tuples(*[st.floats(-1, 1)] * 3),
+    st.floats(-360, 360),
+    st.booleans(),
+)
+def test_the_pinch_frame_points_down_and_closes_along_the_axis(position, axis_deg, flipped):
+    T = Grasp(position=position, axis_deg=axis_deg, opening=0.01).T_pinch_in_object(flipped)
+    R = T[:3, :3]
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1)
+    assert np.allclose(R[:, 2], [0, 0, -1])
+    axis = [math.cos(math.radians(axis_deg)), math.sin(math.radians(axis_deg)), 0]
+    assert np.allclose(R[:, 1], np.array(axis) * (-1 if flipped else 1), atol=1e-12)
+    assert np.array_equal(T[:3, 3], position)
+
+
+@given(st.floats(-180, 180), st.floats(0, 0.05))
+def test_the_open_fingers_stand_on_either_side_along_the_closing_axis(axis_deg, open_by):
+    grasp = Grasp(position=(0.01, -0.02, 0.003), axis_deg=axis_deg, opening=0.01)
+    closing = grasp.T_pinch_in_object(False)[:2, 1]
+    one, other = (np.array(disc[:2]) - grasp.position[:2] for disc in grasp.fingers(open_by))
+    assert np.allclose(one, -other)
+    assert abs(one @ closing) == pytest.approx(np.linalg.norm(one))
+    assert np.linalg.norm(one) >= open_by
+    assert all(disc[2] > 0 for disc in grasp.fingers(open_by))
+
+
+def covered(discs, points) -> bool:
+    return all(any(math.dist(point, (x, y)) <= radius + 1e-9 for x, y, radius in discs) for point in points)
+
+
+def around(centre, radius):
+    turns = np.linspace(0, 2 * math.pi, 16)
+    return [(centre[0] + radius * math.cos(turn), centre[1] + radius * math.sin(turn)) for turn in turns]
+
+
+@pytest.mark.parametrize("role", ["object", "target"])
+def test_the_footprint_covers_the_ends_and_axes_of_the_collision_primitives(config, role):
+    item = getattr(config.task, role)
+    for part in item.collision:
+        match part:
+            case Capsule():
+                axis = np.linspace(part.start[:2], part.end[:2], 50)
+                assert covered(item.footprint, axis)
+                assert covered(item.footprint, around(axis[0], part.radius) + around(axis[-1], part.radius))
+            case Cylinder():
+                assert covered(item.footprint, around(part.centre, part.radius))
+            case Ring():
+                assert covered(item.footprint, around((0, 0), part.outer[0]))
+
+
+def test_the_footprint_knows_every_primitive(config):
+    plain = config.task.target.model_dump()
+    parts = {
+        "capsule": {"type": "capsule", "start": (1, 0, 0), "end": (1, 0.1, 0), "radius": 0.1},
+        "cylinder": {"type": "cylinder", "centre": (2, 3, 0), "radius": 0.2, "half_height": 0.1},
+        "ring": {"type": "ring", "inner": (0.1, 0.0), "outer": (0.3, 0.1), "thickness": 0.01, "segments": 8},
+    }
+    annotation = ObjectConfig.model_fields["collision"].annotation
+    branches = get_args(get_args(get_args(annotation)[0])[0])
+    assert {get_args(branch.model_fields["type"].annotation)[0] for branch in branches} == set(parts)
+    for part in parts.values():
+        assert ObjectConfig.model_validate(plain | {"collision": [part]}).footprint
+    whole = ObjectConfig.model_validate(plain | {"collision": list(parts.values())})
+    assert covered(whole.footprint, around((1, 0.1), 0.1) + around((2, 3), 0.2) + around((0, 0), 0.3))
+
+
+def test_things_come_to_lie_on_the_highest_cylinder(config):
+    plain = config.task.target.model_dump()
+    disc = {"type": "cylinder", "radius": 0.2, "half_height": 0.1}
+    low, high = disc | {"centre": (0, 0, 0.1)}, disc | {"centre": (0, 0, 0.3)}
+    assert ObjectConfig.model_validate(plain | {"collision": [high, low]}).support_height == pytest.approx(0.4)
+    bar = {"type": "capsule", "start": (0, 0, 0), "end": (0, 0.1, 0), "radius": 0.1}
+    assert ObjectConfig.model_validate(plain | {"collision": [bar]}).support_height == 0.0
+
+
+def test_an_object_needs_something_to_collide_with(config):
+    with pytest.raises(ValidationError):
+        ObjectConfig.model_validate(changed(config.task.target, collision=[]))
+
+
+def test_an_object_that_cannot_be_grasped_cannot_be_picked_up(config):
+    with pytest.raises(ValidationError, match="object 'banana' has no `grasp`"):
+        TaskConfig.model_validate(changed(config.task, object=changed(config.task.object, grasp=None)))
+
+
+def test_object_and_target_are_different_things(config):
+    with pytest.raises(ValidationError, match="object and target are both 'banana'"):
+        TaskConfig.model_validate(changed(config.task, target=config.task.object))
+
+
+def test_a_tick_lasts_its_physics_steps(config):
+    assert config.task.timing.tick == pytest.approx(0.032)
+    timing = Timing(ticks_per_waypoint=12, settle_ticks=0, physics_steps_per_tick=5, timestep=0.004, ticks_per_frame=1)
+    assert timing.tick == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"timestep": 0}, {"timestep": 0.011}, {"ticks_per_frame": 0}, {"ticks_per_waypoint": 1}]
+)
+def test_timings_that_could_not_be_simulated_are_refused(config, changes):
+    with pytest.raises(ValidationError):
+        Timing.model_validate(changed(config.task.timing, **changes))

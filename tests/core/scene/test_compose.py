@@ -1,0 +1,250 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.loader import load_config, parse_config
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.errors import ConfigError, UsageError
+from yamsim_cli.core.jobs.compose import rig_spec, task_spec, write_scene
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.scene.export import scene_files, zip_bytes
+
+RIGS = ("single", "bimanual", "russet")
+MOVE = np.array([0.1, 0.2, 0.3])
+
+# Runs without yamsim on the path, as any other MuJoCo program would.
+PLAIN_MUJOCO = """
+import sys, mujoco, numpy as np
+assert not any(name.startswith("yamsim") for name in sys.modules)
+model = mujoco.MjModel.from_xml_path(sys.argv[1])
+for key in (None, 0):
+    data = mujoco.MjData(model)
+    if key is not None:
+        mujoco.mj_resetDataKeyframe(model, data, key)
+    start = data.qpos.copy()
+    mujoco.mj_step(model, data, 1000)
+    assert np.isfinite(data.qpos).all()
+    assert np.abs(data.qpos - start).max() < 1e-3, np.abs(data.qpos - start).max()
+print(model.nq, model.nu)
+"""
+
+
+@pytest.fixture(scope="module")
+def studio(locations: Locations) -> SceneConfig:
+    return load_config(SceneConfig, "scenes", "studio", locations)
+
+
+def _rig(name: str, locations: Locations) -> RigConfig:
+    return load_config(RigConfig, "rigs", name, locations)
+
+
+def _compiled(name: str, locations: Locations, studio: SceneConfig) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    _, model = rig_spec(_rig(name, locations), studio, Contents(), locations, {})
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def _in_plain_mujoco(scene: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", PLAIN_MUJOCO, str(scene)], cwd="/", capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize(("name", "size"), [("single", "8 7"), ("bimanual", "16 14"), ("russet", "16 14")])
+def test_a_composed_folder_runs_in_plain_mujoco(
+    name: str, size: str, locations: Locations, studio: SceneConfig, tmp_path: Path
+) -> None:
+    spec, model = rig_spec(_rig(name, locations), studio, Contents(), locations, {})
+    write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
+    # Moved, so that nothing can depend on where it was made.
+    (tmp_path / "scene").rename(tmp_path / "elsewhere")
+    assert _in_plain_mujoco(tmp_path / "elsewhere" / "scene.xml") == size
+
+
+def test_a_composed_task_runs_in_plain_mujoco(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    contents = Contents(objects=(config.task.object, config.task.target))
+    spec, model = task_spec(config, contents, locations, {})
+    write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
+    assert _in_plain_mujoco(tmp_path / "scene" / "scene.xml") == "22 7"
+
+
+def test_what_is_written_is_what_was_compiled(config: RecordConfig, locations: Locations) -> None:
+    contents = Contents(objects=(config.task.object, config.task.target))
+    spec, model = task_spec(config, contents, locations, {})
+    files = scene_files(spec)
+    read = mujoco.MjModel.from_xml_string(files.pop("scene.xml").decode(), files)
+    for field in (
+        "body_mass",
+        "body_inertia",
+        "body_pos",
+        "body_gravcomp",
+        "jnt_range",
+        "dof_armature",
+        "actuator_gainprm",
+        "actuator_biasprm",
+        "actuator_ctrlrange",
+        "actuator_forcerange",
+        "geom_friction",
+        "geom_size",
+        "eq_active0",
+        "key_qpos",
+        "key_ctrl",
+        "cam_fovy",
+    ):
+        np.testing.assert_allclose(getattr(read, field), getattr(model, field), atol=1e-6, err_msg=field)
+
+
+def test_composing_twice_gives_the_same_bytes(locations: Locations, studio: SceneConfig) -> None:
+    one, two = (
+        scene_files(rig_spec(_rig("russet", locations), studio, Contents(), locations, {})[0]) for _ in range(2)
+    )
+    assert one == two
+    assert zip_bytes(one, "scene") == zip_bytes(two, "scene")
+
+
+def test_every_file_named_is_there_and_every_file_there_is_named(locations: Locations, studio: SceneConfig) -> None:
+    files = scene_files(rig_spec(_rig("bimanual", locations), studio, Contents(), locations, {})[0])
+    root = ElementTree.fromstring(files["scene.xml"])
+    named = {element.get("file") for element in root.iter() if element.get("file")}
+    assert named == set(files) - {"scene.xml"}
+    assert not any(Path(name).is_absolute() or ".." in Path(name).parts for name in named if name)
+
+
+def test_names_are_unique(locations: Locations, studio: SceneConfig) -> None:
+    model, _ = _compiled("bimanual", locations, studio)
+    for kind, count in (("body", model.nbody), ("geom", model.ngeom), ("joint", model.njnt), ("actuator", model.nu)):
+        names = [getattr(model, kind)(k).name for k in range(count)]
+        assert len(set(names)) == len(names)
+        assert "" not in names
+
+
+def test_the_second_arm_carries_its_prefix(locations: Locations, studio: SceneConfig) -> None:
+    model, data = _compiled("bimanual", locations, studio)
+    np.testing.assert_allclose(data.body("arm").xpos, (0, -0.35, 0))
+    np.testing.assert_allclose(data.body("arm2_arm").xpos, (0, 0.35, 0))
+    assert model.joint("arm2_joint1").id != model.joint("joint1").id
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_boards_lie_flat_at_their_true_size(name: str, locations: Locations, studio: SceneConfig) -> None:
+    model, data = _compiled(name, locations, studio)
+    for arm in _rig(name, locations).arms:
+        board = data.geom(f"{arm.prefix}base_board")
+        np.testing.assert_allclose(board.xmat.reshape(3, 3)[:, 2], (0, 0, 1), atol=1e-9)
+        # Source: the printed board's edge, 93.5385 mm.
+        np.testing.assert_allclose(model.geom(f"{arm.prefix}base_board").size[:2] * 2, 0.0935385, atol=1e-7)
+
+
+def test_russet_differs_only_as_its_data_says(locations: Locations) -> None:
+    bimanual, russet = (_rig(name, locations).model_dump() for name in ("bimanual", "russet"))
+    assert (bimanual.pop("margin"), russet.pop("margin")) == (0.7, 0.591)
+    assert (bimanual.pop("name"), russet.pop("name")) == ("bimanual", "russet")
+    two = [rig["arms"][1] for rig in (bimanual, russet)]
+    assert [arm["board"].pop("position_mm")[0] for arm in two] == [175.23, -175.23]
+    mounts = [arm.pop("mount") for arm in two]
+    assert [mount.pop("mirror_x") for mount in mounts] == [False, True]
+    assert mounts[0].pop("name") != mounts[1].pop("name")
+    assert mounts[0] == mounts[1]
+    assert bimanual == russet
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_mount_and_board_follow_a_moved_base(name: str, locations: Locations, studio: SceneConfig) -> None:
+    model, data = _compiled(name, locations, studio)
+    arm = _rig(name, locations).arms[-1]
+    before = {part: data.geom(f"{arm.prefix}{part}").xpos.copy() for part in ("base_board", "base_mount")}
+    for part in before:
+        mocap = model.body(f"{arm.prefix}{part}").mocapid[0]
+        data.mocap_pos[mocap] += MOVE
+    mujoco.mj_forward(model, data)
+    for part, position in before.items():
+        np.testing.assert_allclose(data.geom(f"{arm.prefix}{part}").xpos, position + MOVE, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_the_mount_does_not_cover_the_board(name: str, locations: Locations, studio: SceneConfig) -> None:
+    model, data = _compiled(name, locations, studio)
+    for arm in _rig(name, locations).arms:
+        board, mount = (f"{arm.prefix}base_{part}" for part in ("board", "mount"))
+        group = np.array([0, 0, 1, 0, 0, 0], np.uint8)
+        for x in (-0.046, 0.0, 0.046):
+            for y in (-0.046, 0.0, 0.046):
+                above = data.geom(board).xpos + data.geom(board).xmat.reshape(3, 3) @ (x, y, 0.5)
+                hit = np.array([-1], np.int32)
+                distance = mujoco.mj_ray(model, data, above, np.array([0.0, 0, -1]), group, 1, -1, hit)
+                assert model.geom(int(hit[0])).name in (board, mount)
+                assert distance == pytest.approx(0.5, abs=1e-6), "something lies above the board"
+
+
+def test_contents_can_be_left_out(locations: Locations, studio: SceneConfig) -> None:
+    rig = _rig("bimanual", locations)
+    _, bare = rig_spec(rig, studio, Contents(boards=False, background=False), locations, {})
+    bodies = {bare.body(k).name for k in range(bare.nbody)}
+    assert not any("board" in name or "mount" in name for name in bodies)
+    assert mujoco.mj_name2id(bare, mujoco.mjtObj.mjOBJ_GEOM, "safety_plane") == -1
+
+
+def test_a_users_rig_from_any_file(locations: Locations, studio: SceneConfig, tmp_path: Path) -> None:
+    text = locations.file("configs/rigs/bimanual.yaml").read_text().replace("margin: 0.7", "margin: 0.5")
+    (tmp_path / "mine.yaml").write_text(text)
+    rig = load_config(RigConfig, "rigs", str(tmp_path / "mine.yaml"), locations)
+    assert rig.name == "mine"
+    _, model = rig_spec(rig, studio, Contents(), locations, {})
+    np.testing.assert_allclose(model.body("arm2_arm").pos + model.body("arm").pos, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("first_id: 226", "first_id: 225"), "share the marker ids 225..225"),
+        (("prefix: arm2_", "prefix: ''"), "same prefix ''"),
+        (("side: left", "side: right"), "same side 'right'"),
+        (("name: arm2\n", "name: arm1\n"), "same name 'arm1'"),
+        (("margin: 0.7", "margin: 0"), "margin 0.0 is not valid"),
+        (
+            ("position_mm: [175.23, -19.6, -4.1]", "position_mm: [175.23, -19.6, -4.1]\n      quat: [1, 1, 0, 0]"),
+            "does not lie flat",
+        ),
+    ],
+)
+def test_loading_refuses_a_rig_that_cannot_be(change: tuple[str, str], message: str, locations: Locations) -> None:
+    text = locations.file("configs/rigs/bimanual.yaml").read_text()
+    assert change[0] in text
+    with pytest.raises(ConfigError, match=message):
+        parse_config(RigConfig, "name: mine\n" + text.replace(*change), "mine.yaml", locations)
+
+
+def test_output_in_the_way_is_kept(locations: Locations, studio: SceneConfig, tmp_path: Path) -> None:
+    spec, model = rig_spec(_rig("single", locations), studio, Contents(), locations, {})
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "mine.txt").write_text("keep me")
+    with pytest.raises(UsageError, match="--overwrite"):
+        write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
+    report = write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=True)
+    assert report.moved_aside is not None
+    assert (report.moved_aside / "mine.txt").read_text() == "keep me"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene", "scene.old-1"]
+
+
+def test_a_task_between_two_arms_can_be_composed(
+    make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path
+) -> None:
+    config = make_config({("rig",): "bimanual"})
+    contents = Contents(objects=(config.task.object, config.task.target))
+    spec, model = task_spec(config, contents, locations, {})
+    write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
+    assert _in_plain_mujoco(tmp_path / "scene" / "scene.xml") == "30 14"

@@ -1,0 +1,220 @@
+import errno
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from yamsim_cli.core import files
+from yamsim_cli.core.files import (
+    append_line,
+    exclusive_lock,
+    move_aside,
+    publish_directory,
+    sha256_bytes,
+    sha256_file,
+    write_file,
+)
+
+EPISODE = {"episode.json": b"{}", "rgb/cam/000000.jpg": b"jpeg", "lowdim/000000.pkl": b"pickle", "empty": b""}
+
+
+class InjectedError(OSError):
+    """Stands for a full disk or a failing device."""
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """Makes the n-th call that changes the disk fail; tells how many calls there were."""
+
+    def arm(n: int, error: BaseException) -> list[str]:
+        calls: list[str] = []
+
+        def wrap(owner, name):
+            real = getattr(owner, name)
+
+            def step(*arguments, **options):
+                calls.append(name)
+                if len(calls) == n:
+                    raise error
+                return real(*arguments, **options)
+
+            monkeypatch.setattr(owner, name, step)
+
+        for name in ("fsync", "rename", "replace", "mkdir", "open"):
+            wrap(os, name)
+        wrap(Path, "open")
+        return calls
+
+    return arm
+
+
+def steps_of(monkeypatch, failing, action) -> int:
+    with monkeypatch.context():
+        calls = failing(0, InjectedError())
+        action()
+    monkeypatch.undo()
+    return len(calls)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_both_hashes_are_sha256(tmp_path):
+    data = os.urandom(300_000)
+    (tmp_path / "f").write_bytes(data)
+    assert sha256_bytes(data) == sha256_file(tmp_path / "f") == hashlib.sha256(data).hexdigest()
+
+
+def test_a_file_is_created_and_replaced_and_nothing_else_is_left(tmp_path):
+    path = tmp_path / "manifest.json"
+    write_file(path, b"one")
+    write_file(path, b"two")
+    assert tree(tmp_path) == {"manifest.json": b"two"}
+
+
+@pytest.mark.parametrize("error", [InjectedError(errno.ENOSPC, "No space left"), KeyboardInterrupt()])
+def test_a_file_keeps_its_old_content_whatever_step_fails(tmp_path, monkeypatch, failing, error):
+    path = tmp_path / "manifest.json"
+    steps = steps_of(monkeypatch, failing, lambda: write_file(path, b"old"))
+    assert steps >= 4
+    for n in range(1, steps + 1):
+        write_file(path, b"old")
+        calls = failing(n, error)
+        with pytest.raises(type(error)):
+            write_file(path, b"the new content")
+        monkeypatch.undo()
+        renamed = "replace" in calls[:-1]
+        assert tree(tmp_path) == {"manifest.json": b"the new content" if renamed else b"old"}
+
+
+def test_a_short_write_of_a_new_file_leaves_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(files.os, "fsync", lambda descriptor: (_ for _ in ()).throw(InjectedError()))
+    with pytest.raises(InjectedError):
+        write_file(tmp_path / "new", b"x")
+    assert tree(tmp_path) == {}
+
+
+def test_the_content_is_flushed_before_the_name_points_to_it(tmp_path, failing):
+    calls = failing(0, InjectedError())
+    write_file(tmp_path / "f", b"x")
+    assert calls.index("fsync") < calls.index("replace") < len(calls) - 1 - calls[::-1].index("fsync")
+
+
+def test_lines_are_appended_to_a_file_that_is_made_when_missing(tmp_path):
+    path = tmp_path / "attempts.jsonl"
+    for line in ("one", "zwei ü", ""):
+        append_line(path, line)
+    assert path.read_bytes() == "one\nzwei ü\n\n".encode()
+
+
+@pytest.mark.parametrize("tail", ["{cut", "ü"])
+def test_a_cut_off_line_never_swallows_the_next(tmp_path, tail):
+    path = tmp_path / "attempts.jsonl"
+    path.write_bytes(b"one\n" + tail.encode()[:-1] + b"x")
+    append_line(path, "two")
+    assert path.read_bytes().split(b"\n")[-2:] == [b"two", b""]
+    assert path.read_bytes().startswith(b"one\n")
+
+
+def test_a_line_that_does_not_fit_leaves_nothing_of_it(tmp_path, monkeypatch):
+    path = tmp_path / "attempts.jsonl"
+    append_line(path, "one")
+    real = os.write
+    monkeypatch.setattr(files.os, "write", lambda descriptor, data: real(descriptor, data[: len(data) // 2]))
+    with pytest.raises(OSError, match="disk may be full"):
+        append_line(path, "a line longer than what is left")
+    assert path.read_bytes() == b"one\n"
+
+
+def test_a_directory_appears_with_all_its_files(tmp_path):
+    publish_directory(tmp_path / "ep_000000", EPISODE, tmp_path / ".staging")
+    assert tree(tmp_path / "ep_000000") == EPISODE
+    assert list((tmp_path / ".staging").iterdir()) == []
+
+
+@pytest.mark.parametrize("error", [InjectedError(errno.ENOSPC, "No space left"), KeyboardInterrupt()])
+def test_nothing_of_a_directory_appears_whatever_step_fails(tmp_path, monkeypatch, failing, error):
+    def publish(number: int) -> None:
+        publish_directory(tmp_path / f"ep_{number:06d}", EPISODE, tmp_path / ".staging")
+
+    publish(0)
+    steps = steps_of(monkeypatch, failing, lambda: publish(1))
+    assert steps >= 3 * len(EPISODE)
+    for n in range(1, steps + 1):
+        failing(n, error)
+        with pytest.raises(type(error)):
+            publish(2)
+        monkeypatch.undo()
+        assert {path.name for path in tmp_path.iterdir()} == {"ep_000000", "ep_000001", ".staging"}
+        assert list((tmp_path / ".staging").iterdir()) == [], f"step {n} of {steps} left its tree behind"
+    publish(2)
+    assert tree(tmp_path / "ep_000002") == EPISODE
+
+
+def test_everything_is_flushed_before_the_directory_gets_its_name(tmp_path, failing):
+    calls = failing(0, InjectedError())
+    publish_directory(tmp_path / "ep", EPISODE, tmp_path / ".staging")
+    before, after = calls[: calls.index("rename")], calls[calls.index("rename") :]
+    staged_directories = 1 + len({"rgb", "rgb/cam", "lowdim"})
+    assert before.count("fsync") == len(EPISODE) + staged_directories
+    assert after.count("fsync") == 1
+
+
+@pytest.mark.parametrize("content", [{}, {"kept": b"x"}])
+def test_an_existing_directory_is_never_replaced(tmp_path, content):
+    final = tmp_path / "ep"
+    final.mkdir()
+    for name, data in content.items():
+        (final / name).write_bytes(data)
+    with pytest.raises(FileExistsError):
+        publish_directory(final, EPISODE, tmp_path / ".staging")
+    assert tree(final) == content
+    assert list((tmp_path / ".staging").iterdir()) == []
+
+
+def test_what_is_in_the_way_is_moved_to_the_first_free_name(tmp_path):
+    path = tmp_path / "dataset"
+    for k in (1, 2):
+        path.mkdir()
+        (path / "f").write_text(str(k))
+        assert move_aside(path) == tmp_path / f"dataset.old-{k}"
+    assert tree(tmp_path) == {"dataset.old-1/f": b"1", "dataset.old-2/f": b"2"}
+
+
+def test_a_lock_keeps_another_process_out_until_it_is_let_go(tmp_path):
+    lock, log = tmp_path / "lock", tmp_path / "log"
+    script = f"""
+from pathlib import Path
+from yamsim_cli.core.files import append_line, exclusive_lock
+print("started", flush=True)
+with exclusive_lock(Path({str(lock)!r})):
+    append_line(Path({str(log)!r}), "other")
+"""
+    with exclusive_lock(lock):
+        other = subprocess.Popen(
+            [sys.executable, "-c", script],
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+        try:
+            assert other.stdout.readline() == b"started\n"
+            with pytest.raises(subprocess.TimeoutExpired):
+                other.wait(0.3)
+            append_line(log, "mine")
+        except BaseException:
+            other.kill()
+            raise
+    assert other.wait(30) == 0
+    other.stdout.close()
+    assert log.read_text() == "mine\nother\n"
+
+
+def test_a_lock_is_let_go_when_its_block_fails(tmp_path):
+    with pytest.raises(RuntimeError), exclusive_lock(tmp_path / "lock"):
+        raise RuntimeError
+    with exclusive_lock(tmp_path / "lock"):
+        pass

@@ -1,0 +1,115 @@
+"""Golden pictures, each with negative twins: pictures with a known mistake, which have to fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+
+from tests.golden.shots import RIGS, VIEWS, centre_faults, faults, save_failure, take
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.jobs.views import set_stage
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.vision.renderer import SceneRenderer
+
+pytestmark = pytest.mark.render
+
+
+def _rig(name: str, locations: Locations) -> RigConfig:
+    return load_config(RigConfig, "rigs", name, locations)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("name", RIGS)
+def test_picture_is_the_golden_one(name: str, view: str, locations: Locations) -> None:
+    shot = take(_rig(name, locations), view, locations)
+    if found := faults(shot, name, view):
+        pytest.fail(f"{'; '.join(found)}; see {save_failure(shot, name, view)}")
+
+
+def _boards_upright(model: mujoco.MjModel) -> None:
+    """The best-known mistake: the pose inside the mocap body is forgotten, and the board stands on its edge."""
+    for name in ("base_board", "arm2_base_board"):
+        if (geom := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)) >= 0:
+            model.geom_quat[geom] = np.array([1.0, 1.0, 0.0, 0.0]) / np.sqrt(2)
+            model.geom_sameframe[geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+
+
+def _margin_2_cm_off(rig: RigConfig) -> RigConfig:
+    return rig.model_copy(update={"margin": rig.margin + 0.02})
+
+
+def _prefixes_swapped(rig: RigConfig) -> RigConfig:
+    one, two = rig.arms
+    swapped = (one.model_copy(update={"prefix": two.prefix}), two.model_copy(update={"prefix": one.prefix}))
+    return rig.model_copy(update={"arms": swapped})
+
+
+def _board_not_mirrored(rig: RigConfig) -> RigConfig:
+    one, two = rig.arms
+    assert one.board is not None
+    assert two.board is not None
+    board = two.board.model_copy(update={"position_mm": one.board.position_mm})
+    mount = one.mount
+    return rig.model_copy(update={"arms": (one, two.model_copy(update={"board": board, "mount": mount}))})
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("name", RIGS)
+def test_an_upright_board_fails(name: str, view: str, locations: Locations) -> None:
+    assert faults(take(_rig(name, locations), view, locations, _boards_upright), name, view)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize(
+    ("name", "mistake"),
+    [
+        ("bimanual", _margin_2_cm_off),
+        ("russet", _margin_2_cm_off),
+        ("bimanual", _prefixes_swapped),
+        ("russet", _prefixes_swapped),
+        ("russet", _board_not_mirrored),
+    ],
+)
+def test_a_wrong_rig_fails(
+    name: str, mistake: Callable[[RigConfig], RigConfig], view: str, locations: Locations
+) -> None:
+    assert faults(take(mistake(_rig(name, locations)), view, locations), name, view)
+
+
+def test_a_margin_2_cm_off_is_seen_in_the_centres_alone(locations: Locations) -> None:
+    """The first question suffices: it needs no golden picture, only the figures."""
+    shot = take(_margin_2_cm_off(_rig("russet", locations)), "near_top", locations)
+    assert any("base_board is seen" in fault for fault in centre_faults(shot, "russet", "near_top"))
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_every_marker_is_found_from_above(name: str, locations: Locations) -> None:
+    from yamsim_cli.core.config.record import RenderConfig
+    from yamsim_cli.core.config.scene import SceneConfig
+
+    rig, size = _rig(name, locations), (1280, 960)
+    scene = load_config(SceneConfig, "scenes", "studio", locations)
+    quality = load_config(RenderConfig, "quality", "fast", locations)
+    stage = set_stage(rig, scene, quality, size, locations, {})
+    with SceneRenderer(stage.model, size) as renderer:
+        grey = cv2.cvtColor(renderer.draw(stage.data, "near_top"), cv2.COLOR_RGB2GRAY)
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_6X6_250)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(grey)
+    expected = list(range(217, 226 if name == "single" else 235))
+    assert sorted(ids.ravel().tolist()) == expected
+
+    # And each marker's corners are where the rig says: a board turned or mirrored in its place would show here.
+    camera = stage.cameras["near_top"]
+    for arm in range(len(rig.arms)):
+        board = rig.arms[arm].board
+        assert board is not None
+        T = rig.T_base_in_world(arm) @ board.T_board_in_arm
+        for number, marker in zip(board.board.ids, board.board.corners(), strict=True):
+            seen = corners[ids.ravel().tolist().index(number)][0]
+            wanted = np.array([camera.pixel((T @ [*corner, 1])[:3]) for corner in marker])
+            np.testing.assert_allclose(seen, wanted, atol=1.5)

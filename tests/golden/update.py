@@ -1,0 +1,16 @@
+"""`make golden-update`: make today's pictures the golden ones. Look at every one of them before committing."""
+
+from __future__ import annotations
+
+import os
+
+from yamsim_cli.core.gl import choose_backend
+from yamsim_cli.core.resources import Locations
+
+if __name__ == "__main__":
+    os.environ["MUJOCO_GL"] = choose_backend(os.environ) or ""
+
+    from tests.golden.shots import update
+
+    for path in update(Locations.find(os.environ)):
+        print(path)

@@ -1,0 +1,47 @@
+"""`yamsim render-views`: pictures of a rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .console import print_json, print_line
+from .session import Json, Margin, RigName, locations, parse_size, resolve_meshes, rig_config, use_gl
+
+
+def render_views(
+    rig: RigName = "single",
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("views"),
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size of each view in pixels.")] = "960x720",
+    quality: Annotated[str, typer.Option(help="fast, balanced, high, or a YAML file.")] = "balanced",
+    margin: Margin = None,
+    json: Json = False,
+) -> None:
+    """Render a rig from the front, from nearly above and from close by, and a montage of the three.
+
+    Example: yamsim render-views --rig russet
+    """
+    where = locations()
+    settings = rig_config(rig, where, margin)
+    pixels = parse_size(size)
+
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.record import RenderConfig
+    from yamsim_cli.core.config.scene import SceneConfig
+
+    scene = load_config(SceneConfig, "scenes", "studio", where)
+    spending = load_config(RenderConfig, "quality", quality, where)
+    use_gl()
+
+    from yamsim_cli.core.jobs.views import render_views as run
+    from yamsim_cli.core.jobs.views import set_stage, write_views
+    from yamsim_cli.core.scene.compose import mesh_sets
+
+    stage = set_stage(settings, scene, spending, pixels, where, resolve_meshes(mesh_sets(settings), where))
+    files = write_views(run(settings, stage, pixels), out)
+    if json:
+        print_json({"files": [str(file) for file in files]})
+    else:
+        print_line(f"{files[-1]}, and each view beside it")

@@ -1,0 +1,119 @@
+"""A board as pixels: for a texture, a test, or a printed page."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ConfigError, suggest
+from ..geometry.board import Board
+
+Image = NDArray[np.uint8]
+
+WHITE = 255
+
+
+def marker_cells(board: Board) -> Image:
+    """The cells (n, k, k) of a board's markers, 0 black and 255 white, in the order of its ids.
+
+    A marker is `k` cells wide: the dictionary's bits and a black border of one cell around them.
+
+    Raises:
+        ConfigError: OpenCV has no such dictionary, or the dictionary has no such ids.
+    """
+    dictionary = cv2.aruco.getPredefinedDictionary(_dictionary_number(board))
+    known = len(dictionary.bytesList)
+    if board.ids[-1] >= known:
+        raise ConfigError(
+            f"board {board.name!r} has the marker ids {board.ids[0]}..{board.ids[-1]}, but {board.dictionary} ends at "
+            f"{known - 1}; choose a first_id up to {known - len(board.ids)}, or a larger dictionary"
+            if len(board.ids) <= known
+            else f"board {board.name!r} has {len(board.ids)} markers, but {board.dictionary} only {known}; "
+            "choose a larger dictionary"
+        )
+    cells = dictionary.markerSize + 2
+    markers = [dictionary.generateImageMarker(number, cells, borderBits=1) for number in board.ids]
+    return np.asarray(markers, dtype=np.uint8)
+
+
+def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
+    """A board on white, as a grey image (height, width) whose scale is `cell_px` pixels a marker cell, exactly.
+
+    Markers are whole pixels. Where a gap is not, each marker stands within half a pixel of its place: no error adds up.
+
+    Args:
+        board: what to draw.
+        cell_px: edge of a marker's cell in pixels.
+        quiet_cells: width of the white border in cells. Detectors want one cell at least; a light surface around does
+            as well.
+
+    Raises:
+        ConfigError: as `marker_cells`.
+    """
+    markers = marker_cells(board)
+    marker_px = markers.shape[1] * cell_px
+    px_per_metre = marker_px / board.marker_length
+    border = quiet_cells * cell_px
+    shape = round(board.height * px_per_metre) + 2 * border, round(board.width * px_per_metre) + 2 * border
+    image = np.full(shape, WHITE, dtype=np.uint8)
+    step = (board.marker_length + board.gap) * px_per_metre
+    for k, marker in enumerate(markers):
+        row, column = divmod(k, board.columns)
+        top, left = border + round(row * step), border + round(column * step)
+        image[top : top + marker_px, left : left + marker_px] = marker.repeat(cell_px, 0).repeat(cell_px, 1)
+    return image
+
+
+def board_texture(board: Board, cell_px: int = 20) -> Image:
+    """A board without a border, as a grey image (height, width): what covers the rectangle `board.width` x `height`.
+
+    Its first row is the board's upper edge (+y), its first column the left one (-x). The default is 512 x 512 pixels
+    for three 6x6 markers a side with gaps of a tenth.
+
+    Raises:
+        ConfigError: as `marker_cells`.
+    """
+    return board_image(board, cell_px, quiet_cells=0)
+
+
+def encode_png(image: Image, px_per_metre: float | None = None) -> bytes:
+    """Encode a grey image (height, width), or one of RGB (height, width, 3), as PNG.
+
+    Args:
+        image: what to encode.
+        px_per_metre: how large it prints. PNG holds a whole number, so at 600 dpi a print is 0.003 % off at most.
+
+    Raises:
+        ValueError: the encoder refused the image.
+    """
+    data = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    done, encoded = cv2.imencode(".png", data)
+    if not done:
+        raise ValueError(f"an image of shape {image.shape} could not be encoded as PNG")
+    png = encoded.tobytes()
+    return png if px_per_metre is None else _with_scale(png, round(px_per_metre))
+
+
+# A PNG begins with its signature (8 bytes) and the chunk IHDR (length 4, name 4, data 13, checksum 4).
+_AFTER_HEADER = 8 + 25
+_UNIT_METRE = 1
+
+
+def _with_scale(png: bytes, px_per_metre: int) -> bytes:
+    """Add the chunk `pHYs`, which OpenCV does not write, to a PNG. Source: PNG specification, 11.3.4.3."""
+    body = b"pHYs" + struct.pack(">IIB", px_per_metre, px_per_metre, _UNIT_METRE)
+    chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    return png[:_AFTER_HEADER] + chunk + png[_AFTER_HEADER:]
+
+
+def _dictionary_number(board: Board) -> int:
+    names = {name: value for name, value in vars(cv2.aruco).items() if name.startswith("DICT_")}
+    if board.dictionary not in names:
+        raise ConfigError(
+            f"board {board.name!r}: unknown dictionary {board.dictionary!r}; {suggest(board.dictionary, names)}"
+        )
+    return int(names[board.dictionary])

@@ -1,0 +1,32 @@
+"""A composed scene as files that any MuJoCo program reads: `scene.xml` and all it names, by relative paths."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+import mujoco
+
+SCENE_FILE = "scene.xml"
+
+# The earliest date a zip file can hold: the same scene always gives the same bytes.
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def scene_files(spec: mujoco.MjSpec) -> dict[str, bytes]:
+    """Relative path -> content of a compiled spec's files; the same spec always gives the same bytes."""
+    named = {mesh.file for mesh in spec.meshes} | {texture.file for texture in spec.textures}
+    files = {name: data for name, data in sorted(spec.assets.items()) if name in named}
+    return {SCENE_FILE: spec.to_xml().encode(), **files}
+
+
+def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
+    """A zip file of `files` inside `folder`; the same files always give the same bytes."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in files.items():
+            entry = zipfile.ZipInfo(f"{folder}/{name}", _ZIP_DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data)
+    return stream.getvalue()
