@@ -1,7 +1,7 @@
 #!/bin/sh
 # Make sure that MuJoCo can render without a display.
 #
-#   tools/ensure_gl.sh [PYTHON]        PYTHON has mujoco installed; default .venv/bin/python
+#   tools/ensure_gl.sh [PYTHON]        PYTHON has yamsim installed; default .venv/bin/python
 #
 # Renders one small picture with each backend in turn, with $MUJOCO_GL alone where that is set. Only if none works,
 # Mesa's software renderer is installed, where that takes no question.
@@ -18,33 +18,24 @@ if [ "$(uname)" = Darwin ]; then
     echo "OpenGL: macOS brings its own"
     exit 0
 fi
-"$python" -c 'import importlib.util, sys; sys.exit(importlib.util.find_spec("mujoco") is None)' ||
-    fail "$python has no mujoco: run 'make setup' first."
+"$python" -c 'import importlib.util, sys; sys.exit(importlib.util.find_spec("yamsim_cli") is None)' ||
+    fail "$python has no yamsim: run 'make setup' first."
 
 report=$(mktemp)
 trap 'rm -f "$report"' EXIT
 
-# renders BACKEND: whether it draws a lit sphere; what went wrong is added to $report. A driver can hang in C code,
-# where only a signal's default action ends the process.
+# renders BACKEND: whether it draws; what went wrong is added to $report. The same trial that yamsim makes before it draws.
 renders() {
-    MUJOCO_GL=$1 PYOPENGL_PLATFORM=$1 "$python" - >>"$report" 2>&1 <<'END'
-import signal
+    MUJOCO_GL=$1 "$python" - >>"$report" 2>&1 <<'END'
+import os
 
-signal.alarm(60)
+from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.gl import choose_backend
 
-import mujoco
-
-model = mujoco.MjModel.from_xml_string(
-    "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"
-)
-data = mujoco.MjData(model)
-mujoco.mj_forward(model, data)
-renderer = mujoco.Renderer(model, 32, 32)
-renderer.update_scene(data)
-drawn = renderer.render().any()
-renderer.close()
-if not drawn:
-    raise SystemExit("the picture is black")
+try:
+    choose_backend(os.environ)
+except ResourceError as error:
+    raise SystemExit(str(error)) from None
 END
 }
 

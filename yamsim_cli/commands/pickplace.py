@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from .console import note, print_json, print_table, progress_bar
-from .session import ConfigOption, Json, Rig, Seed, Task, Workers, locations, record_config, skip_gl
+from .session import ConfigOption, Json, Rig, Seed, Task, Workers, job_flags, locations, record_config, skip_gl
 
 app = typer.Typer(help="Run pick-and-place trials.", no_args_is_help=True)
 
@@ -41,19 +41,10 @@ def batch(
     Example: yamsim pickplace batch --n 200 --seed 2 --json
     """
     where = locations()
-    settings = record_config(
-        config,
-        where,
-        {
-            "--rig": (("rig",), rig),
-            "--task": (("task",), task),
-            "--n": (("episodes",), n),
-            "--workers": (("workers",), workers),
-            "--seed": (("seed",), seed),
-            "--grasp": (("grasp",), grasp),
-            "--threshold": (("task", "success", "threshold"), threshold),
-        },
-    )
+    flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
+        "--threshold": (("task", "success", "threshold"), threshold)
+    }
+    settings = record_config(config, where, flags)
     skip_gl()
 
     from yamsim_cli.core.jobs.batch import run_batch, write_report

@@ -17,6 +17,7 @@ from .session import (
     Seed,
     Task,
     Workers,
+    job_flags,
     locations,
     parse_size,
     record_config,
@@ -48,21 +49,12 @@ def record(
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other; give one")
     where = locations()
-    settings = record_config(
-        config,
-        where,
-        {
-            "--rig": (("rig",), rig),
-            "--task": (("task",), task),
-            "--n": (("episodes",), n),
-            "--workers": (("workers",), workers),
-            "--seed": (("seed",), seed),
-            "--grasp": (("grasp",), grasp),
-            "--wrist": (("wrist",), wrist),
-            "--size": (("image", "size_px"), parse_size(size) if size else None),
-            "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
-        },
-    )
+    flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
+        "--wrist": (("wrist",), wrist),
+        "--size": (("image", "size_px"), parse_size(size) if size else None),
+        "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
+    }
+    settings = record_config(config, where, flags)
     use_gl()
 
     from yamsim_cli.core.dataset.writer import OpenMode

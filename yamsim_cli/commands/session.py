@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -38,7 +38,24 @@ def locations() -> Locations:
     return Locations.find(os.environ)
 
 
-def record_config(name: str, where: Locations, flags: Mapping[str, tuple[tuple[str, ...], Any]]) -> RecordConfig:
+Flags = dict[str, tuple[tuple[str, ...], Any]]
+
+
+def job_flags(
+    *, rig: str | None, task: str | None, n: int | None, workers: int | None, seed: int | None, grasp: str | None
+) -> Flags:
+    """The flags that `record` and `pickplace batch` share, each with the config key it overrides."""
+    return {
+        "--rig": (("rig",), rig),
+        "--task": (("task",), task),
+        "--n": (("episodes",), n),
+        "--workers": (("workers",), workers),
+        "--seed": (("seed",), seed),
+        "--grasp": (("grasp",), grasp),
+    }
+
+
+def record_config(name: str, where: Locations, flags: Flags) -> RecordConfig:
     """The named record config with the flags that were given (not None) put over it: flag -> (key path, value)."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.record import RecordConfig
