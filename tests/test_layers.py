@@ -27,6 +27,7 @@ FLOORS: dict[str, int] = {
     "core.sim": 5,
     "core.vision": 5,
     "core.planning": 5,
+    "core.viewers": 5,
     "core.jobs": 6,
     "commands": 7,
     "main": 8,
@@ -36,10 +37,11 @@ FLOORS: dict[str, int] = {
 CONFINED = {
     "mink": {"core.planning.ik"},
     "cv2": {"core.boards", "core.vision"},
-    "mujoco": {"core.scene", "core.sim", "core.vision", "core.planning", "core.jobs"},
+    "mujoco": {"core.scene", "core.sim", "core.vision", "core.planning", "core.viewers", "core.jobs"},
     "typer": {"commands", "main"},
     "rich": {"commands"},
     "reportlab": {"core.boards"},
+    "viser": {"core.viewers"},
 }
 
 

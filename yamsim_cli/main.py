@@ -17,6 +17,7 @@ from .commands.compose_xml import compose_xml
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.summarize import summarize
+from .commands.view import view
 from .core.errors import YamsimError
 
 app = typer.Typer(
@@ -31,6 +32,7 @@ app.command()(summarize)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(boards)
+app.command()(view)
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(assets.app, name="assets")

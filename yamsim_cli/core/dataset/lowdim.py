@@ -183,4 +183,7 @@ def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iter
     for key, kind in (("timestamp", float), ("magnet", bool), ("language_task", str), ("language_prompt", str)):
         if not isinstance(frame.get(key), kind):
             faults.append(f"{key} is {type(frame.get(key)).__name__}, not {kind.__name__}")
+    timestamp = frame.get("timestamp")
+    if isinstance(timestamp, float) and not np.isfinite(timestamp):
+        faults.append("timestamp is not finite")
     return faults

@@ -1,0 +1,222 @@
+"""A live rig, its page, and `yamsim view` as a user runs it: started, watched, ended by a signal."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.run_cli import yamsim
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.jobs.view import PERIOD, live_rig
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.viewers.live import LiveRig
+from yamsim_cli.core.viewers.viewpoint import FOV_DEG, frame_rig
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def live(locations: Locations) -> LiveRig:
+    rig = load_config(RigConfig, "rigs", "russet", locations)
+    scene = load_config(SceneConfig, "scenes", "studio", locations)
+    return live_rig(rig, scene, Contents(), locations, {"i2rt_yam_crank": None})
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def complaints(err: str) -> list[str]:
+    """The lines of stderr, without the remark that a machine without meshes gets."""
+    return [line for line in err.splitlines() if not line.startswith("The meshes of")]
+
+
+def run(live: LiveRig, seconds: float, began: float = 0.0) -> None:
+    """Advance by pictures, on a clock of the test's own."""
+    for k in range(round(seconds / PERIOD) + 1):
+        live.advance(began + k * PERIOD)
+
+
+def listeners(port: int) -> list[str]:
+    """Local addresses, as the kernel writes them in hex, that listen on a port."""
+    found = []
+    for table in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")):
+        for line in table.read_text().splitlines()[1:] if table.exists() else []:
+            _, local, _, state, *_ = line.split()
+            address, _, number = local.partition(":")
+            if state == "0A" and int(number, 16) == port:
+                found.append(address)
+    return found
+
+
+@contextmanager
+def viewing(*args: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`yamsim view --web --json ARGS` in a process of its own, from when it says its URL."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "yamsim_cli.main", "view", "--web", "--json", *args],
+        cwd=REPOSITORY,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        said = ""
+        while not said.endswith("}\n"):
+            line = process.stdout.readline()
+            assert line, process.stderr and process.stderr.read()
+            said += line
+        yield process, json.loads(said)["url"]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_physics_keeps_up_with_the_clock(live: LiveRig) -> None:
+    run(live, 2.0)
+    assert live.time == pytest.approx(2.0, abs=0.003)
+
+
+def test_a_stall_is_not_made_up_for(live: LiveRig) -> None:
+    live.advance(0.0)
+    live.advance(3600.0)
+    assert live.time == pytest.approx(0.1, abs=0.003)
+
+
+def test_a_paused_rig_stands_still_and_goes_on_where_it_was(live: LiveRig) -> None:
+    live.paused = True
+    run(live, 1.0)
+    assert live.time == 0
+    live.paused = False
+    live.advance(1.0 + PERIOD)
+    assert live.time == pytest.approx(PERIOD, abs=0.003)
+
+
+def test_a_drive_moves_its_joint_and_no_other_arm(live: LiveRig) -> None:
+    drive = next(drive for drive in live.drives if (drive.arm, drive.name) == ("arm2", "joint1"))
+    live.command(drive, 0.5)
+    run(live, 3.0)
+    assert live.data.joint("arm2_joint1").qpos[0] == pytest.approx(0.5, abs=0.05)
+    assert live.data.joint("joint1").qpos[0] == pytest.approx(0.0, abs=0.01)
+    live.reset()
+    assert np.array_equal(live.data.qpos, live.model.key_qpos[0])
+    assert np.array_equal(live.data.ctrl, live.model.key_ctrl[0])
+
+
+def test_a_drive_stays_in_its_range(live: LiveRig) -> None:
+    drive = live.drives[0]
+    live.command(drive, 99.0)
+    assert live.data.ctrl[drive.actuator] == drive.high
+
+
+@pytest.mark.parametrize("name", ["single", "bimanual", "russet"])
+def test_the_first_view_holds_every_arm_and_board(name: str, locations: Locations) -> None:
+    rig = load_config(RigConfig, "rigs", name, locations)
+    view = frame_rig(rig)
+    sight = (view.look_at - view.position) / view.distance
+    for k, arm in enumerate(rig.arms):
+        base = rig.T_base_in_world(k)
+        assert arm.board is not None
+        board = (base @ arm.board.T_board_in_arm)[:3, 3]
+        for point in (base[:3, 3], board, base[:3, 3] + (0.3, 0.0, 0.3)):
+            ray = (point - view.position) / np.linalg.norm(point - view.position)
+            assert np.degrees(np.arccos(ray @ sight)) < FOV_DEG / 2
+
+
+def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(live: LiveRig, free_port: int) -> None:
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
+    page = page_module.Page(live, frame_rig(live.rig), free_port)
+    try:
+        assert page.url == f"http://127.0.0.1:{free_port}"
+        with urllib.request.urlopen(page.url, timeout=10) as answer:
+            assert answer.status == 200
+            assert b"<html" in answer.read().lower()
+        if Path("/proc/net/tcp").exists():
+            assert listeners(free_port) == ["0100007F"]
+        assert set(page.sliders) == {(drive.arm, drive.name) for drive in live.drives}
+        page.sliders["arm1", "joint1"].value = 0.4
+        run(live, 3.0)
+        page.update()
+        assert live.data.joint("joint1").qpos[0] == pytest.approx(0.4, abs=0.05)
+        with pytest.raises(UsageError, match=rf"--port {free_port} cannot be used .*: give another, or 0"):
+            page_module.Page(live, frame_rig(live.rig), free_port)
+    finally:
+        page.close()
+    assert listeners(free_port) == []
+
+
+def test_boards_are_shown_where_the_rig_has_them(live: LiveRig) -> None:
+    positions, _ = live.body_poses()
+    for k, arm in enumerate(live.rig.arms):
+        body = live.model.body(f"{arm.prefix}base_board").id
+        assert np.allclose(positions[body], live.rig.T_base_in_world(k)[:3, 3])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_page_cleanly_and_its_port_is_free_again(number: signal.Signals) -> None:
+    pytest.importorskip("viser", reason="yamsim[view] is not installed")
+    with viewing("--port", "0") as (process, url):
+        port = url.rpartition(":")[2]
+        # A peer that is still connected, and one that never says a word, are both in the way of a clean end.
+        with urllib.request.urlopen(url, timeout=10), socket.create_connection(("127.0.0.1", int(port))):
+            asked = time.monotonic()
+            process.send_signal(number)
+            out, err = process.communicate(timeout=20)
+        assert time.monotonic() - asked < 8
+        assert (process.returncode, out, complaints(err)) == (0, "", [])
+    assert listeners(int(port)) == []
+    with viewing("--port", port) as (_, again):
+        assert again == url
+
+
+def test_faults_are_one_line() -> None:
+    without_display = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    native = yamsim("view", "--native", env=without_display)
+    assert (native.code, native.message.endswith("use --web")) == (4, True)
+    both = yamsim("view", "--native", "--port", "8000")
+    assert (both.code, both.message.startswith("--port 8000")) == (2, True)
+    margin = yamsim("view", "--web", "--rig", "russet", "--margin", "-1")
+    assert (margin.code, margin.message.startswith("--margin: ")) == (2, True)
+    unreachable = yamsim("view", "--native", env={"DISPLAY": ":987", "WAYLAND_DISPLAY": ""})
+    (message,) = complaints(unreachable.err)
+    assert (unreachable.code, message.endswith("use --web")) == (4, True)
+
+
+def test_a_taken_port_says_what_to_do(free_port: int) -> None:
+    pytest.importorskip("viser", reason="yamsim[view] is not installed")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", free_port))
+        taken.listen()
+        busy = yamsim("view", "--web", "--port", str(free_port))
+    assert busy.code == 2
+    (message,) = complaints(busy.err)
+    assert f"--port {free_port} cannot be used" in message
+
+
+def test_a_missing_library_is_named_with_its_extra(tmp_path: Path) -> None:
+    (tmp_path / "viser.py").write_text("raise ModuleNotFoundError(\"No module named 'viser'\", name='viser')")
+    missing = yamsim("view", "--web", env={"PYTHONPATH": os.pathsep.join([str(tmp_path), str(REPOSITORY)])})
+    assert missing.code == 4
+    (message,) = complaints(missing.err)
+    assert message.endswith("pip install 'yamsim[view]'")

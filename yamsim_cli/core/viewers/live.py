@@ -1,0 +1,98 @@
+"""A composed rig whose physics keeps up with the clock while somebody watches it and moves its joints."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import mujoco
+
+from ..config.rig import RigConfig
+from ..geometry.se3 import Array
+from ..scene.robot import ACTUATORS, JOINTS
+
+# Longest stretch of time that is made up for in one go, s. After a stall, such as a machine that slept, physics goes on
+# from where it was instead of racing through what it missed.
+_LONGEST_CATCH_UP = 0.1
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One position drive that a person can set.
+
+    Attributes:
+        arm, name: whose it is, and its name without the arm's prefix.
+        actuator: its index in `ctrl`.
+        low, high, home: its range and its place in keyframe `home`, in `unit`.
+        unit: `rad`, or `m` for the gripper's opening of one finger.
+    """
+
+    arm: str
+    name: str
+    actuator: int
+    low: float
+    high: float
+    home: float
+    unit: str
+
+
+class LiveRig:
+    """Owns a rig's state. Its methods may be called from any thread.
+
+    Args:
+        model: a compiled rig whose first keyframe is `home`.
+    """
+
+    def __init__(self, rig: RigConfig, model: mujoco.MjModel) -> None:
+        self.rig = rig
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.drives = tuple(_drive(model, arm.name, arm.prefix, name) for arm in rig.arms for name in ACTUATORS)
+        # A viewer's controls live in threads of their own.
+        self.lock = threading.RLock()
+        self.paused = False
+        self._owed = 0.0
+        self._last: float | None = None
+        self.reset()
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the last reset, s."""
+        return float(self.data.time)
+
+    def reset(self) -> None:
+        """Back to keyframe `home`, at rest, every drive holding its place."""
+        with self.lock:
+            mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+            mujoco.mj_forward(self.model, self.data)
+
+    def command(self, drive: Drive, value: float) -> None:
+        """Tell a drive where to go, in its unit; what is beyond its range counts as the end of it."""
+        with self.lock:
+            self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
+
+    def advance(self, now: float) -> None:
+        """Step physics up to `now`, s on a steady clock; while paused, time passes without a step."""
+        with self.lock:
+            elapsed = 0.0 if self._last is None else now - self._last
+            self._last = now
+            if self.paused:
+                return
+            timestep = self.model.opt.timestep
+            self._owed = min(self._owed + elapsed, _LONGEST_CATCH_UP)
+            steps = int(self._owed / timestep)
+            if steps:
+                mujoco.mj_step(self.model, self.data, nstep=steps)
+                self._owed -= steps * timestep
+
+    def body_poses(self) -> tuple[Array, Array]:
+        """Every body's position (nbody, 3), m, and orientation (nbody, 4), wxyz, in `world`; mocap bodies included."""
+        with self.lock:
+            return self.data.xpos.copy(), self.data.xquat.copy()
+
+
+def _drive(model: mujoco.MjModel, arm: str, prefix: str, name: str) -> Drive:
+    actuator = model.actuator(prefix + name).id
+    low, high = (float(end) for end in model.actuator_ctrlrange[actuator])
+    home = float(model.key_ctrl[0, actuator])
+    return Drive(arm, name, actuator, low, high, home, "rad" if name in JOINTS else "m")

@@ -1,0 +1,146 @@
+"""A compiled scene as nodes of a viser page: one frame a body, the body's visible geoms fixed in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import viser
+
+from ..geometry.se3 import Array
+
+# As in MuJoCo's own viewer: groups 0 to 2 are shown, collision primitives behind meshes lie in 3.
+_SEEN_GROUPS = 3
+
+# MuJoCo's default colour of a geom; any other one that a geom has goes before its material's.
+_NO_RGBA = (0.5, 0.5, 0.5, 1.0)
+
+# A viser image lies in its xy plane with y down the picture; in a MuJoCo plane, y points up it.
+_IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)
+
+Mjt = mujoco.mjtGeom
+
+
+def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> dict[int, viser.FrameHandle]:
+    """Put every visible geom into the page.
+
+    Returns:
+        Body -> its frame in `world`, for bodies that have something to show. Frames start at the origin.
+    """
+    frames: dict[int, viser.FrameHandle] = {}
+    for geom in range(model.ngeom):
+        if model.geom_group[geom] >= _SEEN_GROUPS:
+            continue
+        body = int(model.geom_bodyid[geom])
+        path = f"/{model.body(body).name}"
+        if body not in frames:
+            frames[body] = scene.add_frame(path, show_axes=False)
+        _ADDERS[Mjt(model.geom_type[geom])](scene, model, geom, f"{path}/{model.geom(geom).name or geom}")
+    return frames
+
+
+def _placed(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+    return {"position": model.geom_pos[geom], "wxyz": model.geom_quat[geom]}
+
+
+def _colour(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:
+    rgba, material = model.geom_rgba[geom], model.geom_matid[geom]
+    if material >= 0 and np.allclose(rgba, _NO_RGBA):
+        rgba = model.mat_rgba[material]
+    return _rgb(rgba)
+
+
+def _rgb(colour: Array) -> tuple[int, int, int]:
+    """A colour of 0 to 1 as the 0 to 255 that viser takes."""
+    red, green, blue = (round(255 * float(part)) for part in colour[:3])
+    return red, green, blue
+
+
+def _add_mesh(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+    mesh = model.geom_dataid[geom]
+    vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
+    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    scene.add_mesh_simple(
+        name,
+        model.mesh_vert[vertices],
+        model.mesh_face[faces],
+        color=_colour(model, geom),
+        # Machined parts: shared vertices would round every edge off.
+        flat_shading=True,
+        **_placed(model, geom),
+    )
+
+
+def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+    """A printed board where the material's texture covers the plane once; a floor where it repeats."""
+    material = model.geom_matid[geom]
+    texture = model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB] if material >= 0 else -1
+    width, height = 2 * model.geom_size[geom, :2]
+    if texture >= 0 and not model.mat_texuniform[material]:
+        position, wxyz = model.geom_pos[geom], np.empty(4)
+        mujoco.mju_mulQuat(wxyz, model.geom_quat[geom], np.array(_IMAGE_IN_PLANE))
+        # PNG: a marker's edges must stay sharp.
+        scene.add_image(
+            name,
+            _texture(model, texture),
+            width,
+            height,
+            format="png",
+            cast_shadow=False,
+            position=position,
+            wxyz=wxyz,
+        )
+        return
+    image = _texture(model, texture) / 255 if texture >= 0 else np.array([[model.geom_rgba[geom, :3]]])
+    scene.add_grid(
+        name,
+        width,
+        height,
+        cell_size=0.1,
+        cell_color=_rgb(image.min(axis=(0, 1))),
+        section_color=_rgb(image.min(axis=(0, 1)) * 0.9),
+        plane_color=_rgb(image.mean(axis=(0, 1))),
+        plane_opacity=1.0,
+        **_placed(model, geom),
+    )
+
+
+def _texture(model: mujoco.MjModel, texture: int) -> Array:
+    """A texture's pixels (height, width, channels) uint8, first row on top."""
+    shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
+    start = model.tex_adr[texture]
+    pixels: Array = model.tex_data[start : start + np.prod(shape)].reshape(shape)
+    return pixels
+
+
+def _add_box(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+    size = tuple(2 * model.geom_size[geom])
+    scene.add_box(name, color=_colour(model, geom), dimensions=size, **_placed(model, geom))
+
+
+def _add_sphere(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+    scene.add_icosphere(name, model.geom_size[geom, 0], color=_colour(model, geom), **_placed(model, geom))
+
+
+def _add_cylinder(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+    radius, half = model.geom_size[geom, :2]
+    scene.add_cylinder(name, radius, 2 * half, color=_colour(model, geom), **_placed(model, geom))
+
+
+def _add_capsule(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+    radius, half = model.geom_size[geom, :2]
+    _add_cylinder(scene, model, geom, name)
+    for end, z in (("bottom", -half), ("top", half)):
+        scene.add_icosphere(f"{name}/{end}", radius, color=_colour(model, geom), position=(0.0, 0.0, z))
+
+
+_ADDERS: dict[mujoco.mjtGeom, Callable[[viser.SceneApi, mujoco.MjModel, int, str], None]] = {
+    Mjt.mjGEOM_PLANE: _add_plane,
+    Mjt.mjGEOM_SPHERE: _add_sphere,
+    Mjt.mjGEOM_CAPSULE: _add_capsule,
+    Mjt.mjGEOM_CYLINDER: _add_cylinder,
+    Mjt.mjGEOM_BOX: _add_box,
+    Mjt.mjGEOM_MESH: _add_mesh,
+}

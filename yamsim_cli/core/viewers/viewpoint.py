@@ -1,0 +1,51 @@
+"""Where a viewer's camera starts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config.rig import RigConfig
+from ..geometry.se3 import Array
+
+FOV_DEG = 45.0
+
+# What has to be in the picture around one base: the middle of an arm's workspace seen from it (m), and how far it
+# reaches from there (m). An arm at rest and its board fill it.
+_MIDDLE = (0.12, 0.0, 0.17)
+_REACH = 0.34
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A camera in orbit around a point, in MuJoCo's terms.
+
+    Attributes:
+        look_at: the point (3,) in `world`, m.
+        distance: from it, m.
+        azimuth_deg: heading of the line of sight about world z, from +x.
+        elevation_deg: of the line of sight over the horizon; below 0 looks down.
+    """
+
+    look_at: Array
+    distance: float
+    azimuth_deg: float
+    elevation_deg: float
+
+    @property
+    def position(self) -> Array:
+        """Where the camera is (3,) in `world`, m."""
+        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
+        sight = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
+        return self.look_at - self.distance * np.array(sight)
+
+
+def frame_rig(rig: RigConfig) -> Viewpoint:
+    """From the front, to one side and above, every arm and board of the rig in the picture."""
+    bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
+    middles = np.array([(T @ (*_MIDDLE, 1.0))[:3] for T in bases])
+    look_at: Array = middles.mean(axis=0)
+    radius = _REACH + float(np.linalg.norm(middles - look_at, axis=1).max())
+    return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), azimuth_deg=150.0, elevation_deg=-32.0)

@@ -1,0 +1,93 @@
+"""MuJoCo's own window on a live rig."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from ..errors import ResourceError
+from .live import LiveRig
+from .viewpoint import Viewpoint
+
+_KEY_SPACE = 32
+
+# A window that has been told to close draws one more picture at most.
+_CLOSE_SECONDS = 5.0
+
+
+def run_window(
+    live: LiveRig, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
+) -> None:
+    """Show the rig until the window is closed or `stopped` says so.
+
+    The window's Control sliders drive the joints; space pauses, and its reset, or backspace, goes home.
+
+    Args:
+        period: between two pictures, s.
+        ready: called once, when the window is open.
+
+    Raises:
+        ResourceError: no window can be opened here.
+    """
+    _check_display()
+    with _window(live) as viewer:
+        with viewer.lock():
+            viewer.cam.lookat[:] = viewpoint.look_at
+            viewer.cam.distance = viewpoint.distance
+            viewer.cam.azimuth, viewer.cam.elevation = viewpoint.azimuth_deg, viewpoint.elevation_deg
+        ready()
+        while viewer.is_running() and not stopped():
+            began = time.monotonic()
+            live.advance(began)
+            then = live.time
+            viewer.sync()
+            if live.time < then:
+                # The window's own reset puts every joint at zero, where the arms are folded into themselves.
+                live.reset()
+            time.sleep(max(0.0, began + period - time.monotonic()))
+
+
+@contextlib.contextmanager
+def _window(live: LiveRig) -> Iterator[Any]:
+    import mujoco.viewer
+
+    def press(key: int) -> None:
+        if key == _KEY_SPACE:
+            live.paused = not live.paused
+
+    others = set(threading.enumerate())
+    try:
+        viewer = mujoco.viewer.launch_passive(live.model, live.data, key_callback=press)
+    except RuntimeError as error:
+        raise ResourceError(f"MuJoCo's window cannot be opened ({error}): use --web") from error
+    try:
+        yield viewer
+    finally:
+        viewer.close()
+        # The thread that draws must be gone before the interpreter is, or it draws from memory that is no more.
+        for thread in set(threading.enumerate()) - others:
+            thread.join(_CLOSE_SECONDS)
+
+
+def _check_display() -> None:
+    """Open a window nobody sees: where that fails, MuJoCo's viewer would wait for its own for ever."""
+    try:
+        import glfw
+    except ImportError as error:
+        raise ResourceError(f"MuJoCo's window needs GLFW ({error}): use --web") from error
+
+    # It stays: by default, GLFW's remarks on what a desktop does not support would go to stderr.
+    reasons = ["GLFW gives no reason"]
+    glfw.set_error_callback(lambda _, text: reasons.append(os.fsdecode(text)))
+    window = None
+    if glfw.init():
+        glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+        window = glfw.create_window(16, 16, "", None, None)
+        glfw.default_window_hints()
+    if not window:
+        raise ResourceError(f"no window can be opened on this display ({reasons[-1]}): use --web")
+    glfw.destroy_window(window)
