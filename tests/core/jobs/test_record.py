@@ -137,9 +137,7 @@ def test_an_episode_that_cannot_be_made_again_is_named(recording: Recording) -> 
         recording.resume(Inline(lambda job: EpisodePayload(job, Outcome(False, Cause.DROPPED), {})))
 
 
-def test_a_damaged_episode_is_made_again_and_the_user_told(
-    recording: Recording, undisturbed: dict[str, bytes]
-) -> None:
+def test_a_damaged_episode_is_made_again_and_the_user_told(recording: Recording, undisturbed: dict[str, bytes]) -> None:
     recording.run()
     (recording.path / "ep_000001/lowdim/000000.pkl").write_bytes(b"")
     executor = Inline()
@@ -159,7 +157,9 @@ def test_a_wish_to_stop_lets_attempts_in_hand_finish_and_begins_no_other(
         return payload(job)
 
     executor = Inline(stopping)
-    with pytest.raises(InterruptedJobError, match=r"interrupted: 2 of 5 episodes are whole in .*, 3 are left; .*--resume"):
+    with pytest.raises(
+        InterruptedJobError, match=r"interrupted: 2 of 5 episodes are whole in .*, 3 are left; .*--resume"
+    ):
         recording.run(executor, workers=3)
     assert sorted(executor.made) == [0, 1, 2]
     assert (recording.path / "manifest.json").is_file()
