@@ -176,7 +176,7 @@ def test_a_runner_that_cannot_be_made_is_reported() -> None:
             pool.result()
     with WorkerPool[int, object](functools.partial(Toy, "refuse"), 2) as pool:
         pool.submit(1)
-        with pytest.raises(ResourceError, match="^no toys here$"):
+        with pytest.raises(ResourceError, match=r"^no toys here$"):
             pool.result()
 
 
