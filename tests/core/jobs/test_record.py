@@ -9,48 +9,13 @@ from typing import Any
 
 import pytest
 
-from tests.core.jobs.fake_episodes import Inline, payload
+from tests.core.jobs.fake_episodes import Inline, Recording, payload, tree
 from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.dataset.writer import OpenMode, read_attempts
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
-from yamsim_cli.core.jobs.collect import Watch
-from yamsim_cli.core.jobs.record import Output, RecordReport, record
 from yamsim_cli.core.jobs.stop import Stop
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
 
 Make = Callable[..., RecordConfig]
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
-class Recording:
-    """Records with fake attempts."""
-
-    def __init__(self, config: RecordConfig, path: Path) -> None:
-        self.config = config
-        self.path = path
-        self.warnings: list[str] = []
-        self.stop = Stop()
-
-    def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
-        return record(
-            self.config.model_copy(update={"workers": workers}),
-            Locations((), Path("/nowhere")),
-            {},
-            Output(self.path, mode),
-            executor or Inline(),
-            Watch(lambda done, wanted, attempts: None, self.warnings.append),
-            self.stop,
-        )
-
-    def resume(self, executor: Inline | None = None) -> RecordReport:
-        return self.run(executor, OpenMode.RESUME)
-
-    def causes(self) -> list[str | None]:
-        return [attempt.outcome.cause for attempt in read_attempts(self.path)]
 
 
 @pytest.fixture
