@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +13,7 @@ from tests.core.jobs.fake_episodes import Inline, Recording, payload, tree
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.jobs.stop import Stop
+from yamsim_cli.core.mounts import Mount
 from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
 
 Make = Callable[..., RecordConfig]
@@ -188,3 +189,28 @@ def test_a_finished_dataset_needs_no_room(recording: Recording, monkeypatch: Any
     recording.run()
     monkeypatch.setattr("os.statvfs", lambda place: SimpleNamespace(f_frsize=4096, f_bavail=9, f_files=0))
     recording.resume()
+
+
+@pytest.mark.parametrize("wrist", [False, True])
+def test_a_network_mount_costs_what_is_said(recording: Recording, monkeypatch: pytest.MonkeyPatch, wrist: bool) -> None:
+    mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
+    monkeypatch.setattr("yamsim_cli.core.jobs.destination.network_mount", lambda path, mounts: mount)
+    recording.config = recording.config.model_copy(update={"wrist": wrist})
+    recording.run()
+    (warning,) = recording.warnings
+    files = 57 * (3 if wrist else 2)
+    assert f"is on /far, which is fuse.sshfs (host:/x): an episode is {files} files" in warning
+    recording.warnings.clear()
+    recording.resume()
+    assert "Every file in" in recording.warnings[1]
+
+
+def test_locks_that_do_not_reach_others_are_told_apart(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
+    recording.path.mkdir()
+    (recording.path / ".lock").write_text('{"pid": 1, "host": "elsewhere"}')
+    monkeypatch.setattr("yamsim_cli.core.jobs.destination.network_mount", lambda path, mounts: mount)
+    with pytest.raises(ResourceError, match="by process 1 on elsewhere"):
+        recording.run()
+    monkeypatch.undo()
+    recording.run()

@@ -110,6 +110,7 @@ def test_whichever_call_fails_nothing_is_lost(
         run(config, path, OpenMode.RESUME, staged=staged)
         assert tree(path) == wanted, nth
         assert not staged or list(path.with_name(f"{path.name}-stage").iterdir()) == [], nth
+    print(f"{disk.calls} faults injected and survived, 0 episodes lost")
 
 
 @pytest.mark.parametrize("fault", Fault)
@@ -145,3 +146,4 @@ def test_whichever_call_fails_in_resuming_nothing_is_lost(
         assert mended == wanted, nth
         aside = [p for p in (path / ".damaged").iterdir() if p.is_dir()]
         assert len(aside) == 2, "both damaged episodes are still there"
+    print(f"{disk.calls} faults injected and survived, 0 episodes lost")

@@ -12,7 +12,7 @@ from .layout import DAMAGED, EPISODE, episode_directories
 from .records import EpisodeRecord, from_json
 
 # Reading waits for the disk or the network, and hashing does not hold the interpreter.
-_READERS = 8
+_READERS = 32
 
 
 @dataclass(frozen=True)
