@@ -1,0 +1,69 @@
+"""What a recorder and its workers keep of each episode: next to nothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.core.jobs.toy_runners import Toy
+from tests.e2e.recorder import workers_of
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.jobs.collect import Watch
+from yamsim_cli.core.jobs.destination import Output
+from yamsim_cli.core.jobs.record import LocalProcesses, record
+from yamsim_cli.core.jobs.stop import Stop
+from yamsim_cli.core.jobs.workers import WorkerPool
+from yamsim_cli.core.resources import Locations
+
+# What 2,000 episodes may add to any one process.
+LIMIT_MB = 50.0
+EPISODES = 2000
+
+
+def resident_mb(pid: int) -> float:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+@pytest.mark.render
+@pytest.mark.slow
+def test_two_thousand_episodes_fit_into_memory(
+    make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path
+) -> None:
+    """The growth from episode 100 to 300, times ten."""
+    config = make_config(
+        {
+            ("image", "size_px"): [16, 16],
+            ("task", "timing", "ticks_per_frame"): 57,
+            ("episodes",): 300,
+            ("workers",): 2,
+        }
+    )
+    used: dict[int, dict[int, float]] = {}
+
+    def measure(done: int, wanted: int, attempts: int) -> None:
+        if done in (100, 300) and done not in used:
+            used[done] = {pid: resident_mb(pid) for pid in (os.getpid(), *workers_of(os.getpid()))}
+
+    watch = Watch(measure, lambda warning: None)
+    record(config, locations, {}, Output(tmp_path / "d", OpenMode.NEW), LocalProcesses(), watch, Stop())
+    assert len(used[300]) == 3
+    growth = {pid: (used[300][pid] - used[100][pid]) * EPISODES / 200 for pid in used[300]}
+    print({pid: f"{used[300][pid]:.0f} MB, {mb:.1f} MB more in {EPISODES} episodes" for pid, mb in growth.items()})
+    assert max(growth.values()) < LIMIT_MB
+
+
+def test_large_answers_leave_nothing_behind() -> None:
+    """Episodes of full size, as bytes through the pipe."""
+    with WorkerPool[int | str, object](Toy, 1) as pool:
+        used = []
+        for k in range(400):
+            pool.submit(f"large:{3_000_000 + 5000 * (k % 97)}")
+            assert pool.result()[1]
+            if k in (100, 399):
+                used.append([resident_mb(pid) for pid in (os.getpid(), *workers_of(os.getpid()))])
+    before, after = used
+    assert max(b - a for a, b in zip(before, after, strict=True)) < 20.0
