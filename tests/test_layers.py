@@ -42,6 +42,7 @@ CONFINED = {
     "rich": {"commands"},
     "reportlab": {"core.boards"},
     "viser": {"core.viewers"},
+    "av": {"core.vision.video"},
 }
 
 
