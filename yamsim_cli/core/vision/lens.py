@@ -52,14 +52,26 @@ def ray_field(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray[np.flo
         across, down = np.meshgrid(columns, rows)
         field = rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2))
         return field.reshape(len(rows), len(columns), 2).astype(np.float32)
-    coarse = [np.arange(line[0] - 1, line[-1] + _RAY_GRID + 1, _RAY_GRID) for line in (columns, rows)]
-    across, down = np.meshgrid(*coarse)
-    knots = rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2)).reshape(len(coarse[1]), len(coarse[0]), 2)
-    map_x, map_y = np.meshgrid((columns - coarse[0][0]) / _RAY_GRID, (rows - coarse[1][0]) / _RAY_GRID)
-    field = cv2.remap(
-        knots, map_x.astype(np.float32), map_y.astype(np.float32), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(field, dtype=np.float32)
+    # Knots all around, since cubic interpolation looks at two to each side.
+    knots_x, knots_y = (np.arange(line[0] - 2 * _RAY_GRID, line[-1] + 3 * _RAY_GRID, _RAY_GRID) for line in (columns, rows))
+    across, down = np.meshgrid(knots_x, knots_y)
+    knots = rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2)).reshape(len(knots_y), len(knots_x), 2)
+    # Not `cv2.remap`: it rounds places to 1/32, here a quarter of a pixel.
+    by_row, by_column = _cubic_weights(rows, knots_y), _cubic_weights(columns, knots_x)
+    field = np.stack([by_row @ knots[..., k] @ by_column.T for k in (0, 1)], axis=-1)
+    return field.astype(np.float32)
+
+
+def _cubic_weights(at: Array, knots: Array) -> Array:
+    """What each knot (m,) weighs at each place (n,): (n, m), by Catmull and Rom's cubic."""
+    place = (at - knots[0]) / (knots[1] - knots[0])
+    first = np.floor(place).astype(int)
+    t = place - first
+    weights = np.zeros((len(at), len(knots)))
+    terms = (-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, -(t**2) + t**3)
+    for k, term in enumerate(terms):
+        weights[np.arange(len(at)), first + k - 1] = term / 2
+    return weights
 
 
 class LensWarp:
@@ -67,6 +79,7 @@ class LensWarp:
 
     Attributes:
         ideal: the pinhole camera to draw with; it sees everything that the real one does.
+        supersample: how much finer it draws than the real camera sees.
 
     Args:
         camera: the real camera.
@@ -95,16 +108,38 @@ class LensWarp:
         width, height = (2 * math.ceil(float(r) * focal) for r in reach)
         self.ideal = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._camera = camera
-        self._supersample = supersample
+        self.supersample = supersample
 
     @property
     def fovy(self) -> float:
         """Vertical field of view of the ideal camera, rad."""
         return 2 * math.atan(self.ideal.height / 2 / self.ideal.fy)
 
+    def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The real camera's photo as the ideal camera would have taken it without `supersample`: its every so-manyth pixel."""
+        ideal, K = self.coarse, np.array(self._camera.K)
+        map_x, map_y = cv2.initUndistortRectifyMap(
+            K, np.array(self._camera.distortion), np.eye(3), ideal.K, (ideal.width, ideal.height), cv2.CV_32FC1
+        )
+        flat = cv2.remap(photo, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(flat, dtype=np.uint8)
+
+    @property
+    def coarse(self) -> Intrinsics:
+        """The camera of every `supersample`-th row and column of an ideal picture."""
+        fine, step = self.ideal, self.supersample
+        return Intrinsics(
+            -(-fine.width // step),
+            -(-fine.height // step),
+            fine.fx / step,
+            fine.fy / step,
+            fine.cx / step,
+            fine.cy / step,
+        )
+
     def image(self, ideal: NDArray[np.uint8], nearest: bool = False) -> NDArray[np.uint8]:
         """The real camera's picture (height, width[, channels]) of an ideal one; `nearest` for masks and ids."""
-        camera, fine = self._camera, 1 if nearest else self._supersample
+        camera, fine = self._camera, 1 if nearest else self.supersample
         offset = (fine - 1) / 2
         x = (np.arange(camera.width * fine) - offset) / fine
         y = (np.arange(camera.height * fine) - offset) / fine

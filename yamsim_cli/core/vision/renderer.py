@@ -74,6 +74,16 @@ class SceneRenderer:
         ids: GeomIds = np.where(kinds == mujoco.mjtObj.mjOBJ_GEOM, objects, -1).astype(np.int32)
         return ids
 
+    def depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
+        """The distance z (height, width) along the camera's axis of what is seen at each pixel, m."""
+        self._renderer.update_scene(data, camera, self._option)
+        self._renderer.enable_depth_rendering()
+        try:
+            depth: NDArray[np.float32] = self._renderer.render()
+        finally:
+            self._renderer.disable_depth_rendering()
+        return depth
+
     def close(self) -> None:
         """Free the OpenGL context; safe to call twice."""
         self._renderer.close()

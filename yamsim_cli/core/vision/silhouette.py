@@ -93,7 +93,11 @@ def edge_offsets(grey: Grey, line: Outline, reach: float = REACH_PX) -> EdgeOffs
     at = line.points[:, None, :] + steps[None, :, None] * line.normals[:, None, :]
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0).astype(np.float32)
     profile = cv2.remap(
-        smooth, at[..., 0].astype(np.float32), at[..., 1].astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        smooth,
+        at[..., 0].astype(np.float32),
+        at[..., 1].astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
     )
     slope = np.abs(profile[:, 2:] - profile[:, :-2]) * _FINE / 2
     inner = steps[1:-1]

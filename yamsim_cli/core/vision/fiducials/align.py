@@ -314,9 +314,7 @@ def _view(photo: Grey, camera: CameraModel, piece: Piece, T_ref_in_cam: Array) -
     coarser = max(1, int((pixels.max(axis=0) - pixels.min(axis=0)).max() / cells_across / _ENOUGH_PX_A_CELL))
     if coarser > 1:
         rows, columns = (side // coarser * coarser for side in crop.shape)
-        crop = cv2.resize(
-            crop[:rows, :columns], (columns // coarser, rows // coarser), interpolation=cv2.INTER_AREA
-        )
+        crop = cv2.resize(crop[:rows, :columns], (columns // coarser, rows // coarser), interpolation=cv2.INTER_AREA)
     rows, columns = crop.shape
     x = low[0] + (np.arange(columns * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
     y = low[1] + (np.arange(rows * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2

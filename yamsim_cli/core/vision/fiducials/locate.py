@@ -124,7 +124,9 @@ def _sighting(
             if fit.contradicting == 0:
                 break
     if not fits:
-        return Sighting(board, ids, Status.POOR_FIT, "no pose explains its markers' print: blurred, bent or not this board")
+        return Sighting(
+            board, ids, Status.POOR_FIT, "no pose explains its markers' print: blurred, bent or not this board"
+        )
     fit = max(fits, key=lambda one: (len(one.agreeing), -one.mean_square))
     return _judge(photo, camera, board, fit, fits)
 
@@ -204,9 +206,7 @@ def _faces_camera(T_board_in_cam: Array) -> bool:
     return bool(T_board_in_cam[2, 3] > 0 and T_board_in_cam[:3, 2] @ T_board_in_cam[:3, 3] < 0)
 
 
-def _fit(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], T: Array
-) -> _Fit | None:
+def _fit(photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], T: Array) -> _Fit | None:
     """Fit a pose to the markers that were read, then to all whose print shows where it predicts it."""
     first = align(photo, camera, [Piece(board, np.eye(4), tuple(places))], T)
     if first is None or not _faces_camera(first.T_ref_in_cam):
@@ -228,9 +228,7 @@ def _fit(
     return _Fit(first, agreeing, len(tiles) - len(agreeing))
 
 
-def _judge(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: _Fit, fits: Sequence[_Fit]
-) -> Sighting:
+def _judge(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: _Fit, fits: Sequence[_Fit]) -> Sighting:
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = _shift_rms(fit.alignment.tiles[0])
     covariance = _covariance(fit.alignment, camera, np.zeros(3))
