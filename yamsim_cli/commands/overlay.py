@@ -24,7 +24,9 @@ def overlay(
         typer.Option(metavar="NAME|FILE", help="Calibration: ours, OpenCV's or ROS's YAML; else estimated."),
     ] = None,
     joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
-    episode: Annotated[Path | None, typer.Option(help="A recorded episode, DATASET/ep_NNNNNN, instead of --img.")] = None,
+    episode: Annotated[
+        Path | None, typer.Option(help="A recorded episode, DATASET/ep_NNNNNN, instead of --img.")
+    ] = None,
     episode_camera: Annotated[str | None, typer.Option(help="Which of its cameras; else the one that stands.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the pictures and overlay.json.")] = Path("overlays"),
     margin: Margin = None,
@@ -69,7 +71,9 @@ def overlay(
     from yamsim_cli.core.scene.compose import mesh_sets
 
     photos = (
-        episode_photos(episode, episode_camera, settings) if episode else [Photo(path) for path in find_photos(img or [])]
+        episode_photos(episode, episode_camera, settings)
+        if episode
+        else [Photo(path) for path in find_photos(img or [])]
     )
     request = OverlayRequest(
         photos,

@@ -97,7 +97,9 @@ def run_overlays(
     """
     joints = request.joints
     if joints is not None and len(joints) not in (1, len(request.photos)):
-        raise ConfigError(f"--joints has {len(joints)} rows for {len(request.photos)} photos; give one row, or one for each")
+        raise ConfigError(
+            f"--joints has {len(joints)} rows for {len(request.photos)} photos; give one row, or one for each"
+        )
     stems = _stems(request.photos)
     inputs = {photo.path.resolve() for photo in request.photos}
     report = OverlayReport()

@@ -53,7 +53,9 @@ def ray_field(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray[np.flo
         field = rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2))
         return field.reshape(len(rows), len(columns), 2).astype(np.float32)
     # Knots all around, since cubic interpolation looks at two to each side.
-    knots_x, knots_y = (np.arange(line[0] - 2 * _RAY_GRID, line[-1] + 3 * _RAY_GRID, _RAY_GRID) for line in (columns, rows))
+    knots_x, knots_y = (
+        np.arange(line[0] - 2 * _RAY_GRID, line[-1] + 3 * _RAY_GRID, _RAY_GRID) for line in (columns, rows)
+    )
     across, down = np.meshgrid(knots_x, knots_y)
     knots = rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2)).reshape(len(knots_y), len(knots_x), 2)
     # Not `cv2.remap`: it rounds places to 1/32, here a quarter of a pixel.
@@ -109,6 +111,7 @@ class LensWarp:
         self.ideal = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._camera = camera
         self.supersample = supersample
+        self._known_maps: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
 
     @property
     def fovy(self) -> float:
@@ -140,14 +143,22 @@ class LensWarp:
     def image(self, ideal: NDArray[np.uint8], nearest: bool = False) -> NDArray[np.uint8]:
         """The real camera's picture (height, width[, channels]) of an ideal one; `nearest` for masks and ids."""
         camera, fine = self._camera, 1 if nearest else self.supersample
-        offset = (fine - 1) / 2
-        x = (np.arange(camera.width * fine) - offset) / fine
-        y = (np.arange(camera.height * fine) - offset) / fine
-        field = ray_field(camera, x, y)
-        map_x = field[..., 0] * np.float32(self.ideal.fx) + np.float32(self.ideal.cx)
-        map_y = field[..., 1] * np.float32(self.ideal.fy) + np.float32(self.ideal.cy)
+        map_x, map_y = self._maps(fine)
         mode = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
         bent = cv2.remap(ideal, map_x, map_y, mode, borderMode=cv2.BORDER_REPLICATE)
         if fine > 1:
             bent = cv2.resize(bent, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         return np.asarray(bent, dtype=np.uint8)
+
+    def _maps(self, fine: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Where in the ideal picture each of the real one's `fine` x `fine` points a pixel lies."""
+        if fine in self._known_maps:
+            return self._known_maps[fine]
+        camera, offset = self._camera, (fine - 1) / 2
+        x = (np.arange(camera.width * fine) - offset) / fine
+        y = (np.arange(camera.height * fine) - offset) / fine
+        field = ray_field(camera, x, y)
+        map_x = field[..., 0] * np.float32(self.ideal.fx) + np.float32(self.ideal.cx)
+        map_y = field[..., 1] * np.float32(self.ideal.fy) + np.float32(self.ideal.cy)
+        self._known_maps[fine] = map_x, map_y
+        return map_x, map_y

@@ -66,11 +66,11 @@ def write_lines(image: Image, lines: Sequence[str]) -> None:
     # Too long a line is made to fit.
     widest = max(width for (width, _), _ in sizes)
     scale *= min(1.0, image.shape[1] * 0.96 / widest)
-    row = round(34 * scale)
-    pad = round(10 * scale)
+    row = round(38 * scale)
+    pad = round(12 * scale)
     width = round(min(widest, image.shape[1] * 0.96)) + 2 * pad
-    plate = image[: len(lines) * row + pad, :width]
+    plate = image[: len(lines) * row + 2 * pad, :width]
     plate[:] = (plate * 0.35).astype(np.uint8)
     for k, line in enumerate(lines):
-        at = (pad, (k + 1) * row - round(8 * scale))
+        at = (pad, pad + (k + 1) * row - round(12 * scale))
         cv2.putText(image, line, at, _FONT, scale, (255, 255, 255), 1, cv2.LINE_AA)

@@ -15,6 +15,9 @@ from ..geometry.camera import Intrinsics
 Image = NDArray[np.uint8]
 GeomIds = NDArray[np.int32]
 
+# A plain number: numpy would compare each pixel with MuJoCo's enum by a Python call, seconds a picture.
+_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+
 
 def _opengl_name() -> str:
     """Name of the OpenGL implementation behind the current context, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
@@ -71,7 +74,7 @@ class SceneRenderer:
             objects, kinds = np.moveaxis(self._renderer.render(), 2, 0)
         finally:
             self._renderer.disable_segmentation_rendering()
-        ids: GeomIds = np.where(kinds == mujoco.mjtObj.mjOBJ_GEOM, objects, -1).astype(np.int32)
+        ids: GeomIds = np.where(kinds == _GEOM, objects, -1).astype(np.int32)
         return ids
 
     def depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:

@@ -8,7 +8,6 @@ black-to-white edges and are pushed about by their neighbours; here neighbours a
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,25 +16,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...boards.image import board_image, marker_cells
-from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, pose, rotation_from_vector
-from ..lens import project_points, ray_field
+from .print_view import Drawing, Piece, PrintView, draw_print, view_print
 
 Grey = NDArray[np.float32]
-
-# Points a pixel's edge at which the print is drawn before averaging.
-_FINE = 3
 
 # Blur (sigma, px) that is believed: less cannot be told from none, more is no picture of a marker.
 BLUR_RANGE = (0.25, 4.0)
 
 # Residuals beyond this many standard deviations count less and less (Huber's 95 % efficiency).
 _HUBER = 1.345
-
-# Sharper than this (px a cell), pixels only cost time.
-_ENOUGH_PX_A_CELL = 9.0
 
 _MAX_ITERATIONS = 30
 # Steps below this no longer matter: shift of the print in the picture, px.
@@ -49,20 +40,6 @@ _ZOOM_PX = 4.0
 
 # A tile of fewer pixels says nothing about its own brightness.
 _MIN_TILE_PIXELS = 12
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A board, and where it lies in the reference frame whose pose is sought.
-
-    Attributes:
-        T_board_in_ref: pose (4, 4).
-        markers: places (k,) in `board.ids` of the markers to compare.
-    """
-
-    board: Board
-    T_board_in_ref: Array
-    markers: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -126,22 +103,6 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class _View:
-    """The part of the photo that shows a piece, and all that stays the same while the pose moves.
-
-    Its rays are those of the camera as given; at a zoom z, the focal length is exp(z) times that, and they are shorter.
-    """
-
-    piece: Piece
-    pattern: Grey
-    px_per_metre: float
-    photo: Grey
-    field: NDArray[np.float32]  # Rays at _FINE x _FINE points a pixel.
-    centre_rays: Array  # Rays at the pixels' centres, (n, 2).
-    px_per_ray: Array  # Derivative of pixel by ray at the pixels' centres, (n, 2, 2).
-
-
-@dataclass(frozen=True)
 class _System:
     """Normal equations over the pose's six parameters and the blur, and what the residuals look like."""
 
@@ -183,7 +144,8 @@ def align(
     for _ in range(_MAX_ITERATIONS):
         if system is None:
             return None
-        step = np.linalg.solve(system.normal + damping * np.diag(np.diag(system.normal)), system.gradient)
+        damped = system.normal + damping * np.diag(np.diag(system.normal))
+        step: Array = np.linalg.solve(damped, system.gradient).astype(np.float64)
         moved = _shift_px(camera, state.T, fit.centre, step[:6]) + _ZOOM_PX * float(np.abs(step[7:]).sum())
         there = fit.moved(state, step)
         trial = fit.system(there, noise=system.noise)
@@ -209,8 +171,8 @@ def agreement(
     return None if system is None else fit.alignment(system, state)
 
 
-def _views(photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T: Array) -> list[_View] | None:
-    views = [view for piece in pieces if (view := _view(photo, camera, piece, T)) is not None]
+def _views(photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T: Array) -> list[PrintView] | None:
+    views = [view for piece in pieces if (view := view_print(photo, camera, piece, T)) is not None]
     return views if views and len(views) == len(pieces) else None
 
 
@@ -226,7 +188,7 @@ def _noise(system: _System) -> float:
 class _Problem:
     """Least squares over the pose's six parameters, the blur, and the zoom where it is sought."""
 
-    def __init__(self, views: Sequence[_View], centre: Array, zoom: Zoom | None) -> None:
+    def __init__(self, views: Sequence[PrintView], centre: Array, zoom: Zoom | None) -> None:
         self.centre = centre
         self._views = views
         self._zoom = zoom
@@ -271,7 +233,7 @@ class _Problem:
     def alignment(self, system: _System, state: _State) -> Alignment | None:
         """What was found, with its uncertainty; None where the pixels do not determine it."""
         try:
-            covariance = np.linalg.inv(system.normal) * system.noise**2
+            covariance: Array = np.linalg.inv(system.normal).astype(np.float64) * system.noise**2
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(covariance).all():
@@ -297,151 +259,43 @@ def _shift_px(camera: CameraModel, T: Array, centre: Array, step: Array) -> floa
     return float(np.linalg.norm(step[3:6]) + 0.1 * np.linalg.norm(step[:3])) * camera.focal / max(depth, 1e-3)
 
 
-def _view(photo: Grey, camera: CameraModel, piece: Piece, T_ref_in_cam: Array) -> _View | None:
-    board, T = piece.board, T_ref_in_cam @ piece.T_board_in_ref
-    half = np.array([board.width / 2, board.height / 2])
-    corners = np.array([[x, y, 0.0, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
-    in_cam = (corners @ T.T)[:, :3]
-    if in_cam[:, 2].min() <= 1e-3:
-        return None
-    pixels = project_points(camera, in_cam)
-    low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 3, 0)
-    high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + 4, [camera.width, camera.height])
-    if (high - low < 8).any():
-        return None
-    crop = photo[low[1] : high[1], low[0] : high[0]]
-    cells_across = board.columns * 8 + (board.columns - 1) * 8 * board.gap / board.marker_length
-    coarser = max(1, int((pixels.max(axis=0) - pixels.min(axis=0)).max() / cells_across / _ENOUGH_PX_A_CELL))
-    if coarser > 1:
-        rows, columns = (side // coarser * coarser for side in crop.shape)
-        crop = cv2.resize(crop[:rows, :columns], (columns // coarser, rows // coarser), interpolation=cv2.INTER_AREA)
-    rows, columns = crop.shape
-    x = low[0] + (np.arange(columns * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
-    y = low[1] + (np.arange(rows * _FINE) - (_FINE - 1) / 2) / _FINE * coarser + (coarser - 1) / 2
-    field = ray_field(camera, x, y)
-    pattern, px_per_metre = _pattern(board, float((high - low).max()) / max(board.width, board.height) / coarser)
-    middle = slice(_FINE // 2, None, _FINE)
-    span = (_FINE - 1) / _FINE
-    by_x = (field[middle, _FINE - 1 :: _FINE] - field[middle, ::_FINE]) / span
-    by_y = (field[_FINE - 1 :: _FINE, middle] - field[::_FINE, middle]) / span
-    ray_per_px = np.stack([by_x, by_y], axis=-1).reshape(-1, 2, 2).astype(np.float64)
-    return _View(
-        piece,
-        pattern,
-        px_per_metre,
-        np.ascontiguousarray(crop, dtype=np.float32),
-        field,
-        field[middle, middle].reshape(-1, 2).astype(np.float64),
-        _inverse_2x2(ray_per_px),
-    )
-
-
-def _inverse_2x2(matrices: Array) -> Array:
-    """Inverses of (n, 2, 2), several times faster than numpy's general ones."""
-    (a, b), (c, d) = matrices[:, 0].T, matrices[:, 1].T
-    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
-    return adjugate / (a * d - b * c)[:, None, None]
-
-
-# Cells across a marker, with its black border, that the print is drawn with: the scale only has to be fine enough.
-_CELLS = 8
-
-
-def _pattern(board: Board, seen_px_per_metre: float) -> tuple[Grey, float]:
-    """The print (0 black, 1 white) and its scale in px a metre, about as fine as the points it is sampled at."""
-    wanted = seen_px_per_metre * _FINE * board.marker_length / _CELLS
-    fine, px_per_metre = _fine_pattern(board)
-    coarser = 4 if wanted <= 5 else 2 if wanted <= 10 else 1
-    return _reduced(board, coarser) if coarser > 1 else fine, px_per_metre / coarser
-
-
-@functools.lru_cache(maxsize=32)
-def _fine_pattern(board: Board) -> tuple[Grey, float]:
-    """Markers are whole pixels, so gaps are not quite: of the scales, the one whose rounding moves the markers least."""
-    step = (board.marker_length + board.gap) / board.marker_length
-
-    def rounding(cell_px: int) -> float:
-        at = np.arange(max(board.columns, board.rows)) * step * cells * cell_px
-        return float(np.abs(at - np.round(at)).max()) / cell_px
-
-    cells = marker_cells(board).shape[1]
-    cell_px = min(range(16, 33, 4), key=rounding)
-    image = board_image(board, cell_px, quiet_cells=0).astype(np.float32) / 255
-    return image, cells * cell_px / board.marker_length
-
-
-@functools.lru_cache(maxsize=64)
-def _reduced(board: Board, coarser: int) -> Grey:
-    fine, _ = _fine_pattern(board)
-    rows, columns = (-(-side // coarser) for side in fine.shape)
-    # Padded with what is at the edge, so that every reduced pixel stands for a whole block.
-    padded = cv2.copyMakeBorder(
-        fine, 0, rows * coarser - fine.shape[0], 0, columns * coarser - fine.shape[1], cv2.BORDER_REPLICATE
-    )
-    return cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA)
-
-
-def _drawn(view: _View, state: _State) -> tuple[Grey, Array, NDArray[np.bool_]]:
-    """The print as the camera sees it (0..1), where on the board (n, 2) each pixel lies, and which pixels see print alone."""
-    T_board_in_cam = state.T @ view.piece.T_board_in_ref
-    onto_board = np.linalg.inv(T_board_in_cam[:3, [0, 1, 3]]) @ np.diag([math.exp(-state.zoom)] * 2 + [1.0])
-    board = view.piece.board
-    field = view.field
-    A = onto_board.astype(np.float32)
-    w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
-    x = (A[0, 0] * field[..., 0] + A[0, 1] * field[..., 1] + A[0, 2]) / w
-    y = (A[1, 0] * field[..., 0] + A[1, 1] * field[..., 1] + A[1, 2]) / w
-    scale = np.float32(view.px_per_metre)
-    map_x = (x + np.float32(board.width / 2)) * scale - np.float32(0.5)
-    map_y = (np.float32(board.height / 2) - y) * scale - np.float32(0.5)
-    fine = cv2.remap(view.pattern, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    shape = (view.photo.shape[1], view.photo.shape[0])
-    drawn = cv2.GaussianBlur(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), (0, 0), state.blur)
-    homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
-    at = homogeneous[:, :2] / homogeneous[:, 2:]
-    return drawn, at, _print_alone(view, at, state.blur)
-
-
-def _print_alone(view: _View, at: Array, blur: float) -> NDArray[np.bool_]:
-    """Pixels so far inside the board's edge that nothing else is blurred into them."""
-    board = view.piece.board
-    inside = (np.abs(at[:, 0]) < board.width / 2) & (np.abs(at[:, 1]) < board.height / 2)
-    mask = inside.reshape(view.photo.shape).astype(np.uint8)
-    reach = 1 + round(1.5 * blur)
-    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    return cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0
-
-
-def _linearized(view: _View, state: _State, centre: Array) -> tuple[Array, Array, dict[int, Tile]] | None:
-    """Residuals (n,), their Jacobian (n, 8) with each tile's brightness and contrast eliminated, and how tiles agree."""
-    board = view.piece.board
-    drawn, at, alone = _drawn(view, state)
-    step = board.marker_length + board.gap
-    column = np.floor((at[:, 0] + board.width / 2 + board.gap / 2) / step).astype(int)
-    row = np.floor((board.height / 2 - at[:, 1] + board.gap / 2) / step).astype(int)
-    tile = np.where(alone, np.clip(row, 0, board.rows - 1) * board.columns + np.clip(column, 0, board.columns - 1), -1)
-    use = np.isin(tile, view.piece.markers)
-    counts = np.bincount(tile[use], minlength=board.rows * board.columns)
-    use &= np.append(counts >= _MIN_TILE_PIXELS, False)[tile]
+def _linearized(view: PrintView, state: _State, centre: Array) -> tuple[Array, Array, dict[int, Tile]] | None:
+    """Residuals (n,), their Jacobian (n, 8) without each tile's brightness and contrast, and how the tiles agree."""
+    drawing = draw_print(view, state.T, state.blur, math.exp(state.zoom))
+    tile = _tiles(view, drawing)
+    use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
         return None
-    tile = tile[use]
-    slopes = np.stack([cv2.Scharr(drawn, cv2.CV_32F, 1, 0), cv2.Scharr(drawn, cv2.CV_32F, 0, 1)], axis=-1) / 32
-    curvature = cv2.Laplacian(drawn, cv2.CV_32F, ksize=1)
+    grey = drawing.grey
+    slopes = np.stack([cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)], axis=-1) / 32
+    curvature = cv2.Laplacian(grey, cv2.CV_32F, ksize=1)
     # By the pose, by the blur (which spreads as heat does), by the zoom, and by a shift in the picture.
     by_shift = -slopes.reshape(-1, 2)[use].astype(np.float64)
     by_ray = np.einsum("ni,nij->nj", by_shift, view.px_per_ray[use])
     columns = np.empty((int(use.sum()), 10))
-    columns[:, :6] = _by_pose(view, state, centre, at[use], by_ray)
+    columns[:, :6] = _by_pose(view, state, centre, drawing.at[use], by_ray)
     columns[:, 6] = state.blur * curvature.ravel()[use]
     # A longer lens farther away: the part of the zoom that the distance makes up for is no part of the search.
     depth = float((state.T[:3, :3] @ centre + state.T[:3, 3])[2])
     columns[:, 7] = (by_ray * view.centre_rays[use]).sum(axis=1) + columns[:, 5] * depth
-    columns[:, 8:] = by_shift
-    return _without_light(view.photo.ravel()[use], drawn.ravel()[use], columns, tile)
+    columns[:, 8:] = by_shift / view.coarser
+    return _without_light(view.photo.ravel()[use], grey.ravel()[use], columns, tile[use])
 
 
-def _by_pose(view: _View, state: _State, centre: Array, at: Array, by_ray: Array) -> Array:
+def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
+    """Which of the piece's markers (n,), with half the gap around it, each pixel shows; -1 for none."""
+    board, at = view.piece.board, drawing.at
+    step = board.marker_length + board.gap
+    column = np.floor((at[:, 0] + board.width / 2 + board.gap / 2) / step).astype(int)
+    row = np.floor((board.height / 2 - at[:, 1] + board.gap / 2) / step).astype(int)
+    tile = np.clip(row, 0, board.rows - 1) * board.columns + np.clip(column, 0, board.columns - 1)
+    tile[~(drawing.alone & np.isin(tile, view.piece.markers))] = -1
+    counts = np.bincount(tile[tile >= 0], minlength=board.rows * board.columns)
+    tile[~np.append(counts >= _MIN_TILE_PIXELS, False)[tile]] = -1
+    return tile
+
+
+def _by_pose(view: PrintView, state: _State, centre: Array, at: Array, by_ray: Array) -> Array:
     """Derivative (n, 6) of the drawn print by a turn about `centre` and a shift, at points (n, 2) of the board."""
     R = state.T[:3, :3]
     T_board = view.piece.T_board_in_ref

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
-from .align import Piece, Zoom, align
+from .align import Zoom, align
 from .locate import INFLATION, Sighting, Status, locate
+from .print_view import Piece
 
 Grey = NDArray[np.uint8]
 

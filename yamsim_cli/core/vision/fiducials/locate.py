@@ -20,8 +20,9 @@ from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, inverse, pose, rotation_vector
 from ..lens import project_points, rays
-from .align import Alignment, Piece, Tile, agreement, align
+from .align import Alignment, Tile, agreement, align
 from .markers import Group, Marker, find_markers, groups
+from .print_view import Piece
 
 Grey = NDArray[np.uint8]
 
