@@ -13,10 +13,10 @@ READY := $(VENV)/.ready
 DEMO := out/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup gl meshes demo test test-all golden-update lint type bench build lock clean
+.PHONY: help setup gl meshes demo test test-all golden-update lint type bench bench-fiducials build lock clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(READY) ## make .venv with the locked versions and this checkout in it (needs Python 3.11+)
 
@@ -60,6 +60,9 @@ type: setup ## check types
 
 bench: gl meshes ## measure speed
 	$(PYTHON_BIN) -m tests.bench
+
+bench-fiducials: gl ## measure how well boards are located, in photos whose truth is known
+	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.fiducials
 
 build: setup ## build wheel and sdist into dist/
 	rm -rf dist
