@@ -227,7 +227,7 @@ def screen() -> Iterator[str]:
 
 def test_the_window_opens_on_a_display_and_a_signal_ends_it(screen: str, repository: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli.main", "view", "--rig", "russet", "--json"],
+        [sys.executable, "-m", "yamsim_cli", "view", "--rig", "russet", "--json"],
         cwd=repository,
         env={**os.environ, "DISPLAY": screen, "LIBGL_ALWAYS_SOFTWARE": "1"},
         stdin=subprocess.DEVNULL,
