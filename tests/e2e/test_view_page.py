@@ -93,7 +93,7 @@ class Browser:
 @pytest.fixture
 def browser(tmp_path: Path) -> Iterator[Browser]:
     if not (CHROMIUM.exists() and CHROMEDRIVER.exists()):
-        pytest.skip("chromium and chromium-driver are not here: tools/ensure_viewers.sh")
+        pytest.skip("chromium and chromium-driver are not here: tools/ensure_test_programs.sh")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -208,7 +208,7 @@ def test_the_boards_on_the_page_are_the_rigs_own(
 def screen() -> Iterator[str]:
     """A virtual screen's name."""
     if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not here: tools/ensure_viewers.sh")
+        pytest.skip("Xvfb is not here: tools/ensure_test_programs.sh")
     read, write = os.pipe()
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
