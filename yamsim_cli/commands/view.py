@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Annotated
 
 import typer
@@ -15,6 +12,7 @@ from yamsim_cli.core.errors import ResourceError, UsageError
 
 from .console import print_json, print_line
 from .session import Json, Margin, RigName, locations, resolve_meshes, rig_config, skip_gl
+from .signals import noted_signals
 
 _PORT = 8090
 
@@ -61,7 +59,8 @@ def view(
 
     scene = load_config(SceneConfig, "scenes", "studio", where)
     meshes = resolve_meshes(mesh_sets(settings), where)
-    with _until_signalled() as stopped:
+    # A server or a window that is broken off while it starts cannot be closed.
+    with noted_signals() as stopped:
         live = live_rig(settings, scene, Contents(boards=boards), where, meshes)
         if in_browser:
             view_in_browser(live, _PORT if port is None else port, ready, stopped)
@@ -95,20 +94,3 @@ def _hush_viser() -> None:
     import rich
 
     rich.get_console().quiet = True
-
-
-@contextmanager
-def _until_signalled() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C and SIGTERM are how a viewer normally ends: they are asked about instead of raised."""
-    asked = False
-
-    def note(number: int, frame: object) -> None:
-        nonlocal asked
-        asked = True
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -29,7 +29,7 @@ def view_in_browser(live: LiveRig, port: int, ready: Callable[[str], None], stop
 
     Args:
         port: of the page; 0 takes a free one.
-        ready: called once with the page's URL.
+        ready: called with the page's URL once it is up, unless it is no longer wanted.
 
     Raises:
         UsageError: the port cannot be had.
@@ -44,7 +44,8 @@ def view_in_browser(live: LiveRig, port: int, ready: Callable[[str], None], stop
 
     page = Page(live, frame_rig(live.rig), port)
     try:
-        ready(page.url)
+        if not stopped():
+            ready(page.url)
         while not stopped():
             began = time.monotonic()
             live.advance(began)
@@ -58,7 +59,7 @@ def view_in_window(live: LiveRig, ready: Callable[[], None], stopped: Callable[[
     """Open MuJoCo's window and run physics, until it is closed or `stopped` says so.
 
     Args:
-        ready: called once, when the window is open.
+        ready: called when the window is open, unless it is no longer wanted.
 
     Raises:
         ResourceError: no window can be opened here.
