@@ -12,21 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import DatasetError
+from .unpickle import read_pickle
 
 # Fixed, so that the bytes do not change with Python's default.
 _PROTOCOL = 4
-
-# Everything a frame's pickle may name: numpy arrays, by numpy 2's and numpy 1's module names. Anything else is an
-# attack, or a file of some other program.
-_ALLOWED = {
-    (module, name)
-    for core in ("numpy._core", "numpy.core")
-    for module, name in (
-        (f"{core}.multiarray", "_reconstruct"),
-        (f"{core}.multiarray", "scalar"),
-        (f"{core}.numeric", "_frombuffer"),
-    )
-} | {("numpy", "ndarray"), ("numpy", "dtype")}
 
 # Shapes of the arrays every frame has; `<object>_pose` and per-camera entries come on top.
 SHAPES: Mapping[str, tuple[int, ...]] = {
@@ -103,40 +92,14 @@ def dump_frame(data: Mapping[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-class _Unpickler(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) not in _ALLOWED:
-            raise DatasetError(f"the pickle names {module}.{name}, which no frame may; it was not run")
-        return super().find_class(module, name)
-
-
 def load_frame(data: bytes) -> dict[str, Any]:
     """Read a frame's pickle, allowing numpy arrays and plain containers alone.
 
     Raises:
-        DatasetError: truncated, not a pickle, names anything else, or is not a dictionary.
+        ForbiddenPickleError: it names anything else, or would take more memory than a frame may.
+        DatasetError: truncated, not a pickle, or not a dictionary.
     """
-    try:
-        frame = _Unpickler(io.BytesIO(data)).load()
-    except DatasetError:
-        raise
-    # A broken pickle can make the machine it drives fail in any of these ways.
-    except (
-        pickle.UnpicklingError,
-        EOFError,
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        AttributeError,
-        MemoryError,
-        ImportError,
-        OverflowError,
-        RecursionError,
-        SyntaxError,
-        SystemError,
-    ) as error:
-        raise DatasetError(f"not a whole pickle: {type(error).__name__}: {error}") from error
+    frame = read_pickle(data)
     if not isinstance(frame, dict):
         raise DatasetError(f"a frame must be a dictionary, not {type(frame).__name__}")
     return frame
