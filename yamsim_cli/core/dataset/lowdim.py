@@ -115,7 +115,7 @@ def content_hash(frames: Iterable[Mapping[str, Any]]) -> str:
 
 def _feed(digest: Any, value: Any) -> None:
     if isinstance(value, Mapping):
-        for key in sorted(value):
+        for key in sorted(value, key=str):
             digest.update(f"{key}:".encode())
             _feed(digest, value[key])
     elif isinstance(value, np.ndarray):
@@ -126,27 +126,12 @@ def _feed(digest: Any, value: Any) -> None:
     digest.update(b";")
 
 
-def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str]) -> list[str]:
-    """What is wrong with a decoded frame: missing keys, wrong shapes, dtypes or types, values that are not finite."""
-    faults: list[str] = []
-    arrays: dict[str, tuple[Any, tuple[int, ...]]] = {key: (frame.get(key), shape) for key, shape in SHAPES.items()}
-    arrays |= {f"{name}_pose": (frame.get(f"{name}_pose"), (4, 4)) for name in objects}
-    for group, side in (("intrinsics", 3), ("extrinsics", 4)):
-        entries = frame.get(group)
-        for camera in cameras:
-            arrays[f"{group}[{camera}]"] = (entries.get(camera) if isinstance(entries, Mapping) else None, (side, side))
-    for key, (value, shape) in arrays.items():
-        if value is None:
-            faults.append(f"{key} is missing")
-        elif not isinstance(value, np.ndarray) or value.dtype != np.float32 or value.shape != shape:
-            found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-            faults.append(f"{key} is {found}, not float32 {shape}")
-        elif not np.isfinite(value).all():
-            faults.append(f"{key} has values that are not finite")
-    for key, kind in (("timestamp", float), ("magnet", bool), ("language_task", str), ("language_prompt", str)):
-        if not isinstance(frame.get(key), kind):
-            faults.append(f"{key} is {type(frame.get(key)).__name__}, not {kind.__name__}")
-    timestamp = frame.get("timestamp")
-    if isinstance(timestamp, float) and not np.isfinite(timestamp):
-        faults.append("timestamp is not finite")
-    return faults
+def flat(frame: Mapping[str, Any]) -> dict[str, Any]:
+    """A frame's entries by flat keys: what a dictionary in it holds becomes `key[inner]`: `intrinsics[camera]`."""
+    entries: dict[str, Any] = {}
+    for key, value in frame.items():
+        if isinstance(value, Mapping):
+            entries |= {f"{key}[{inner}]": item for inner, item in value.items()}
+        else:
+            entries[str(key)] = value
+    return entries

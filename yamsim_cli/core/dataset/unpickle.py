@@ -2,7 +2,7 @@
 
 A pickle is a program. Four things keep it harmless here:
 
-- The names it may call stand for the small classes below, not for numpy's own functions, which take shapes and buffers on
+- The names it may call stand for small classes here, not for numpy's own functions, which take shapes and buffers on
   trust. No module is ever imported for a pickle.
 - Only the instructions that data needs are known. They run on the standard library's machine in Python: the one in C
   makes a table as large as the largest number a value is kept under, gigabytes for a file of ten bytes.
@@ -37,12 +37,14 @@ _DTYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}")
 
 # What it takes to build numbers, text, lists, tuples, dictionaries and arrays, in every protocol. INST is here so that
 # what it names is refused by that name.
-_INSTRUCTIONS: Final = frozenset(
-    "PROTO FRAME STOP MARK POP POP_MARK DUP PUT BINPUT LONG_BINPUT MEMOIZE GET BINGET LONG_BINGET NONE NEWTRUE NEWFALSE "
-    "INT BININT BININT1 BININT2 LONG LONG1 LONG4 FLOAT BINFLOAT UNICODE SHORT_BINUNICODE BINUNICODE BINUNICODE8 "
-    "SHORT_BINBYTES BINBYTES BINBYTES8 BYTEARRAY8 EMPTY_LIST LIST APPEND APPENDS EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 "
-    "EMPTY_DICT DICT SETITEM SETITEMS GLOBAL STACK_GLOBAL INST REDUCE BUILD".split()
-)
+_INSTRUCTIONS: Final = """
+    PROTO FRAME STOP MARK POP POP_MARK DUP PUT BINPUT LONG_BINPUT MEMOIZE GET BINGET LONG_BINGET
+    NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG LONG1 LONG4 FLOAT BINFLOAT
+    UNICODE SHORT_BINUNICODE BINUNICODE BINUNICODE8 SHORT_BINBYTES BINBYTES BINBYTES8 BYTEARRAY8
+    EMPTY_LIST LIST APPEND APPENDS EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 EMPTY_DICT DICT SETITEM SETITEMS
+    GLOBAL STACK_GLOBAL INST REDUCE BUILD
+"""
+_NAMES: Final = {ord(code.code): code.name for code in pickletools.opcodes}
 
 
 class ForbiddenPickleError(DatasetError):
@@ -56,7 +58,9 @@ class _DType:
 
     def __init__(self, text: Any, *_: Any) -> None:
         if not isinstance(text, str) or not _DTYPE.fullmatch(text):
-            raise ForbiddenPickleError(f"the pickle has an array of type {_short(text)}; only numbers and text are read")
+            raise ForbiddenPickleError(
+                f"the pickle has an array of type {_short(text)}; only numbers and text are read"
+            )
         self.dtype: np.dtype[Any] = np.dtype(text)
 
     def __setstate__(self, state: Any) -> None:
@@ -142,17 +146,17 @@ _ALLOWED: Final[dict[tuple[str, str], _Name]] = {
 
 class _Dispatch(dict[int, Callable[[Any], None]]):
     def __missing__(self, code: int) -> Callable[[Any], None]:
-        name = pickletools.code2op[chr(code)].name if chr(code) in pickletools.code2op else f"{code:#04x}"
+        name = _NAMES.get(code, f"{code:#04x}")
         raise ForbiddenPickleError(f"the pickle has the instruction {name}, which no frame needs")
 
 
 class _Unpickler(pickle._Unpickler):
+    stack: list[Any]
+    pop_mark: Callable[[], list[Any]]
+    read: Callable[[int], bytes]
+
     dispatch = _Dispatch(
-        {
-            code: run
-            for code, run in pickle._Unpickler.dispatch.items()
-            if pickletools.code2op[chr(code)].name in _INSTRUCTIONS
-        }
+        {code: run for code, run in pickle._Unpickler.dispatch.items() if _NAMES[code] in _INSTRUCTIONS.split()}
     )
 
     def find_class(self, module: str, name: str) -> Any:
