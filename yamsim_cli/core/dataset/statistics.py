@@ -11,7 +11,9 @@ import numpy as np
 # Two-sided 95 % of the normal distribution.
 _Z95 = 1.959963984540054
 
-_MOST_BINS = 60
+# At most so many bins; values closer than the span (m) are one.
+_BINS = 40
+_LEAST_SPAN = 1e-4
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
@@ -37,19 +39,19 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(np.max(values))}
 
 
-def histogram(values: Sequence[float], width: float) -> dict[str, list[float] | list[int]] | None:
-    """Counts in bins of `width`, with edges at multiples of it, around all values; None without any.
+def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
+    """Counts in bins of a round width, with edges at multiples of it, around all values; None without any.
 
     Returns:
         `edges`, one more than there are bins, and `counts`.
     """
     if not values:
         return None
+    span = max(max(values) - min(values), _LEAST_SPAN)
+    power = 10.0 ** math.floor(math.log10(span / _BINS))
+    width = next(power * k for k in (1, 2, 5, 10) if span / (power * k) <= _BINS)
     low = math.floor(min(values) / width)
     high = max(low + 1, math.ceil(max(values) / width))
-    # So that one value far out does not make a million bins.
-    while high - low > _MOST_BINS:
-        low, high, width = math.floor(low / 2), math.ceil(high / 2), width * 2
     edges = [round(k * width, 12) for k in range(low, high + 1)]
     counts, _ = np.histogram(values, edges)
     return {"edges": edges, "counts": [int(count) for count in counts]}

@@ -16,8 +16,6 @@ from .survey import Survey
 
 # The workspace is divided into cells of at most this, m: about a banana's width.
 CELL_M = 0.05
-_BIN_DXY_M = 0.001
-_BIN_DZ_M = 0.001
 
 
 def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
@@ -48,8 +46,8 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
         "success_rate": {t: hit / len(outcomes) if outcomes else None for t, hit in hits.items()},
         "wilson95": {t: wilson95(hit, len(outcomes)) for t, hit in hits.items()},
         "attempts": _attempts(survey.attempts, thresholds, survey.context.max_height),
-        "dxy_m": _distribution(dxy, _BIN_DXY_M),
-        "dz_m": _distribution(dz, _BIN_DZ_M),
+        "dxy_m": _distribution(dxy),
+        "dz_m": _distribution(dz),
         "workspace": _workspace(survey),
         "cameras": {name: list(size) for episode in episodes for name, size in episode.cameras.items()},
         "tasks": sorted({record.task for record in records}),
@@ -88,9 +86,9 @@ def _attempts(attempts: Sequence[AttemptRecord], thresholds: Sequence[float], ma
     }
 
 
-def _distribution(values: Sequence[float], width: float) -> dict[str, Any] | None:
+def _distribution(values: Sequence[float]) -> dict[str, Any] | None:
     found = spread(values)
-    return found and {**found, "histogram": histogram(values, width)}
+    return found and {**found, "histogram": histogram(values)}
 
 
 def _range(values: Sequence[int]) -> dict[str, float] | None:

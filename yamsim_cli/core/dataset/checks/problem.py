@@ -55,6 +55,7 @@ class Problem:
             "severity": str(self.kind.severity),
             "episode": self.episode,
             "file": self.file,
+            "title": self.kind.title,
             "problem": self.text,
             "value": self.value,
             "valid": self.valid,
