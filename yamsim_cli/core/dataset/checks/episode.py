@@ -20,6 +20,7 @@ from .lowdim import LowdimChecks, expected_forms
 from .motion import arm_joints, check_fingers, check_limits, check_speeds, check_times
 from .poses import check_intrinsics, check_pose, check_view
 from .problem import Problems
+from .timestamps import TIMESTAMPS, read_timestamps
 
 # A recorded outcome is of the moment after the last frame, in which a resting object moves by less than 0.1 mm.
 _OUTCOME_TOLERANCE = 0.005
@@ -54,7 +55,7 @@ class _EpisodeCheck:
         self._check_joints(lowdim.values, cameras, period)
         self._check_poses(lowdim.values, cameras)
         outcome = seen_outcome(lowdim.values, self._context)
-        if self._record and outcome:
+        if self._record and outcome and self._record.frames - 1 in lowdim.values:
             self._compare_outcomes(outcome.dxy_m, self._record.outcome.dxy_m)
         return EpisodeFacts(
             name=self._episode.path.name,
@@ -148,8 +149,22 @@ class _EpisodeCheck:
 
     def _check_times(self, values: Values) -> float | None:
         times = {k: float(time) for k, time in numbered(values, "timestamp").items() if np.ndim(time) == 0}
+        if not times and not self._context.recorded:
+            times = self._capture_times()
         period = self._record.frame_period_s if self._record else None
         return check_times(times, period, self._frame_name, self._problems)
+
+    def _capture_times(self) -> dict[int, float]:
+        """Frame -> time in s, from the file beside the first camera that has one."""
+        for camera, names in sorted(self._files.images.items()):
+            name = f"rgb/{camera}/{TIMESTAMPS}"
+            data = self._read(name) if name in self._files.others else None
+            times = read_timestamps(data) if data is not None else None
+            if times and len(times) != len(names):
+                self._problems.add("frames.count", name, f"{len(times)} times", f"{len(names)}, as there are images")
+            elif times:
+                return dict(zip(sorted(names), times, strict=True))
+        return {}
 
     def _check_joints(self, values: Values, cameras: Mapping[str, CameraChecks], period: float | None) -> None:
         joints = numbered(values, "joints")
