@@ -122,7 +122,7 @@ def episode(number: int, frames: int = FRAMES) -> Episode:
         banana = start * (1 - part) + (plate + np.array([0.002, 0, 0.02])) * part
         data.append(
             frame_data(
-                joints=START_JOINTS + 0.05 * k * np.array([1, -1, -1, 1, 0.2, 1, -0.02]),
+                joints=START_JOINTS + (0.05 * k + 0.01 * number) * np.array([1, -1, -1, 1, 0.2, 1, -0.02]),
                 timestamp=k * PERIOD,
                 intrinsics={CAMERA: Intrinsics.from_fovy(WIDTH, HEIGHT, 0.9).K},
                 extrinsics={CAMERA: T_CAM_IN_BASE},
