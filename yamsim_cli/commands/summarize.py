@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import Annotated
@@ -35,7 +36,7 @@ def summarize(
     Example: yamsim summarize dataset/ --threshold 0.03 --html report.html
     """
     for value in threshold or ():
-        if not value > 0:
+        if not 0 < value < math.inf:
             raise UsageError(f"--threshold {value:g} is not valid: give a distance in metres above 0")
     if html:
         _require_free(html, overwrite)

@@ -60,27 +60,34 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
     """Every episode of a dataset, in order, and whether yamsim recorded it.
 
     Raises:
-        DatasetError: there is no dataset, or it is a single episode.
+        DatasetError: there is no dataset, or it is a single episode, or it cannot be read.
     """
     hint = "give the directory that `yamsim record` wrote"
     if not dataset.is_dir():
         raise DatasetError(f"{dataset} is not a directory; {hint}")
     if _is_episode(dataset):
         raise DatasetError(f"{dataset} is one episode; give the directory around it, {dataset.absolute().parent}")
-    # Other spellings of a number, such as ep_0000001, are no episodes: two would have the same.
-    numbered = [
-        EpisodeDirectory(path, number)
-        for number, path in episode_directories(dataset)
-        if path.name == episode_name(number)
-    ]
-    if (dataset / CONFIG).is_file() or any((episode.path / EPISODE).is_file() for episode in numbered):
-        return numbered, True
-    plain = [path for path in dataset.iterdir() if not path.name.startswith(".") and _is_episode(path)]
+    try:
+        numbered = _numbered(dataset)
+        if (dataset / CONFIG).is_file() or any((episode.path / EPISODE).is_file() for episode in numbered):
+            return numbered, True
+        plain = [path for path in dataset.iterdir() if not path.name.startswith(".") and _is_episode(path)]
+    except OSError as error:
+        raise DatasetError(f"{dataset} cannot be read: {error.strerror}; mend its permissions or its disk") from error
     if not plain:
         raise DatasetError(
             f"{dataset} holds no episodes (ep_NNNNNN, or any with rgb/ and lowdim/) and no {CONFIG}; {hint}"
         )
     return [EpisodeDirectory(path, None) for path in sorted(plain, key=_natural)], False
+
+
+def _numbered(dataset: Path) -> list[EpisodeDirectory]:
+    """Other spellings of a number, such as ep_0000001, are left out: two directories would have the same."""
+    return [
+        EpisodeDirectory(path, number)
+        for number, path in episode_directories(dataset)
+        if path.name == episode_name(number)
+    ]
 
 
 def looks_like_episode(path: Path) -> bool:

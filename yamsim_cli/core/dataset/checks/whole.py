@@ -118,8 +118,8 @@ def _differ(what: str, values: Iterable[str], problems: Problems) -> None:
 
 def _leftovers(dataset: Path, known: set[str], problems: Problems) -> None:
     for path in sorted(dataset.iterdir()):
-        if path.name == STAGING and path.is_dir():
-            for staged in sorted(path.iterdir()):
+        if path.name == STAGING:
+            for staged in sorted(path.glob("*")):
                 problems.add("leftover.staging", f"{STAGING}/{staged.name}")
         elif _PART.fullmatch(path.name):
             problems.add("leftover.staging", path.name)
