@@ -70,6 +70,20 @@ def test_the_report_for_a_person_fits_80_columns_and_has_no_colour_in_a_pipe(dat
     assert "5 cm 100.0%" in words
 
 
+def test_names_in_a_dataset_cannot_steer_the_terminal(tmp_path: Path, config: RecordConfig) -> None:
+    sample = Sample(config.data_config(), [episode(k) for k in range(2)])
+    for made in sample.episodes:
+        made.images = {"cam\x1b[2J\udcff": made.images["scene_camera"]}
+        for frame in made.frames:
+            frame["\x1b[31m_pose"] = frame["plate_pose"]
+    dataset = sample.write_plain(tmp_path / "plain\x1b[31m")
+    for options in ((), ("--json",), ("--html", tmp_path / "report.html")):
+        run = yamsim("summarize", dataset, *options)
+        assert run.code == WHOLE, run.err
+        assert "\x1b" not in run.out
+        assert "cam\N{REPLACEMENT CHARACTER}[2J\N{REPLACEMENT CHARACTER}" in run.out
+
+
 def test_a_page_is_written(dataset: Path, tmp_path: Path) -> None:
     run = yamsim("summarize", dataset, "--html", "report.html", "--json", cwd=tmp_path)
     assert (run.code, run.err) == (WHOLE, "")

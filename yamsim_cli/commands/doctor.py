@@ -11,6 +11,8 @@ from rich.constrain import Constrain
 from rich.table import Table
 from rich.text import Text
 
+from yamsim_cli.core.dataset.checks.problem import printable
+
 _WIDTH = 80
 
 # More would only repeat the fault; --json has them all.
@@ -41,7 +43,7 @@ def _figures(report: Mapping[str, Any]) -> Table:
 
     def row(name: str, value: str) -> None:
         if value:
-            table.add_row(name, Text(value))
+            table.add_row(name, Text(printable(value)))
 
     row("dataset", report["path"])
     row("episodes", f"{report['episodes']:,}: {report['frames']:,} frames, {_duration(report['seconds'])}")

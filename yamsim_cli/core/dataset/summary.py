@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .checks.facts import EpisodeFacts
-from .checks.problem import errors
+from .checks.problem import errors, printable
 from .records import AttemptRecord
 from .statistics import Coverage, coverage, histogram, spread, wilson95
 from .survey import Survey
@@ -35,7 +35,7 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
     records = [episode.record for episode in episodes if episode.record]
     n_errors = errors(problems)
     return {
-        "path": str(survey.path),
+        "path": printable(survey.path),
         "recorded_by_yamsim": survey.context.recorded,
         "episodes": len(episodes),
         "frames": sum(episode.frames for episode in episodes),
@@ -49,7 +49,7 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
         "dxy_m": _distribution(dxy),
         "dz_m": _distribution(dz),
         "workspace": _workspace(survey),
-        "cameras": {name: list(size) for episode in episodes for name, size in episode.cameras.items()},
+        "cameras": {printable(name): list(size) for episode in episodes for name, size in episode.cameras.items()},
         "tasks": sorted({record.task for record in records}),
         "grasps": sorted({record.grasp for record in records}),
         "versions": [dict(found) for found in sorted({tuple(sorted(record.versions.items())) for record in records})],
@@ -103,7 +103,7 @@ def _workspace(survey: Survey) -> dict[str, Any]:
     for name in names:
         starts = [episode.starts[name] for episode in survey.episodes if name in episode.starts]
         ends = [episode.ends[name] for episode in survey.episodes if name in episode.ends]
-        objects[name] = {"start": _extent(survey, starts), "end": _extent(survey, ends)}
+        objects[printable(name)] = {"start": _extent(survey, starts), "end": _extent(survey, ends)}
     return {"box": {"x": list(box.x), "y": list(box.y), "cell_m": CELL_M} if box else None, "objects": objects}
 
 

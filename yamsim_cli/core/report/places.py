@@ -20,7 +20,7 @@ _MOST_OBJECTS = 4
 
 def workspace_section(survey: Survey, summary: Mapping[str, Any]) -> Markup | None:
     """Where objects lay, coloured by success at the first threshold; None where nothing is known of that."""
-    names = list(summary["workspace"]["objects"])[:_MOST_OBJECTS]
+    names = list(dict.fromkeys(name for episode in survey.episodes for name in episode.starts))[:_MOST_OBJECTS]
     threshold = min((float(limit) for limit in summary["success_rate"]), default=survey.context.threshold)
     panels = []
     for name in names:

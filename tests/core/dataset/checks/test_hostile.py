@@ -12,6 +12,7 @@ import pytest
 from tests.core.dataset.checks.sample import CAMERA, Sample
 from tests.core.dataset.checks.test_codes import EP, FRAME, IMAGE, rehash, write
 from yamsim_cli.core.dataset.checks.problem import printable
+from yamsim_cli.core.errors import DatasetError
 
 
 def replace_by(path: Path, make: Any) -> None:
@@ -94,6 +95,19 @@ def test_names_cannot_steer_a_terminal(sample: Sample, path: Path, survey_of: An
     for problem in problems:
         assert problem.file.isprintable()
         assert problem.text.isprintable()
+
+
+def test_a_disk_that_refuses_is_an_error_of_the_dataset(
+    sample: Sample, path: Path, found: Any, monkeypatch: Any
+) -> None:
+    sample.write(path)
+
+    def refuse(_: Path) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(DatasetError, match=r"dataset cannot be read: Input/output error; mend"):
+        found(path)
 
 
 def test_long_values_are_cut() -> None:

@@ -55,6 +55,15 @@ def test_a_station_with_two_arms_is_read_too(sample: Sample, path: Path, survey_
     assert found.episodes[0].starts == {}
 
 
+def test_a_picture_that_stands_still_while_the_other_arm_moves(sample: Sample, path: Path, found: Any) -> None:
+    def right_alone(frame: dict[str, Any]) -> dict[str, Any]:
+        data = station(frame)
+        return data | {"joints": np.concatenate([data["action_joints"][:7] * 0 + 0.5, data["joints"][7:]])}
+
+    sample.episodes[1].images[CAMERA] = [picture(0, 1)] * FRAMES
+    assert "image.frozen" in {code for code, _, _ in found(sample.write_plain(path, right_alone))}
+
+
 def test_names_with_more_digits_and_files_of_other_kinds_are_no_fault(sample: Sample, path: Path, found: Any) -> None:
     sample.write_plain(path)
     for file in [*path.rglob("*.pkl"), *path.rglob("*.jpg")]:

@@ -169,13 +169,14 @@ class _EpisodeCheck:
     def _check_joints(self, values: Values, cameras: Mapping[str, CameraChecks], period: float | None) -> None:
         joints = numbered(values, "joints")
         limits, fingers = self._context.limits, self._context.fingers
-        for arm in arm_joints(joints, limits):
+        arms = arm_joints(joints, limits)
+        for arm in arms:
             check_limits(arm, limits, self._frame_name, self._problems)
             check_speeds(arm, period, limits, self._frame_name, self._problems)
         if fingers and self._record:
             openings = {k: float(q[-1]) for k, q in joints.items()}
             check_fingers(openings, fingers, self._frame_name, self._problems)
-        angles: dict[int, Array] = {k: q[: len(limits.joints)] for k, q in joints.items() if np.ndim(q) == 1}
+        angles: dict[int, Array] = {k: np.concatenate([arm[k] for arm in arms]) for k in joints} if arms else {}
         for camera, checks in cameras.items():
             check_frozen(checks.fingerprints, self._files.images[camera], angles, self._problems)
 

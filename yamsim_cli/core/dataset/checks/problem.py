@@ -82,7 +82,9 @@ class Problems:
         if earlier := self._found.get(key):
             self._found[key] = replace(earlier, count=earlier.count + 1)
         else:
-            self._found[key] = Problem(code, self._episode, printable(file), printable(value), printable(valid))
+            self._found[key] = Problem(
+                code, printable(self._episode), printable(file), printable(value), printable(valid)
+            )
 
     def have(self, prefix: str) -> bool:
         """Whether there is a fault whose code begins so."""
