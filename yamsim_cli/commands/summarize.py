@@ -21,13 +21,14 @@ _THRESHOLDS = (0.05, 0.08)
 def summarize(
     dataset: Annotated[Path, typer.Argument(help="The directory that `yamsim record` wrote.", show_default=False)],
     threshold: Annotated[
-        list[float] | None, typer.Option(help="Score by this distance in m; may be given again.  [default: 0.05, 0.08]")
+        list[float] | None,
+        typer.Option(help="Score by this distance in m; may be given again. By default 0.05 and 0.08."),
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Also write a report with plots and pictures, one page.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a report that is there.")] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 4 for warnings too.")] = False,
     workers: Annotated[
-        int | None, typer.Option(min=1, max=1024, help="Processes that read.  [default: all cores]")
+        int | None, typer.Option(min=1, max=1024, help="Processes that read; by default one a core.")
     ] = None,
     json: Json = False,
 ) -> None:
