@@ -108,7 +108,8 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
         for limit, rate in attempts["rates"].items():
             rows.append((f"attempts, {float(limit) * 100:g} cm", rate, attempts["rates_wilson95"][limit]))
     if rows:
-        caption = f"Of the episodes, and of all attempts made for them; lines are {_WILSON}."
+        whose = "Of the episodes, and of all attempts made for them" if attempts["n"] else "Of the episodes"
+        caption = f"{whose}; lines are {_WILSON}."
         figures.append(_figure("Success by threshold", plots.rates(rows), caption))
     limits = [float(limit) for limit in summary["success_rate"]]
     for key, title, shown in (
