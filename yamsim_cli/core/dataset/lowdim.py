@@ -12,21 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import DatasetError
+from .unpickle import read_pickle
 
 # Fixed, so that the bytes do not change with Python's default.
 _PROTOCOL = 4
-
-# Everything a frame's pickle may name: numpy arrays, by numpy 2's and numpy 1's module names. Anything else is an
-# attack, or a file of some other program.
-_ALLOWED = {
-    (module, name)
-    for core in ("numpy._core", "numpy.core")
-    for module, name in (
-        (f"{core}.multiarray", "_reconstruct"),
-        (f"{core}.multiarray", "scalar"),
-        (f"{core}.numeric", "_frombuffer"),
-    )
-} | {("numpy", "ndarray"), ("numpy", "dtype")}
 
 # Shapes of the arrays every frame has; `<object>_pose` and per-camera entries come on top.
 SHAPES: Mapping[str, tuple[int, ...]] = {
@@ -103,40 +92,14 @@ def dump_frame(data: Mapping[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-class _Unpickler(pickle.Unpickler):
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) not in _ALLOWED:
-            raise DatasetError(f"the pickle names {module}.{name}, which no frame may; it was not run")
-        return super().find_class(module, name)
-
-
 def load_frame(data: bytes) -> dict[str, Any]:
     """Read a frame's pickle, allowing numpy arrays and plain containers alone.
 
     Raises:
-        DatasetError: truncated, not a pickle, names anything else, or is not a dictionary.
+        ForbiddenPickleError: it names anything else, or would take more memory than a frame may.
+        DatasetError: truncated, not a pickle, or not a dictionary.
     """
-    try:
-        frame = _Unpickler(io.BytesIO(data)).load()
-    except DatasetError:
-        raise
-    # A broken pickle can make the machine it drives fail in any of these ways.
-    except (
-        pickle.UnpicklingError,
-        EOFError,
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        AttributeError,
-        MemoryError,
-        ImportError,
-        OverflowError,
-        RecursionError,
-        SyntaxError,
-        SystemError,
-    ) as error:
-        raise DatasetError(f"not a whole pickle: {type(error).__name__}: {error}") from error
+    frame = read_pickle(data)
     if not isinstance(frame, dict):
         raise DatasetError(f"a frame must be a dictionary, not {type(frame).__name__}")
     return frame
@@ -152,7 +115,7 @@ def content_hash(frames: Iterable[Mapping[str, Any]]) -> str:
 
 def _feed(digest: Any, value: Any) -> None:
     if isinstance(value, Mapping):
-        for key in sorted(value):
+        for key in sorted(value, key=str):
             digest.update(f"{key}:".encode())
             _feed(digest, value[key])
     elif isinstance(value, np.ndarray):
@@ -163,27 +126,12 @@ def _feed(digest: Any, value: Any) -> None:
     digest.update(b";")
 
 
-def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str]) -> list[str]:
-    """What is wrong with a decoded frame: missing keys, wrong shapes, dtypes or types, values that are not finite."""
-    faults: list[str] = []
-    arrays: dict[str, tuple[Any, tuple[int, ...]]] = {key: (frame.get(key), shape) for key, shape in SHAPES.items()}
-    arrays |= {f"{name}_pose": (frame.get(f"{name}_pose"), (4, 4)) for name in objects}
-    for group, side in (("intrinsics", 3), ("extrinsics", 4)):
-        entries = frame.get(group)
-        for camera in cameras:
-            arrays[f"{group}[{camera}]"] = (entries.get(camera) if isinstance(entries, Mapping) else None, (side, side))
-    for key, (value, shape) in arrays.items():
-        if value is None:
-            faults.append(f"{key} is missing")
-        elif not isinstance(value, np.ndarray) or value.dtype != np.float32 or value.shape != shape:
-            found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-            faults.append(f"{key} is {found}, not float32 {shape}")
-        elif not np.isfinite(value).all():
-            faults.append(f"{key} has values that are not finite")
-    for key, kind in (("timestamp", float), ("magnet", bool), ("language_task", str), ("language_prompt", str)):
-        if not isinstance(frame.get(key), kind):
-            faults.append(f"{key} is {type(frame.get(key)).__name__}, not {kind.__name__}")
-    timestamp = frame.get("timestamp")
-    if isinstance(timestamp, float) and not np.isfinite(timestamp):
-        faults.append("timestamp is not finite")
-    return faults
+def flat(frame: Mapping[str, Any]) -> dict[str, Any]:
+    """A frame's entries by flat keys: what a dictionary in it holds becomes `key[inner]`: `intrinsics[camera]`."""
+    entries: dict[str, Any] = {}
+    for key, value in frame.items():
+        if isinstance(value, Mapping):
+            entries |= {f"{key}[{inner}]": item for inner, item in value.items()}
+        else:
+            entries[str(key)] = value
+    return entries
