@@ -17,6 +17,7 @@ from .commands.compose_xml import compose_xml
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.summarize import summarize
+from .commands.verify import verify
 from .commands.view import view
 from .core.errors import YamsimError
 
@@ -29,6 +30,7 @@ app = typer.Typer(
 )
 app.command()(record)
 app.command()(summarize)
+app.command()(verify)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(boards)

@@ -80,6 +80,11 @@ class EpisodeRunner:
         self._renderer: SceneRenderer | None = None
 
     @property
+    def dimensions(self) -> tuple[int, int]:
+        """How many positions and drives the scene has: MuJoCo's `nq` and `nu`."""
+        return self._scene.model.nq, self._scene.model.nu
+
+    @property
     def renderer(self) -> SceneRenderer:
         """The process's one renderer, made when first asked for.
 
