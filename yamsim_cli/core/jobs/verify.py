@@ -122,17 +122,18 @@ def verify(
 
 def _report(verdicts: Sequence[Verdict], limits: Limits) -> dict[str, Any]:
     divergences = [
-        {"episode": verdict.episode, "check": check, **asdict(found.first)}
+        {"episode": verdict.episode, "check": check, **asdict(comparison.first)}
         for verdict in verdicts
         for check in CHECKS
-        if (found := verdict.checks.get(check)) and found.first
+        if (comparison := verdict.checks.get(check)) and comparison.first
     ]
     checks = {check: _check_report(verdicts, check) for check in CHECKS}
+    remade = [found["max_error"] for check in (SEED, ACTIONS) if (found := checks[check])]
     return {
         "episodes": len(verdicts),
         "agree": sum(verdict.agrees for verdict in verdicts),
         # Images count in other units.
-        "max_error": max((found["max_error"] for check in (SEED, ACTIONS) if (found := checks[check])), default=0.0),
+        "max_error": max(remade, default=0.0),
         "first_divergence": divergences[0] if divergences else None,
         "divergences": divergences,
         "problems": [
