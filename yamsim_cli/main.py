@@ -16,6 +16,7 @@ from .commands.boards import boards
 from .commands.compose_xml import compose_xml
 from .commands.record import record
 from .commands.render_views import render_views
+from .commands.replay import replay
 from .commands.summarize import summarize
 from .commands.verify import verify
 from .commands.view import view
@@ -31,6 +32,7 @@ app = typer.Typer(
 app.command()(record)
 app.command()(summarize)
 app.command()(verify)
+app.command()(replay)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(boards)

@@ -8,10 +8,10 @@ from typing import Any
 
 from ..config.loader import parse_config
 from ..config.record import RecordConfig
-from ..errors import ConfigError, DatasetError
+from ..errors import ConfigError, DatasetError, UsageError
 from ..files import sha256_bytes
 from ..resources import Locations
-from .layout import CONFIG, EPISODE, image_name, lowdim_name
+from .layout import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name
 from .lowdim import frame_faults, load_frame
 from .records import EpisodeRecord, from_json
 
@@ -103,6 +103,24 @@ def open_episode(directory: Path) -> StoredEpisode:
             "give a directory such as dataset/ep_000003"
         ) from error
     return StoredEpisode(directory, from_json(EpisodeRecord, text, file))
+
+
+def find_episode(path: Path, number: int | None) -> StoredEpisode:
+    """The episode at a path: its own directory, or its dataset's with a number.
+
+    Raises:
+        UsageError: a dataset without a number, or one it has no episode of.
+        DatasetError: there is no episode, or its record is damaged.
+    """
+    there = episode_directories(path) if path.is_dir() else []
+    if number is None and not there:
+        return open_episode(path)
+    names = ", ".join(directory.name for _, directory in there[:3]) + (", ..." if len(there) > 3 else "")
+    if number is None:
+        raise UsageError(f"{path} is a dataset: give one of its episodes ({names}), or --episode")
+    if number not in dict(there):
+        raise UsageError(f"--episode {number}: there is no {episode_name(number)} in {path}; it has {names or 'none'}")
+    return open_episode(dict(there)[number])
 
 
 def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:

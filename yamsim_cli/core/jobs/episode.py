@@ -22,6 +22,7 @@ from ..planning.ik import IkSolver
 from ..planning.path import best_plan, plan_path
 from ..resources import Locations
 from ..scene.build import build_scene
+from ..scene.compiled import CompiledScene
 from ..scene.robot import arm_spec, bare_arm
 from ..sim.replica import Replica
 from ..sim.rollout import Rollout, object_pose, roll_out, simulate
@@ -29,7 +30,7 @@ from ..tasks.pickplace import candidate_plans, judge, knocked, sample_layout
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, StepState
 from ..vision.jpeg import encode_jpeg
-from ..vision.renderer import SceneRenderer
+from ..vision.renderer import Image, SceneRenderer
 
 # A plan that misses a waypoint by more than this is out of the arm's reach.
 _REACH_TOLERANCE = 0.005
@@ -80,9 +81,9 @@ class EpisodeRunner:
         self._renderer: SceneRenderer | None = None
 
     @property
-    def dimensions(self) -> tuple[int, int]:
-        """How many positions and drives the scene has: MuJoCo's `nq` and `nu`."""
-        return self._scene.model.nq, self._scene.model.nu
+    def scene(self) -> CompiledScene:
+        """What the attempts are made in."""
+        return self._scene
 
     @property
     def renderer(self) -> SceneRenderer:
@@ -185,13 +186,16 @@ class EpisodeRunner:
         Raises:
             ResourceError: no OpenGL context could be made.
         """
-        files: dict[str, bytes] = {}
-        for k, qpos in enumerate(positions):
-            self._replica.show(qpos)
-            for camera in self._scene.cameras:
-                image = self.renderer.draw(self._replica.data, camera)
-                files[image_name(camera, k)] = encode_jpeg(image, self._config.image.jpeg_quality)
-        return files
+        return {
+            image_name(camera, k): encode_jpeg(image, self._config.image.jpeg_quality)
+            for k, qpos in enumerate(positions)
+            for camera, image in self.draw(qpos, self._scene.cameras).items()
+        }
+
+    def draw(self, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
+        """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,). Raises as `images`."""
+        self._replica.show(qpos)
+        return {camera: self.renderer.draw(self._replica.data, camera) for camera in cameras}
 
     def close(self) -> None:
         """Free the renderer."""

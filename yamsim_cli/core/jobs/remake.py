@@ -96,7 +96,7 @@ class EpisodeVerifier:
                 checks |= self._from_seed(episode, frames)
             else:
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
-            if repeated := self._from_actions(episode, frames):
+            if repeated := repeat_actions(self._runner, episode, frames, self._limits.values):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
@@ -120,19 +120,6 @@ class EpisodeVerifier:
             checks[IMAGES] = _compare_images(episode, drawn, self._limits.images)
         return checks
 
-    def _from_actions(self, episode: StoredEpisode, frames: Frames) -> Comparison | None:
-        """The stored actions again, from the stored start; None when the episode holds none."""
-        recorded = recorded_actions(frames, *self._runner.dimensions)
-        if recorded is None:
-            return None
-        stored = episode.record.outcome
-        outcome, rollout = self._runner.repeat(*recorded, stored.plan_error_m or 0.0, stored.tilt_rad or 0.0)
-        judged = OutcomeRecord.of(outcome).model_copy(
-            update={"plan_error_m": stored.plan_error_m, "tilt_rad": stored.tilt_rad}
-        )
-        once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, self._limits.values)
-        return _together(compare_frames(frames, self._runner.frames(rollout.states), self._limits.values), once)
-
     def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
         then, now = dict(episode.record.versions), versions()
         if self._limits.images is not None:
@@ -146,6 +133,35 @@ class EpisodeVerifier:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._runner.close()
+
+
+def repeat_actions(
+    runner: EpisodeRunner, episode: StoredEpisode, frames: Frames, tolerance: float
+) -> Comparison | None:
+    """An episode's actions again in physics, from where it began, and how far that leads from what it holds.
+
+    Args:
+        runner: of the configuration that the episode was recorded with.
+        tolerance: see `dataset.compare`.
+
+    Returns:
+        None when the episode holds no actions that physics could repeat.
+
+    Raises:
+        DatasetError: the episode is of another scene.
+    """
+    model = runner.scene.model
+    recorded = recorded_actions(frames, model.nq, model.nu)
+    if recorded is None:
+        return None
+    stored = episode.record.outcome
+    outcome, rollout = runner.repeat(*recorded, stored.plan_error_m or 0.0, stored.tilt_rad or 0.0)
+    # What the plan knew of itself, its actions cannot tell.
+    judged = OutcomeRecord.of(outcome).model_copy(
+        update={"plan_error_m": stored.plan_error_m, "tilt_rad": stored.tilt_rad}
+    )
+    once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, tolerance)
+    return _together(compare_frames(frames, runner.frames(rollout.states), tolerance), once)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
