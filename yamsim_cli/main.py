@@ -14,6 +14,7 @@ from . import __version__
 from .commands import assets, config, pickplace
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
+from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
@@ -35,6 +36,7 @@ app.command()(verify)
 app.command()(replay)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
+app.command()(overlay)
 app.command()(boards)
 app.command()(view)
 app.add_typer(pickplace.app, name="pickplace")

@@ -1,0 +1,108 @@
+"""Camera files: our own, OpenCV's FileStorage and ROS's camera_info, all in YAML."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from ..errors import ConfigError, suggest
+from ..geometry.camera import CameraModel
+from .base import Config
+from .document import Document
+
+Row = tuple[float, float, float]
+
+# How many distortion coefficients OpenCV's model can have.
+_COUNTS = (0, 4, 5, 8, 12, 14)
+
+# The names under which calibration programs save what we call K, distortion, width and height.
+_ALIASES = {
+    "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "mtx"),
+    "distortion": ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "dist", "D"),
+    "width": ("image_width", "image_Width", "imageWidth"),
+    "height": ("image_height", "image_Height", "imageHeight"),
+}
+
+# ROS's distortion models that are OpenCV's.
+_ROS_MODELS = ("plumb_bob", "rational_polynomial")
+
+
+class CameraConfig(Config):
+    """A calibrated camera, pinhole with OpenCV's distortion.
+
+    Attributes:
+        K: the camera matrix (3, 3), px; pixel centres at whole numbers.
+        distortion: in OpenCV's order, 0, 4, 5, 8, 12 or 14 numbers.
+        width, height: of the images it was calibrated with, px.
+        focal_sigma: standard deviation of the focal length as a share of it.
+    """
+
+    width: int = Field(ge=16, le=16384)
+    height: int = Field(ge=16, le=16384)
+    K: tuple[Row, Row, Row]
+    distortion: tuple[float, ...] = ()
+    focal_sigma: float = Field(default=0.003, ge=0, le=0.5)
+
+    @property
+    def model(self) -> CameraModel:
+        """The camera in numbers."""
+        return CameraModel(self.width, self.height, self.K, self.distortion, self.focal_sigma)
+
+    @model_validator(mode="after")
+    def _plausible(self) -> CameraConfig:
+        (fx, _, cx), (skewed, fy, cy), last = self.K
+        if last != (0.0, 0.0, 1.0) or skewed != 0.0:
+            raise ValueError("K must have the form [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
+        if not (math.isfinite(fx) and math.isfinite(fy) and fx > 0 and fy > 0):
+            raise ValueError(f"the focal lengths {fx:g} and {fy:g} must be above 0 px")
+        # A phone's zoom or a fisheye lie within; a K of another image size or in millimetres does not.
+        longer = max(self.width, self.height)
+        if not 0.2 * longer < min(fx, fy) <= max(fx, fy) < 20 * longer:
+            raise ValueError(f"K does not fit images of {self.width} x {self.height}: its focal length is {fx:g} px")
+        if not (0 <= cx < self.width and 0 <= cy < self.height):
+            raise ValueError(
+                f"K does not fit images of {self.width} x {self.height}: its principal point is ({cx:g}, {cy:g})"
+            )
+        if len(self.distortion) not in _COUNTS:
+            raise ValueError(f"distortion has {len(self.distortion)} numbers; OpenCV's model has 0, 4, 5, 8, 12 or 14")
+        return self
+
+    @classmethod
+    def adopt(cls, document: Document) -> None:
+        """Rewrite another program's camera file in our own keys, in place.
+
+        Raises:
+            ConfigError: its camera model is not OpenCV's pinhole.
+        """
+        data = document.data
+        if not any(alias in data for names in _ALIASES.values() for alias in names):
+            return
+        model = data.get("distortion_model", _ROS_MODELS[0])
+        if model not in _ROS_MODELS:
+            raise ConfigError(
+                f"{document.place(('distortion_model',))}: distortion_model: {model!r} is not valid: calibrate with one of "
+                f"OpenCV's pinhole models; {suggest(str(model), _ROS_MODELS)}"
+            )
+        ours: dict[str, Any] = {}
+        places = {}
+        for key, aliases in _ALIASES.items():
+            for alias in (key, *aliases):
+                if alias in data:
+                    value = _matrix(data[alias])
+                    ours[key] = _rows(value) if key == "K" else value
+                    places[(key,)] = document.place((alias,))
+                    break
+        document.data, document.places = ours, {(): document.place(()), **places}
+
+
+def _matrix(value: Any) -> Any:
+    """The numbers of a matrix saved as `{rows, cols, data}`, or the value as it is."""
+    return value["data"] if isinstance(value, dict) and "data" in value else value
+
+
+def _rows(value: Any) -> Any:
+    if isinstance(value, list) and len(value) == 9:
+        return [value[k : k + 3] for k in (0, 3, 6)]
+    return value

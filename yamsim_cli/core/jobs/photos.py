@@ -1,0 +1,144 @@
+"""Photos to be checked against a rig: from files, folders, or a recorded episode, with all that is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.rig import RigConfig
+from ..dataset.lowdim import load_frame
+from ..errors import DatasetError, ResourceError, UsageError, suggest
+from ..geometry.camera import CameraModel
+from ..geometry.se3 import Array, inverse
+from .joint_files import arm_rows
+
+Image = NDArray[np.uint8]
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+
+# What is written beside photos, and so is none.
+OVERLAY_ENDING = "_overlay.png"
+MASK_ENDING = "_mask.png"
+
+# The encoder's name for the size of an image that OpenCV refuses to open at all.
+_MAX_BYTES = 200_000_000
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo and what is known of it.
+
+    Attributes:
+        path: where it lies.
+        camera: that took it, if known.
+        joints: of every arm (arms, 7), if known.
+        T_base_in_cam: pose (4, 4) of the first arm's base in the camera's frame, if it was recorded.
+    """
+
+    path: Path
+    camera: CameraModel | None = None
+    joints: Array | None = None
+    T_base_in_cam: Array | None = None
+
+
+def find_photos(paths: Sequence[Path]) -> list[Path]:
+    """The photos that files and folders name, in order; overlays and masks in a folder are left out.
+
+    Raises:
+        ResourceError: a path does not exist, is no PNG or JPEG, or a folder has none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(
+                item
+                for item in path.iterdir()
+                if item.suffix.lower() in SUFFIXES and not item.name.endswith((OVERLAY_ENDING, MASK_ENDING))
+            )
+            if not inside:
+                raise ResourceError(f"{path} holds no photo; valid: {', '.join(SUFFIXES)}")
+            found += inside
+        elif not path.exists():
+            raise ResourceError(f"{path} does not exist; give a photo or a folder of photos")
+        elif path.suffix.lower() not in SUFFIXES:
+            raise ResourceError(f"{path} is no photo; valid: {', '.join(SUFFIXES)}")
+        else:
+            found.append(path)
+    return found
+
+
+def read_image(path: Path) -> Image:
+    """An image as RGB (height, width, 3), whatever it was stored as.
+
+    Raises:
+        ResourceError: unreadable, or no whole PNG or JPEG.
+    """
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ResourceError(f"{path} is larger than {_MAX_BYTES // 1_000_000} MB; scale it down")
+        data = path.read_bytes()
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be read: {error.strerror or error}") from error
+    image = None
+    if _whole(data):
+        try:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        except cv2.error:
+            image = None
+    if image is None:
+        raise ResourceError(f"{path} is no whole PNG or JPEG; export it again")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _whole(data: bytes) -> bool:
+    """Whether an image's file has its end: decoders fill in what is missing with grey."""
+    if data.startswith(b"\xff\xd8"):
+        # Cameras append previews and notes after the end marker.
+        return data.rfind(b"\xff\xd9") > len(data) // 2
+    return not data.startswith(b"\x89PNG") or b"IEND" in data[-64:]
+
+
+def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Photo]:
+    """A recorded episode's frames of one camera, with its own intrinsics, pose and joints.
+
+    Args:
+        camera: name of the camera; by default the first that stands still.
+
+    Raises:
+        DatasetError: it is no episode, or a frame of it is damaged.
+        UsageError: it has no such camera.
+    """
+    if not (episode / "rgb").is_dir() or not (episode / "lowdim").is_dir():
+        raise DatasetError(f"{episode} is no episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN")
+    cameras = sorted(path.name for path in (episode / "rgb").iterdir() if path.is_dir())
+    if camera is None:
+        camera = next((name for name in cameras if "wrist" not in name), None)
+    if camera not in cameras:
+        raise UsageError(f"{episode} has no camera {camera!r}; {suggest(str(camera), cameras)}")
+    photos = []
+    for path in sorted((episode / "rgb" / camera).iterdir()):
+        if path.suffix.lower() not in SUFFIXES:
+            continue
+        lowdim = episode / "lowdim" / f"{path.stem}.pkl"
+        try:
+            frame = load_frame(lowdim.read_bytes())
+            K = np.asarray(frame["intrinsics"][camera], dtype=np.float64)
+            T_cam_in_base = np.asarray(frame["extrinsics"][camera], dtype=np.float64)
+            joints = arm_rows(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)[0]
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise DatasetError(f"{lowdim}: cannot be used: {type(error).__name__}: {error}") from error
+        height, width = read_image(path).shape[:2]
+        photos.append(Photo(path, _pinhole(K, width, height), joints, inverse(T_cam_in_base)))
+    if not photos:
+        raise DatasetError(f"{episode}/rgb/{camera} holds no frame")
+    return photos
+
+
+def _pinhole(K: Array, width: int, height: int) -> CameraModel:
+    (a, b, c), (d, e, f), _ = K.tolist()
+    return CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0)))
