@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.core.dataset.making import CAMERA, frame
+from yamsim_cli.core.dataset.actions import recorded_actions
 from yamsim_cli.core.dataset.lowdim import (
     SHAPES,
     SimulationData,
@@ -15,6 +16,7 @@ from yamsim_cli.core.dataset.lowdim import (
     has_simulation,
     load_frame,
 )
+from yamsim_cli.core.errors import DatasetError
 
 OBJECTS = ("banana", "plate")
 # No two of these are the same number in float32.
@@ -66,3 +68,24 @@ def test_a_frame_has_all_of_it_or_none():
 )
 def test_each_fault_is_named(change, fault):
     assert frame_faults(simulated() | change, OBJECTS, [CAMERA]) == [fault]
+
+
+def test_the_actions_of_an_episode_are_those_of_every_tick():
+    last = simulated() | {"sim_ctrl": CTRL[:1] + 1, "sim_magnet": np.array([True])}
+    recorded = recorded_actions([simulated(), last], 22, 7)
+    assert recorded is not None
+    start, actions = recorded
+    np.testing.assert_array_equal(start, QPOS)
+    np.testing.assert_array_equal(actions.ctrl, [*CTRL, CTRL[0] + 1])
+    assert actions.magnet == (False, True, True)
+    assert actions.joints.shape == (3, 7)
+
+
+def test_without_simulation_data_in_every_frame_there_are_no_actions():
+    assert recorded_actions([simulated(), frame()], 22, 7) is None
+    assert recorded_actions([], 22, 7) is None
+
+
+def test_an_episode_of_another_scene_is_refused():
+    with pytest.raises(DatasetError, match="frame 0 has 22 positions and 7 drives, and its scene 44 and 14"):
+        recorded_actions([simulated()], 44, 14)

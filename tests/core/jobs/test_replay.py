@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.jobs.undrawn import SIZE, change_frame, read_frame, write_dataset
+from tests.core.jobs.undrawn import SIZE, change_frame, change_record, read_frame, write_dataset
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.jobs.episode import EpisodeRunner
 from yamsim_cli.core.jobs.replay import positions, repeat, scene_config
 from yamsim_cli.core.resources import Locations
@@ -114,6 +115,15 @@ def test_a_damaged_episode_is_one_line_and_leaves_no_video(
     assert run.code == 4
     assert f"ep_000001/{name}" in run.message or name in run.message
     assert not list(tmp_path.glob("*.mp4*"))
+
+
+def test_an_image_that_is_none_is_told_even_where_its_hash_agrees(dataset: Path, tmp_path: Path) -> None:
+    directory = dataset / "ep_000001"
+    (directory / "rgb/scene_camera/000040.jpg").write_bytes(b"no image")
+    files = json.loads((directory / "episode.json").read_text())["files"]
+    change_record(directory, files=files | {"rgb/scene_camera/000040.jpg": sha256_bytes(b"no image")})
+    run = yamsim("replay", directory, "--video", tmp_path / "a.mp4")
+    assert (run.code, "frame 40 of scene_camera is no JPEG of 24x16" in run.message) == (4, True)
 
 
 def test_a_video_is_made_though_its_actions_lead_elsewhere_and_it_says_so(dataset: Path, tmp_path: Path) -> None:

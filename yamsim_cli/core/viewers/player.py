@@ -44,7 +44,7 @@ class EpisodePlayer:
     @property
     def frame(self) -> int:
         """The frame that is shown."""
-        return int(self._time / self.frame_period) % self.frames
+        return min(int(self._time / self.frame_period), self.frames - 1)
 
     @property
     def time(self) -> float:
