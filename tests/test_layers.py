@@ -31,6 +31,7 @@ FLOORS: dict[str, int] = {
     "core.jobs": 6,
     "commands": 7,
     "main": 8,
+    "__main__": 9,
 }
 
 # Libraries that only some packages may know.

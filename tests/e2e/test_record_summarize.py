@@ -142,7 +142,7 @@ def test_interrupted_then_resumed_gives_the_same_bytes(dataset: Path, tmp_path: 
     command = [
         sys.executable,
         "-m",
-        "yamsim_cli.main",
+        "yamsim_cli",
         "record",
         "--n",
         "3",

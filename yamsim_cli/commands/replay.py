@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +13,8 @@ from yamsim_cli.core.errors import DatasetError, UsageError
 
 from .console import note, print_json, print_line
 from .session import Json, locations, parse_size, resolve_meshes, skip_gl, use_gl
-from .view import _PORT, _hush_viser, _in_browser, _until_signalled
+from .signals import noted_signals
+from .viewing import Port, Web, choose_viewer, prepare_viewer
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.record import RecordConfig
@@ -34,11 +34,8 @@ def replay(
     size: Annotated[str | None, typer.Option(metavar="WxH", help="With --render: size of each image.")] = None,
     speed: Annotated[float, typer.Option(help="How fast time passes; 0.5 is slow motion.")] = 1.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move an older video aside.")] = False,
-    web: Annotated[bool | None, typer.Option("--web/--native", help="A browser page, or MuJoCo's own window.")] = None,
-    port: Annotated[
-        int | None,
-        typer.Option(min=0, max=65535, help=f"Of the browser page, {_PORT} unless given; 0 takes a free one."),
-    ] = None,
+    web: Web = None,
+    port: Port = None,
     json: Json = False,
 ) -> None:
     """Play a recorded episode in a viewer, or make a video of it; its actions are repeated in physics and compared.
@@ -106,16 +103,10 @@ def _film(
 def _watch(
     stored: StoredEpisode, where: Locations, speed: float, web: bool | None, port: int | None, json: bool
 ) -> None:
-    in_browser = _in_browser(web, port)
-    if in_browser:
-        skip_gl()
-        _hush_viser()
-    else:
-        os.environ["MUJOCO_GL"] = "glfw"
+    page_port = choose_viewer(web, port)
+    prepare_viewer(page_port)
 
     from yamsim_cli.core.jobs.replay import play
-
-    found = _physics(stored, where)
 
     def ready(url: str | None) -> None:
         _say({"episode": str(stored.directory), "url": url} | found, json)
@@ -124,9 +115,10 @@ def _watch(
 
     config = _config(stored, where)
     meshes = _meshes(config, where)
-    with _until_signalled() as stopped:
-        at = (_PORT if port is None else port) if in_browser else None
-        play(stored, config, where, meshes, speed, at, ready, stopped)
+    # A server or a window that is broken off while it starts cannot be closed.
+    with noted_signals() as stopped:
+        found = _physics(stored, where)
+        play(stored, config, where, meshes, speed, page_port, ready, stopped)
 
 
 def _config(stored: StoredEpisode, where: Locations) -> RecordConfig:

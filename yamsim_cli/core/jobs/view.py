@@ -34,7 +34,7 @@ def view_in_browser(live: LiveRig, port: int, ready: Callable[[str], None], stop
 
     Args:
         port: of the page; 0 takes a free one.
-        ready: called once with the page's URL.
+        ready: called with the page's URL once it is up, unless it is no longer wanted.
 
     Raises:
         UsageError: the port cannot be had.
@@ -63,7 +63,8 @@ def require_page() -> None:
 def run_page(page: BodiesPage, shown: Shown, ready: Callable[[str], None], stopped: Callable[[], bool]) -> None:
     """Let what a page shows go on until `stopped` says so, and close the page; see `view_in_browser`."""
     try:
-        ready(page.url)
+        if not stopped():
+            ready(page.url)
         while not stopped():
             began = time.monotonic()
             shown.advance(began)
@@ -77,7 +78,7 @@ def view_in_window(live: LiveRig, ready: Callable[[], None], stopped: Callable[[
     """Open MuJoCo's window and run physics, until it is closed or `stopped` says so.
 
     Args:
-        ready: called once, when the window is open.
+        ready: called when the window is open, unless it is no longer wanted.
 
     Raises:
         ResourceError: no window can be opened here.

@@ -28,7 +28,7 @@ def run_window(
 
     Args:
         period: between two pictures, s.
-        ready: called once, when the window is open.
+        ready: called when the window is open, unless it is no longer wanted.
 
     Raises:
         ResourceError: no window can be opened here.
@@ -39,7 +39,8 @@ def run_window(
             viewer.cam.lookat[:] = viewpoint.look_at
             viewer.cam.distance = viewpoint.distance
             viewer.cam.azimuth, viewer.cam.elevation = viewpoint.azimuth_deg, viewpoint.elevation_deg
-        ready()
+        if not stopped():
+            ready()
         while viewer.is_running() and not stopped():
             began = time.monotonic()
             shown.advance(began)
