@@ -20,7 +20,7 @@ from .session import (
     job_flags,
     locations,
     record_config,
-    resolve_meshes,
+    scene_meshes,
     skip_gl,
     use_gl,
 )
@@ -99,9 +99,8 @@ def _film(
     report: dict[str, Any], limit: int, films: TrialFilms, settings: RecordConfig, where: Locations
 ) -> list[dict[str, Any]]:
     from yamsim_cli.core.jobs.films import film_trials
-    from yamsim_cli.core.scene.compose import mesh_sets
 
-    meshes = resolve_meshes(mesh_sets(settings.rig, (settings.task.object, settings.task.target)), where)
+    meshes = scene_meshes(settings, where)
     with progress_bar("filming", "trials") as advance:
         shown = film_trials(
             report["trials"], limit, films, settings, where, meshes, lambda done, wanted: advance(done, wanted, "")

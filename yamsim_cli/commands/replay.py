@@ -12,7 +12,7 @@ import typer
 from yamsim_cli.core.errors import DatasetError, UsageError
 
 from .console import note, print_json, print_line
-from .session import Json, locations, parse_size, resolve_meshes, skip_gl, use_gl
+from .session import Json, locations, parse_size, scene_meshes, skip_gl, use_gl
 from .signals import noted_signals
 from .viewing import Port, Web, choose_viewer, prepare_viewer
 
@@ -96,7 +96,7 @@ def _film(
     from yamsim_cli.core.jobs.episode import EpisodeRunner
 
     config = scene_config(_config(stored, where), size)
-    with EpisodeRunner(config, where, _meshes(config, where), draw=False) as runner:
+    with EpisodeRunner(config, where, scene_meshes(config, where), draw=False) as runner:
         return film_rendered(stored, runner, cameras, video, period, overwrite=overwrite)
 
 
@@ -114,7 +114,7 @@ def _watch(
         sys.stdout.flush()
 
     config = _config(stored, where)
-    meshes = _meshes(config, where)
+    meshes = scene_meshes(config, where)
     # A server or a window that is broken off while it starts cannot be closed.
     with noted_signals() as stopped:
         found = _physics(stored, where)
@@ -125,12 +125,6 @@ def _config(stored: StoredEpisode, where: Locations) -> RecordConfig:
     from yamsim_cli.core.dataset.reader import dataset_config
 
     return dataset_config(stored.dataset, where)
-
-
-def _meshes(config: RecordConfig, where: Locations) -> dict[str, Path | None]:
-    from yamsim_cli.core.scene.compose import mesh_sets
-
-    return resolve_meshes(mesh_sets(config.rig, (config.task.object, config.task.target)), where)
 
 
 def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:

@@ -10,7 +10,8 @@ import typer
 from yamsim_cli.core.errors import DatasetError, UsageError
 
 from .console import print_json, print_table, progress_bar
-from .session import Json, locations, resolve_meshes, skip_gl, use_gl
+from .divergence import WAYS, sentence, verdict
+from .session import Json, locations, scene_meshes, skip_gl, use_gl
 
 
 def verify(
@@ -55,10 +56,9 @@ def verify(
 
     from yamsim_cli.core.jobs.remake import Limits
     from yamsim_cli.core.jobs.verify import verify as run
-    from yamsim_cli.core.scene.compose import mesh_sets
 
-    sets = mesh_sets(config.rig, (config.task.object, config.task.target))
-    meshes = resolve_meshes(sets, where) if images else dict.fromkeys(sets)
+    # Without images nobody looks.
+    meshes = scene_meshes(config, where) if images else {}
     limits = Limits(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, config, where, meshes, limits, workers, lambda done, total: advance(done, total, ""))
@@ -68,14 +68,7 @@ def verify(
     else:
         print_table(_table(report))
     if report["agree"] < report["episodes"]:
-        raise DatasetError(_verdict(report))
-
-
-# On another kind of processor the last bit of a sine or a sum differs, and contacts make more of it: emulated, that
-# came to 1.4e-3 in the worst of 40 episodes, the tilt of a banana that rolls, and to 1.5e-4 in most.
-_ROUNDING = 0.005
-
-_LABELS = {"seed": "made again from its seed", "actions": "from its actions", "images": "rendered again"}
+        raise DatasetError(verdict(report))
 
 
 def _table(report: dict[str, Any]) -> object:
@@ -83,7 +76,7 @@ def _table(report: dict[str, Any]) -> object:
 
     table = Table("dataset", report["path"])
     table.add_row("episodes that agree", f"{report['agree']} of {report['episodes']}")
-    for check, label in _LABELS.items():
+    for check, label in WAYS.items():
         if found := report["checks"][check]:
             apart = "pixels differ by up to" if check == "images" else "largest difference"
             exact = " (bit for bit)" if not found["max_error"] and found["agree"] else ""
@@ -93,41 +86,8 @@ def _table(report: dict[str, Any]) -> object:
     for change in report["versions_changed"]:
         table.add_row(f"{change['name']} changed", f"{change['recorded']} then, {change['now']} now")
     for divergence in report["divergences"][:10]:
-        table.add_row("[red]differs[/red]", _sentence(divergence))
+        table.add_row("[red]differs[/red]", sentence(divergence))
     for problem in report["problems"][:10]:
         table.add_row("[red]problem[/red]", f"ep_{problem['episode']:06d}/{problem['file']}: {problem['problem']}")
     table.add_row("time", f"{report['seconds']:.1f} s, {report['seconds'] / report['episodes']:.2f} s an episode")
     return table
-
-
-def _sentence(divergence: dict[str, Any]) -> str:
-    frame, time_s = divergence["frame"], divergence["time_s"]
-    place = f"ep_{divergence['episode']:06d}"
-    if frame is not None:
-        place += f" frame {frame}" + (f" ({time_s:.3f} s)" if time_s is not None else "")
-    stored, got = (f"{v:.9g}" if isinstance(v, float) else v for v in (divergence["stored"], divergence["got"]))
-    apart = divergence["difference"]
-    by = "" if apart is None else f", {apart:.3g} apart"
-    return f"{place}: {divergence['quantity']} is stored as {stored} and is {got} {_LABELS[divergence['check']]}{by}"
-
-
-def _verdict(report: dict[str, Any]) -> str:
-    """The one line on what was found first."""
-    if report["first_divergence"]:
-        text = _sentence(report["first_divergence"])
-    else:
-        problem = report["problems"][0]
-        text = f"ep_{problem['episode']:06d}/{problem['file']}: {problem['problem']}"
-    differing = report["episodes"] - report["agree"]
-    more = f" (and {differing - 1} more episodes)" if differing > 1 else ""
-    changes = ", ".join(f"{c['name']} {c['recorded']} (now {c['now']})" for c in report["versions_changed"])
-    since = f"; recorded with {changes}" if changes else ""
-    return f"{report['path']}: {text}{more}{since}{_hint(report)}"
-
-
-def _hint(report: dict[str, Any]) -> str:
-    """What to do where rounding alone may be the reason."""
-    unequal = any(divergence["difference"] is None for divergence in report["divergences"])
-    if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _ROUNDING:
-        return ""
-    return f"; if it was recorded on another kind of processor, rounding does that: --tolerance {_ROUNDING:g}"
