@@ -44,6 +44,9 @@ _SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_magnet": (np.bool_, 1),
 }
 
+# Nothing on a table is farther away, m or rad; a simulation that starts with larger numbers blows up.
+_FARTHEST = 1e3
+
 
 @dataclass(frozen=True)
 class SimulationData:
@@ -241,8 +244,8 @@ def _simulation_faults(frame: Mapping[str, Any]) -> list[str]:
         elif not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != dimensions:
             found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
             faults.append(f"{key} is {found}, not {np.dtype(dtype)} with {dimensions} dimensions")
-        elif not np.isfinite(value).all():
-            faults.append(f"{key} has values that are not finite")
+        elif not (np.abs(value) < _FARTHEST).all():
+            faults.append(f"{key} has values that are not finite, or beyond {_FARTHEST:g} m or rad")
     if not faults and len(frame["sim_ctrl"]) != len(frame["sim_magnet"]):
         faults.append(f"sim_ctrl has {len(frame['sim_ctrl'])} ticks and sim_magnet {len(frame['sim_magnet'])}")
     return faults
