@@ -24,13 +24,18 @@ def sentence(divergence: dict[str, Any]) -> str:
     return f"{place}: {divergence['quantity']} is stored as {stored} and is {got} {WAYS[divergence['check']]}{by}"
 
 
+def trouble(problem: dict[str, Any]) -> str:
+    """One problem of a report: the file, and what is wrong with it."""
+    place = f"ep_{problem['episode']:06d}/{problem['file']}: " if problem["file"] else ""
+    return f"{place}{problem['problem']}"
+
+
 def verdict(report: dict[str, Any]) -> str:
     """The one line on what was found first."""
     if report["first_divergence"]:
         text = sentence(report["first_divergence"])
     else:
-        problem = report["problems"][0]
-        text = f"ep_{problem['episode']:06d}/{problem['file']}: {problem['problem']}"
+        text = trouble(report["problems"][0])
     differing = report["episodes"] - report["agree"]
     more = f" (and {differing - 1} more episodes)" if differing > 1 else ""
     changes = ", ".join(f"{c['name']} {c['recorded']} (now {c['now']})" for c in report["versions_changed"])

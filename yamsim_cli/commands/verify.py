@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import DatasetError, UsageError
 
 from .console import print_json, print_table, progress_bar
-from .divergence import WAYS, sentence, verdict
+from .divergence import WAYS, sentence, trouble, verdict
 from .session import Json, locations, scene_meshes, skip_gl, use_gl
 
 
@@ -88,6 +88,6 @@ def _table(report: dict[str, Any]) -> object:
     for divergence in report["divergences"][:10]:
         table.add_row("[red]differs[/red]", sentence(divergence))
     for problem in report["problems"][:10]:
-        table.add_row("[red]problem[/red]", f"ep_{problem['episode']:06d}/{problem['file']}: {problem['problem']}")
+        table.add_row("[red]problem[/red]", trouble(problem))
     table.add_row("time", f"{report['seconds']:.1f} s, {report['seconds'] / report['episodes']:.2f} s an episode")
     return table

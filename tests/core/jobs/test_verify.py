@@ -222,6 +222,13 @@ def test_the_command_names_an_altered_file_though_no_value_differs_enough(datase
     assert "ep_000000/lowdim/000003.pkl: its content is not what was recorded" in run.message
 
 
+def test_the_command_names_a_damaged_file_once(dataset: Path) -> None:
+    (dataset / "ep_000002" / "lowdim" / "000030.pkl").write_bytes(b"no pickle")
+    message = failing(dataset, "--episodes", "2").message
+    assert "ep_000002/lowdim/000030.pkl: not a whole pickle" in message
+    assert message.count("ep_000002") == 1
+
+
 @pytest.mark.parametrize(
     ("args", "message"),
     [
