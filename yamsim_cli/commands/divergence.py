@@ -32,10 +32,8 @@ def trouble(problem: dict[str, Any]) -> str:
 
 def verdict(report: dict[str, Any]) -> str:
     """The one line on what was found first."""
-    if report["first_divergence"]:
-        text = sentence(report["first_divergence"])
-    else:
-        text = trouble(report["problems"][0])
+    first = report["first_divergence"]
+    text = sentence(first) if first else trouble(report["problems"][0])
     differing = report["episodes"] - report["agree"]
     more = f" (and {differing - 1} more episodes)" if differing > 1 else ""
     changes = ", ".join(f"{c['name']} {c['recorded']} (now {c['now']})" for c in report["versions_changed"])

@@ -101,7 +101,8 @@ class EpisodeVerifier:
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
         except DatasetError as error:
-            problems[""] = str(error)
+            # Says more than that the file was altered.
+            problems = {"": str(error)} | problems
         return Verdict(number, checks, skipped, problems, changed)
 
     def _from_seed(self, episode: StoredEpisode, frames: Frames) -> dict[str, Comparison]:
