@@ -16,8 +16,10 @@ from .commands.compose_xml import compose_xml
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
+from .commands.replay import replay
 from .commands.signals import raise_signals
 from .commands.summarize import summarize
+from .commands.verify import verify
 from .commands.view import view
 from .core.errors import YamsimError
 
@@ -30,6 +32,8 @@ app = typer.Typer(
 )
 app.command()(record)
 app.command()(summarize)
+app.command()(verify)
+app.command()(replay)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)

@@ -74,6 +74,9 @@ def test_lowdim_reads_without_yamsim(dataset: Path) -> None:
         "language_task",
         "language_prompt",
         "K_wrist",
+        "sim_qpos",
+        "sim_ctrl",
+        "sim_magnet",
     ]
     assert frame["joints"].shape == frame["ctrl"].shape == frame["action_joints"].shape == (7,)
     assert frame["timestamp"] == pytest.approx(30 * 0.064)

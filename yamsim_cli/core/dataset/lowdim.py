@@ -6,6 +6,7 @@ import hashlib
 import io
 import pickle
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,31 @@ SHAPES: Mapping[str, tuple[int, ...]] = {
     "action_joints": (7,),
 }
 
+# Dtype and number of dimensions of the keys that simulation alone has: a frame has all of them or none.
+SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
+    "sim_qpos": (np.float64, 1),
+    "sim_ctrl": (np.float64, 2),
+    "sim_magnet": (np.bool_, 1),
+}
+
+# Nothing on a table is farther away, m or rad; a simulation that starts with larger numbers blows up.
+_FARTHEST = 1e3
+
+
+@dataclass(frozen=True)
+class SimulationData:
+    """A frame as the simulator has it, in its own precision: rounded to float32, a replay would drift off.
+
+    Attributes:
+        qpos: MuJoCo's positions (nq,) at the frame, objects in `world`.
+        ctrl: what the drives are told on each control tick until the next frame, (ticks, nu), rad and m.
+        magnet: whether the weld holds on each of those ticks, (ticks,).
+    """
+
+    qpos: ArrayLike
+    ctrl: ArrayLike
+    magnet: ArrayLike
+
 
 def frame_data(
     *,
@@ -40,6 +66,7 @@ def frame_data(
     language_task: str,
     language_prompt: str,
     wrist_camera: str | None = None,
+    simulation: SimulationData | None = None,
 ) -> dict[str, Any]:
     """One frame's dictionary, its keys always in the same order.
 
@@ -54,6 +81,7 @@ def frame_data(
         action_joints: the joints and finger opening the plan asked for at the end of the tick, (7,).
         magnet: whether the weld holds the object.
         wrist_camera: the wrist camera's name; its K is then stored as `K_wrist` too.
+        simulation: what makes the frame repeatable in physics; a real recording has none.
     """
     data: dict[str, Any] = {
         "joints": _f32(joints),
@@ -72,11 +100,21 @@ def frame_data(
     }
     if wrist_camera is not None:
         data["K_wrist"] = _f32(intrinsics[wrist_camera])
+    if simulation is not None:
+        data |= {
+            "sim_qpos": _f64(simulation.qpos),
+            "sim_ctrl": _f64(simulation.ctrl),
+            "sim_magnet": np.ascontiguousarray(simulation.magnet, dtype=np.bool_),
+        }
     return data
 
 
 def _f32(values: ArrayLike) -> NDArray[np.float32]:
     return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def _f64(values: ArrayLike) -> NDArray[np.float64]:
+    return np.ascontiguousarray(values, dtype=np.float64)
 
 
 def dump_frame(data: Mapping[str, Any]) -> bytes:
@@ -135,3 +173,27 @@ def flat(frame: Mapping[str, Any]) -> dict[str, Any]:
         else:
             entries[str(key)] = value
     return entries
+
+
+def has_simulation(frame: Mapping[str, Any]) -> bool:
+    """Whether a frame holds what physics needs to repeat it."""
+    return all(key in frame for key in SIMULATION)
+
+
+def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
+    """What is wrong with the keys that physics needs to repeat a frame; nothing where it has none of them."""
+    faults: list[str] = []
+    if not any(key in frame for key in SIMULATION):
+        return faults
+    for key, (dtype, dimensions) in SIMULATION.items():
+        value = frame.get(key)
+        if value is None:
+            faults.append(f"{key} is missing")
+        elif not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != dimensions:
+            found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+            faults.append(f"{key} is {found}, not {np.dtype(dtype)} with {dimensions} dimensions")
+        elif not (np.abs(value) < _FARTHEST).all():
+            faults.append(f"{key} has values that are not finite, or beyond {_FARTHEST:g} m or rad")
+    if not faults and len(frame["sim_ctrl"]) != len(frame["sim_magnet"]):
+        faults.append(f"sim_ctrl has {len(frame['sim_ctrl'])} ticks and sim_magnet {len(frame['sim_magnet'])}")
+    return faults

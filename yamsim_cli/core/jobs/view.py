@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
@@ -11,8 +12,12 @@ from ..errors import ResourceError
 from ..resources import Locations
 from ..scene.compose import Contents, Meshes
 from ..viewers.live import LiveRig
+from ..viewers.shown import Shown
 from ..viewers.viewpoint import frame_rig
 from .compose import rig_spec
+
+if TYPE_CHECKING:
+    from ..viewers.bodies_page import BodiesPage
 
 # Between two pictures, s. Physics takes as many steps between them as real time asks for.
 PERIOD = 1 / 30
@@ -35,20 +40,34 @@ def view_in_browser(live: LiveRig, port: int, ready: Callable[[str], None], stop
         UsageError: the port cannot be had.
         ResourceError: the viewer library is not installed.
     """
+    require_page()
+    from ..viewers.page import Page
+
+    run_page(Page(live, frame_rig(live.rig), port), live, ready, stopped)
+
+
+def require_page() -> None:
+    """Make sure that a browser page can be served.
+
+    Raises:
+        ResourceError: the viewer library is not installed.
+    """
     try:
-        from ..viewers.page import Page
+        from ..viewers import bodies_page  # noqa: F401
     except ModuleNotFoundError as error:
         if error.name != "viser":
             raise
         raise ResourceError("the browser page needs viser, which is not here: pip install 'yamsim[view]'") from error
 
-    page = Page(live, frame_rig(live.rig), port)
+
+def run_page(page: BodiesPage, shown: Shown, ready: Callable[[str], None], stopped: Callable[[], bool]) -> None:
+    """Let what a page shows go on until `stopped` says so, and close the page; see `view_in_browser`."""
     try:
         if not stopped():
             ready(page.url)
         while not stopped():
             began = time.monotonic()
-            live.advance(began)
+            shown.advance(began)
             page.update()
             time.sleep(max(0.0, began + PERIOD - time.monotonic()))
     finally:

@@ -323,6 +323,14 @@ DAMAGES = [
         "lowdim.missing", lambda s: one(s).frames[2].update(extrinsics={}), file=FRAME, text=f"extrinsics[{CAMERA}]"
     ),
     Damage(
+        "lowdim.simulation",
+        lambda s: (
+            one(s).frames[2].update(sim_qpos=np.zeros(22), sim_ctrl=np.zeros((2, 7)), sim_magnet=np.zeros(1, bool))
+        ),
+        file=FRAME,
+        text="sim_ctrl has 2 ticks and sim_magnet 1",
+    ),
+    Damage(
         "lowdim.unexpected",
         lambda s: [f.update(wind=1.0) for f in one(s).frames],
         file="lowdim/000000.pkl",

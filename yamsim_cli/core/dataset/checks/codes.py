@@ -73,6 +73,7 @@ _ERRORS = {
     "lowdim.shape": ("a value has another shape", _RECORDER),
     "lowdim.type": ("a value has another type", _RECORDER),
     "lowdim.finite": ("a value is not finite", _LEAVE_OUT),
+    "lowdim.simulation": ("what physics needs to repeat the frame is not right", _RECORDER),
     "lowdim.content": ("the values are not what was recorded", _TRANSFER),
     "time.order": ("time does not go on", _LEAVE_OUT),
     "joints.limit": ("a joint is beyond its stop", "check units (rad) and calibration; otherwise " + _LEAVE_OUT),

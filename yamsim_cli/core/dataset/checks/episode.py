@@ -113,7 +113,9 @@ class _EpisodeCheck:
         return found == wanted
 
     def _check_lowdim(self) -> LowdimChecks:
-        checks = LowdimChecks(expected_forms(self._record) if self._record else None, self._problems)
+        known = self._record
+        forms = expected_forms(known.objects, known.cameras) if known else None
+        checks = LowdimChecks(forms, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):
             data = self._read(name)

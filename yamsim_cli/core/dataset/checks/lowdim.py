@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...errors import DatasetError
-from ..lowdim import SHAPES, flat, load_frame
-from ..records import EpisodeRecord
+from ..lowdim import SHAPES, SIMULATION, flat, load_frame, simulation_faults
 from ..unpickle import ForbiddenPickleError
 from .problem import Problems
 
@@ -36,15 +35,22 @@ class Form:
         return f"{self.kind} {self.shape}" if self.shape else self.kind
 
 
-def expected_forms(record: EpisodeRecord) -> dict[str, Form]:
-    """Flat key -> form, for a frame that yamsim recorded."""
+def expected_forms(objects: Iterable[str], cameras: Iterable[str]) -> dict[str, Form]:
+    """Flat key -> form, for a frame that yamsim recorded of some objects by some cameras."""
     float32 = str(np.dtype(np.float32))
     forms = {key: Form(float32, shape) for key, shape in SHAPES.items()}
-    forms |= {f"{name}_pose": Form(float32, (4, 4)) for name in record.objects}
-    for group, side in (("intrinsics", 3), ("extrinsics", 4)):
-        forms |= {f"{group}[{camera}]": Form(float32, (side, side)) for camera in record.cameras}
+    forms |= {f"{name}_pose": Form(float32, (4, 4)) for name in objects}
+    for camera in cameras:
+        forms |= {f"intrinsics[{camera}]": Form(float32, (3, 3)), f"extrinsics[{camera}]": Form(float32, (4, 4))}
     plain = {"timestamp": float, "magnet": bool, "language_task": str, "language_prompt": str}
     return forms | {key: Form(kind.__name__) for key, kind in plain.items()}
+
+
+def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str]) -> list[str]:
+    """What is wrong with a decoded frame that yamsim recorded of some objects by some cameras, one text each."""
+    problems = Problems()
+    LowdimChecks(expected_forms(objects, cameras), problems).take(0, "", frame)
+    return [problem.text for problem in problems.list()]
 
 
 class LowdimChecks:
@@ -75,17 +81,24 @@ class LowdimChecks:
         except DatasetError as error:
             self._problems.add("lowdim.damaged", name, str(error).removeprefix("not a whole pickle: "))
             return False
-        entries = flat(frame)
+        self.take(number, name, frame)
+        return True
+
+    def take(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
+        """Check a frame that could be read."""
+        # What physics needs has another shape in the last frame, and is there as a whole or not at all.
+        for fault in simulation_faults(frame):
+            self._problems.add("lowdim.simulation", name, fault, about=fault.split()[0])
+        entries = {key: value for key, value in flat(frame).items() if key not in SIMULATION}
         forms = self._forms
         if forms is None:
             forms = self._forms = {key: Form.of(value) for key, value in entries.items()}
-        self.frames[number] = frame
+        self.frames[number] = dict(frame)
         self.values[number] = {
             key: value for key, value in entries.items() if self._is_right(name, key, value, forms.get(key))
         }
         for key in forms.keys() - entries.keys():
             self._problems.add("lowdim.missing", name, key, ", ".join(forms), about=key)
-        return True
 
     def _is_right(self, name: str, key: str, value: Any, wanted: Form | None) -> bool:
         def add(code: str, found: object, valid: object) -> bool:
