@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -110,7 +109,7 @@ class Photographer:
 
 
 def camera_pose(rng: np.random.Generator, target: Array, distance: float, tilt: tuple[float, float]) -> Array:
-    """A random pose (4, 4) in `world` of a camera that sees a point of a flat board: `tilt` (rad) is off the vertical."""
+    """A random pose (4, 4) in `world` of a camera that sees a point of a flat board, `tilt` (rad) off its normal."""
     angle, azimuth, roll = rng.uniform(*tilt), rng.uniform(-math.pi, math.pi), rng.uniform(-math.pi, math.pi)
     away = np.array([math.sin(angle) * math.cos(azimuth), math.sin(angle) * math.sin(azimuth), math.cos(angle)])
     position = target + distance * away
@@ -137,9 +136,6 @@ def shot_of(
         if all(photographer.shows(T, k) for k in wanted):
             return T
     raise AssertionError(f"no free view of board {which} from {distance} m")
-
-
-Spoil = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 def spoilt(

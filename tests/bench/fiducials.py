@@ -184,7 +184,8 @@ def plot(rows: list[tuple[Case, list[Trial]]], path: Path) -> None:
         return top + (high - math.log10(max(error, 10**low))) / (high - low) * (height - top - 50)
 
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="12">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
+        'font-family="sans-serif" font-size="12">',
         f'<rect width="{width}" height="{height}" fill="white"/>',
         f'<text x="{left}" y="18">Error of the board centre over range, mm: median (line) and 95 % (dashes)</text>',
     ]
@@ -222,8 +223,8 @@ def main() -> None:
     found = dict(zip([(title, case.name) for title, case in jobs], trials, strict=True))
     console = Console(width=140)
     console.print(
-        "640 x 480, fx 600, blur sigma 0.6 px, noise sigma 2, board wholly visible. Errors of the board's centre (mm) and "
-        "orientation (deg) and the reprojection (px): median / 95 % / maximum. "
+        "640 x 480, fx 600, blur sigma 0.6 px, noise sigma 2, board wholly visible. Errors of the board's centre (mm) "
+        "and orientation (deg) and the reprojection (px): median / 95 % / maximum. "
         f"Times of one core of {workers}, {workers} at work."
     )
     for title, rows in tables.items():
