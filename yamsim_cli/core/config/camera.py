@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from ..errors import ConfigError, suggest
 from ..geometry.camera import CameraModel
 from .base import Config
-from .document import Document
+from .document import Document, KeyPath
 
 Row = tuple[float, float, float]
 
@@ -82,11 +82,11 @@ class CameraConfig(Config):
         model = data.get("distortion_model", _ROS_MODELS[0])
         if model not in _ROS_MODELS:
             raise ConfigError(
-                f"{document.place(('distortion_model',))}: distortion_model: {model!r} is not valid: calibrate with one of "
-                f"OpenCV's pinhole models; {suggest(str(model), _ROS_MODELS)}"
+                f"{document.place(('distortion_model',))}: distortion_model: {model!r} is not valid: calibrate with "
+                f"one of OpenCV's pinhole models; {suggest(str(model), _ROS_MODELS)}"
             )
         ours: dict[str, Any] = {}
-        places = {}
+        places: dict[KeyPath, str] = {}
         for key, aliases in _ALIASES.items():
             for alias in (key, *aliases):
                 if alias in data:

@@ -162,8 +162,8 @@ def _with_margin(rig: RigConfig, result: PhotoResult) -> PhotoResult:
     notes = result.notes
     if abs(margin - rig.margin) > max(_MARGIN_TOLERANCE, 2 * sigma):
         notes += (
-            f"the arms are {margin:.4f} m apart here (+- {sigma * 1000:.1f} mm) and {rig.margin:.4f} m in rig {rig.name!r}: "
-            "mend the rig's margin, or measure the prints",
+            f"the arms are {margin:.4f} m apart here (+- {sigma * 1000:.1f} mm) and {rig.margin:.4f} m in rig "
+            f"{rig.name!r}: mend the rig's margin, or measure the prints",
         )
     return replace(result, T_arm2_in_arm1=measured, margin=margin, margin_sigma=sigma, notes=notes)
 
@@ -171,13 +171,13 @@ def _with_margin(rig: RigConfig, result: PhotoResult) -> PhotoResult:
 def _trusting(rig: RigConfig, result: PhotoResult, grey: NDArray[np.uint8], camera: CameraModel) -> tuple[ArmPose, ...]:
     """All arms from one pose of the whole rig, which all boards that were found give together."""
     seen = [k for k, arm in enumerate(result.arms) if arm.sighting and arm.sighting.status is Status.OK]
-    T_boards = []
+    sightings, T_boards = [], []
     for k in seen:
-        config = rig.arms[k].board
-        assert config is not None
+        config, sighting = rig.arms[k].board, result.arms[k].sighting
+        assert config is not None and sighting is not None
+        sightings.append(sighting)
         T_boards.append(rig.T_base_in_world(k) @ config.T_board_in_arm)
-    sightings = [arm.sighting for k in seen if (arm := result.arms[k]).sighting]
-    joint = locate_together(grey, camera, [one for one in sightings if one], T_boards)
+    joint = locate_together(grey, camera, sightings, T_boards)
     if joint is None or joint[0].T_board_in_cam is None:
         return result.arms
     T_world_in_cam = joint[0].T_board_in_cam @ inverse(T_boards[0])

@@ -34,9 +34,9 @@ def home_joints(rig: RigConfig) -> Array:
 def load_joints(path: Path, rig: RigConfig, locations: Locations) -> Array:
     """Joints of every arm (rows, arms, 7): six in rad, and the opening of one finger in m; a row for each photo.
 
-    What a file may hold: `.npy`, an array of one row or of a row for each photo; `.pkl`, a recorded frame's lowdim; YAML,
-    either `joints: [...]` or a list under each arm's name. A row has 6 or 7 numbers for a rig of one arm, and 14 (left
-    arm's six joints and gripper, then the right arm's) for any.
+    What a file may hold: `.npy`, an array of one row or of a row for each photo; `.pkl`, a recorded frame's lowdim;
+    YAML, either `joints: [...]` or a list under each arm's name. A row has 6 or 7 numbers for a rig of one arm, and 14
+    (left arm's six joints and gripper, then the right arm's) for any.
 
     Raises:
         ConfigError: unreadable, another shape, not finite, or outside the joints' ranges.
@@ -113,7 +113,8 @@ def _by_arm(values: Array, rig: RigConfig, path: Path) -> Array:
         return padded
     valid = "6, 7 or 14" if len(rig.arms) == 1 else "14 (left 6, left gripper, right 6, right gripper)"
     raise ConfigError(
-        f"{path}: joints have the shape {values.shape}; rig {rig.name!r} with {len(rig.arms)} arms needs {valid} numbers a row"
+        f"{path}: joints have the shape {values.shape}; rig {rig.name!r} with {len(rig.arms)} arms needs {valid} "
+        "numbers a row"
     )
 
 

@@ -71,7 +71,8 @@ def refine(result: PhotoResult, drawer: ArmDrawer, joints: Array, grey: NDArray[
 def _prior(arm: ArmPose, T_base_in_cam: Array) -> tuple[Array, Array]:
     """What the pose is known to before edges are looked at: a point (3,) and the inverse covariance (6, 6) about it."""
     if arm.sighting and arm.sighting.covariance is not None and arm.sighting.T_board_in_cam is not None:
-        return arm.sighting.T_board_in_cam[:3, 3], np.linalg.inv(arm.sighting.covariance)
+        information: Array = np.linalg.inv(arm.sighting.covariance).astype(np.float64)
+        return arm.sighting.T_board_in_cam[:3, 3], information
     # Neither recorded nor inferred poses come with an uncertainty: a degree, and a centimetre.
     return T_base_in_cam[:3, 3], np.diag([math.radians(1) ** -2] * 3 + [0.01**-2] * 3)
 
@@ -84,7 +85,8 @@ def overlap(labels: NDArray[np.uint8], mask: NDArray[np.uint8], path: Path) -> f
     """
     if mask.shape[:2] != labels.shape:
         raise ConfigError(
-            f"the mask for {path} has {mask.shape[1]} x {mask.shape[0]} pixels, the photo {labels.shape[1]} x {labels.shape[0]}"
+            f"the mask for {path} has {mask.shape[1]} x {mask.shape[0]} pixels, the photo {labels.shape[1]} x "
+            f"{labels.shape[0]}"
         )
     theirs = mask.reshape(*mask.shape[:2], -1).max(axis=2) > 0
     ours = labels > 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -72,7 +72,9 @@ class Overlayer:
     ) -> None:
         self._rig = rig
         self._options = options
-        self._make_drawer = lambda camera: ArmDrawer(rig, scene, quality, camera, locations, meshes)
+        self._make_drawer: Callable[[CameraModel], ArmDrawer] = lambda camera: ArmDrawer(
+            rig, scene, quality, camera, locations, meshes
+        )
         self._drawer: tuple[CameraModel, ArmDrawer] | None = None
 
     def run(self, photo: Photo, image: Image, camera: CameraModel, source: str, mask: Image | None = None) -> Overlay:

@@ -39,7 +39,7 @@ class Outline:
 
 @dataclass(frozen=True)
 class EdgeOffsets:
-    """Where the photo's edge lies from each outline point, px along its normal; NaN where there is none within reach."""
+    """Where the photo's edge lies from each outline point (n,), px along its normal; NaN: none within reach."""
 
     offsets: Array
 
@@ -50,7 +50,7 @@ class EdgeOffsets:
 
     @property
     def residual(self) -> float | None:
-        """Median distance, px, to the photo's edge; a point without any counts as `REACH_PX`. None without an outline."""
+        """Median distance, px, to the photo's edge, no edge counting as `REACH_PX`; None without an outline."""
         if len(self.offsets) == 0:
             return None
         return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=REACH_PX)))

@@ -1,9 +1,9 @@
 """Refine a pose by the boards' whole picture rather than by a few corners.
 
 The boards' print is known to the last cell. So it is drawn as the camera would see it from a supposed pose, blurred as
-the lens blurs it, and the pose (and the blur) is moved until drawing and photo agree best: least squares over all pixels,
-brightness and contrast free for each marker, outlying pixels weighted down. Corners found one by one lie on blurred
-black-to-white edges and are pushed about by their neighbours; here neighbours and blur are part of the model.
+the lens blurs it, and the pose (and the blur) is moved until drawing and photo agree best: least squares over all
+pixels, brightness and contrast free for each marker, outlying pixels weighted down. Corners found one by one lie on
+blurred black-to-white edges and are pushed about by their neighbours; here neighbours and blur are part of the model.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _CONVERGED_PX = 4e-3
 
 # The least noise (grey levels) that is believed: rounding alone makes as much.
 _LEAST_NOISE = 0.3
-# The longest step of the zoom, and how far (px) a zoom by one moves the print once the distance has made up for most of it.
+# The longest step of the zoom, and how far (px) a zoom by one moves the print once the distance has made up for most of
+# it.
 _ZOOM_STEP = 0.2
 _ZOOM_PX = 4.0
 
@@ -48,16 +49,16 @@ class Alignment:
 
     Attributes:
         T_ref_in_cam: pose (4, 4).
-        covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of `centre`
-            (m, along them), from the photo's noise alone.
+        covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of
+            `centre` (m, along them), from the photo's noise alone.
         centre: the point (3,) of the reference frame that the covariance is about: the middle of the pieces.
         blur: sigma, px.
         noise: standard deviation of the residuals, grey levels.
         cost: weighted sum of squared residuals over `pixels` pixels.
         pixels: how many were compared.
         tiles: for each piece, marker -> how drawing and photo agree there.
-        zoom, zoom_sigma: natural logarithm of how much longer the focal length is than the camera says, and its standard
-            deviation from the noise alone; both 0 where it was not asked for.
+        zoom, zoom_sigma: natural logarithm of how much longer the focal length is than the camera says, and its
+            standard deviation from the noise alone; both 0 where it was not asked for.
     """
 
     T_ref_in_cam: Array
@@ -288,7 +289,7 @@ def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
     step = board.marker_length + board.gap
     column = np.floor((at[:, 0] + board.width / 2 + board.gap / 2) / step).astype(int)
     row = np.floor((board.height / 2 - at[:, 1] + board.gap / 2) / step).astype(int)
-    tile = np.clip(row, 0, board.rows - 1) * board.columns + np.clip(column, 0, board.columns - 1)
+    tile: NDArray[np.int_] = np.clip(row, 0, board.rows - 1) * board.columns + np.clip(column, 0, board.columns - 1)
     tile[~(drawing.alone & np.isin(tile, view.piece.markers))] = -1
     counts = np.bincount(tile[tile >= 0], minlength=board.rows * board.columns)
     tile[~np.append(counts >= _MIN_TILE_PIXELS, False)[tile]] = -1

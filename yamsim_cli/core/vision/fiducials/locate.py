@@ -1,7 +1,7 @@
 """From a photo to the pose of each board in it, or to the reason why there is none.
 
-Find the markers, take every pose that their corners allow, let each compete for the whole print (`align`), and accept the
-winner only where no other pose explains the photo nearly as well. A flat board seen from afar has two: refusing is
+Find the markers, take every pose that their corners allow, let each compete for the whole print (`align`), and accept
+the winner only where no other pose explains the photo nearly as well. A flat board seen from afar has two: refusing is
 better than guessing.
 """
 
@@ -66,8 +66,8 @@ class Sighting:
         status: OK where there is a pose.
         reason: why not, for a person; empty with a pose.
         T_board_in_cam: pose (4, 4) of the `board` frame (origin at the centre, z out of the paper), or None.
-        covariance: (6, 6) of a small rotation (rad) about the board's centre and of its shift (m), both along the camera's
-            axes: noise, and what focal length and print scale are known to.
+        covariance: (6, 6) of a small rotation (rad) about the board's centre and of its shift (m), both along the
+            camera's axes: noise, and what focal length and print scale are known to.
         reprojection_rms: root mean square of how far (px) each marker's picture lies from where the pose puts it.
         blur: sigma of the photo's blur, px.
     """
@@ -235,8 +235,8 @@ def _judge(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: _
     covariance = _covariance(fit.alignment, camera, np.zeros(3))
     if rival := _rival(photo, camera, board, fit, fits):
         reason = (
-            f"two poses, {math.degrees(_angle(fit.T, rival.T)):.0f} degrees apart, explain the {len(ids)} markers about "
-            "equally well: take the photo from nearer by or from a slant"
+            f"two poses, {math.degrees(_angle(fit.T, rival.T)):.0f} degrees apart, explain the {len(ids)} markers "
+            "about equally well: take the photo from nearer by or from a slant"
         )
         return Sighting(board, ids, Status.AMBIGUOUS, reason, reprojection_rms=rms, blur=fit.alignment.blur)
     sighting = Sighting(board, ids, Status.OK, "", fit.T, covariance, rms, fit.alignment.blur)
@@ -245,8 +245,8 @@ def _judge(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: _
     distance = float(np.linalg.norm(fit.T[:3, 3]))
     if turn > _MAX_TURN_SIGMA or shift > _MAX_SHIFT_SIGMA * distance + camera.focal_sigma * distance:
         reason = (
-            f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: too few, too small or "
-            "too blurred markers"
+            f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: too few, too small "
+            "or too blurred markers"
         )
         return Sighting(board, ids, Status.POOR_FIT, reason, reprojection_rms=rms, blur=fit.alignment.blur)
     return sighting

@@ -1,4 +1,4 @@
-"""A board's print as the camera sees it from a supposed pose: drawn fine, averaged to pixels, blurred as a lens blurs."""
+"""A board's print as the camera sees it from a pose: drawn fine, averaged to pixels, blurred as a lens blurs."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def _fine_pattern(board: Board) -> tuple[Grey, float]:
 
     cells = marker_cells(board).shape[1]
     cell_px = min(range(16, 33, 4), key=rounding)
-    image = board_image(board, cell_px, quiet_cells=0).astype(np.float32) / 255
+    image = board_image(board, cell_px, quiet_cells=0).astype(np.float32) / np.float32(255)
     return image, cells * cell_px / board.marker_length
 
 
