@@ -19,8 +19,17 @@ _COUNTS = (0, 4, 5, 8, 12, 14)
 
 # The names under which calibration programs save what we call K, distortion, width and height.
 _ALIASES = {
-    "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "mtx"),
-    "distortion": ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "dist", "D"),
+    "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "mtx", "k"),
+    "distortion": (
+        "distortion_coefficients",
+        "Distortion_Coefficients",
+        "distCoeffs",
+        "dist_coeffs",
+        "dist_coeff",
+        "dist",
+        "D",
+        "d",
+    ),
     "width": ("image_width", "image_Width", "imageWidth"),
     "height": ("image_height", "image_Height", "imageHeight"),
 }
@@ -65,6 +74,12 @@ class CameraConfig(Config):
             raise ValueError(
                 f"K does not fit images of {self.width} x {self.height}: its principal point is ({cx:g}, {cy:g})"
             )
+        across, down = 2 * (cx + 0.5) / self.width, 2 * (cy + 0.5) / self.height
+        if abs(across - down) < 0.1 and abs(across + down - 2) > 0.4:
+            raise ValueError(
+                f"K does not fit images of {self.width} x {self.height}: its principal point ({cx:g}, {cy:g}) is the "
+                f"middle of images of about {round(2 * cx)} x {round(2 * cy)}"
+            )
         if len(self.distortion) not in _COUNTS:
             raise ValueError(f"distortion has {len(self.distortion)} numbers; OpenCV's model has 0, 4, 5, 8, 12 or 14")
         return self
@@ -79,7 +94,8 @@ class CameraConfig(Config):
         data = document.data
         if not any(alias in data for names in _ALIASES.values() for alias in names):
             return
-        model = data.get("distortion_model", _ROS_MODELS[0])
+        # OpenCV's own calibration program marks its other model so.
+        model = "fisheye" if data.get("fisheye_model") else data.get("distortion_model", _ROS_MODELS[0])
         if model not in _ROS_MODELS:
             raise ConfigError(
                 f"{document.place(('distortion_model',))}: distortion_model: {model!r} is not valid: calibrate with "
@@ -91,9 +107,11 @@ class CameraConfig(Config):
             for alias in (key, *aliases):
                 if alias in data:
                     value = _matrix(data[alias])
-                    ours[key] = _rows(value) if key == "K" else value
+                    ours[key] = _rows(value) if key == "K" else _flat(value) if key == "distortion" else value
                     places[(key,)] = document.place((alias,))
                     break
+        if "focal_sigma" in data:
+            ours["focal_sigma"], places[("focal_sigma",)] = data["focal_sigma"], document.place(("focal_sigma",))
         document.data, document.places = ours, {(): document.place(()), **places}
 
 
@@ -105,4 +123,11 @@ def _matrix(value: Any) -> Any:
 def _rows(value: Any) -> Any:
     if isinstance(value, list) and len(value) == 9:
         return [value[k : k + 3] for k in (0, 3, 6)]
+    return value
+
+
+def _flat(value: Any) -> Any:
+    """Coefficients saved as a matrix of one row or column, as a list."""
+    if isinstance(value, list) and all(isinstance(part, list) for part in value):
+        return [number for part in value for number in part]
     return value

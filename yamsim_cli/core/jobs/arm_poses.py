@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,8 +30,9 @@ NO_BOARD = "no_board"
 # A margin that is off by more than this (m), and by more than it is known to, is worth a word.
 _MARGIN_TOLERANCE = 0.002
 
-# Photos of one unknown camera that its focal length is estimated from, at most.
+# Photos of one unknown camera that its focal length is estimated from, and that are looked at for boards, at most.
 _PHOTOS_FOR_FOCAL = 8
+_PHOTOS_TO_SEARCH = 40
 # Where no board tells the focal length: a horizontal field of view of 60 degrees, or anything near it.
 _UNKNOWN_FOCAL = 0.866
 _UNKNOWN_SIGMA = 0.35
@@ -61,6 +63,8 @@ class PhotoResult:
     """What a photo says of a rig.
 
     Attributes:
+        camera_source: where the camera's figures come from: "file", "episode" or "estimated".
+        joints_source: where the joints come from: "home", "file" or "episode".
         ids: of all markers that were read, whosever they are.
         T_arm2_in_arm1: measured pose (4, 4), each arm's from its own board; None unless both were found.
         margin: the distance between the arms that this amounts to, m.
@@ -73,6 +77,7 @@ class PhotoResult:
     path: Path
     camera: CameraModel
     camera_source: str
+    joints_source: str
     arms: tuple[ArmPose, ...]
     ids: tuple[int, ...]
     T_arm2_in_arm1: Array | None = None
@@ -88,15 +93,17 @@ class PhotoResult:
         return {k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.T_base_in_cam is not None}
 
 
-def unknown_camera(images: Sequence[Image], rig: RigConfig) -> CameraModel:
-    """The camera of photos that nothing is known of, from the boards in them; all of one size (height, width, 3)."""
+def unknown_camera(images: Iterable[Image], size: tuple[int, ...], rig: RigConfig) -> CameraModel:
+    """The camera of photos that nothing is known of, from the boards in them; all of one size (height, width)."""
     boards = [arm.board.board for arm in rig.arms if arm.board]
-    height, width = images[0].shape[:2]
+    height, width = size
     found: list[CameraModel] = []
-    for image in images[:_PHOTOS_FOR_FOCAL]:
+    for image in itertools.islice(images, _PHOTOS_TO_SEARCH):
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
         if (camera := estimate_camera(grey, boards)) is not None:
             found.append(camera)
+        if len(found) == _PHOTOS_FOR_FOCAL:
+            break
     return _combined(found) or CameraModel.pinhole(width, height, _UNKNOWN_FOCAL * max(width, height), _UNKNOWN_SIGMA)
 
 
@@ -131,7 +138,8 @@ def find_arms(
         if config and seen and seen.T_board_in_cam is not None:
             T = seen.T_board_in_cam @ inverse(config.T_board_in_arm)
         arms.append(ArmPose(arm.name, config.name if config else None, seen.status if seen else NO_BOARD, seen, T))
-    result = PhotoResult(photo.path, camera, source, tuple(arms), tuple(seen_ids(markers)))
+    ids = tuple(seen_ids(markers))
+    result = PhotoResult(photo.path, camera, source, photo.joints_source, tuple(arms), ids)
     result = _with_margin(rig, result)
     if trust_margin and len(arms) > 1 and result.bases:
         result = replace(result, arms=_trusting(rig, result, grey, camera))
@@ -153,12 +161,7 @@ def _with_margin(rig: RigConfig, result: PhotoResult) -> PhotoResult:
     # The margin is along world y, which is so in the first arm's frame:
     along = rig.T_base_in_world(0)[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     margin = rig.margin + float(along @ (measured[:3, 3] - expected[:3, 3]))
-    variance = 0.0
-    for arm in (one, two):
-        assert arm.sighting is not None and arm.sighting.covariance is not None
-        direction = one.T_base_in_cam[:3, :3] @ along
-        variance += float(direction @ arm.sighting.covariance[3:, 3:] @ direction)
-    sigma = math.sqrt(variance)
+    sigma = _margin_sigma(one, two, one.T_base_in_cam[:3, :3] @ along)
     notes = result.notes
     if abs(margin - rig.margin) > max(_MARGIN_TOLERANCE, 2 * sigma):
         notes += (
@@ -166,6 +169,19 @@ def _with_margin(rig: RigConfig, result: PhotoResult) -> PhotoResult:
             f"{rig.name!r}: mend the rig's margin, or measure the prints",
         )
     return replace(result, T_arm2_in_arm1=measured, margin=margin, margin_sigma=sigma, notes=notes)
+
+
+def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
+    """Standard deviation of two boards' distance along a direction (3,) of the camera's frame."""
+    variance, scales = 0.0, []
+    for arm in (one, two):
+        assert arm.sighting is not None and arm.sighting.covariance is not None and arm.sighting.shared is not None
+        shared = direction @ arm.sighting.shared[3:]
+        variance += float(direction @ arm.sighting.covariance[3:, 3:] @ direction - shared @ shared)
+        scales.append(shared)
+    # One lens and one printer: their mistakes do not add up by chance.
+    apart = scales[1] - scales[0]
+    return math.sqrt(max(0.0, variance) + float(apart @ apart))
 
 
 def _trusting(rig: RigConfig, result: PhotoResult, grey: NDArray[np.uint8], camera: CameraModel) -> tuple[ArmPose, ...]:

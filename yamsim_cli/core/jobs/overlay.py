@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +25,7 @@ from .arm_poses import PhotoResult, find_arms
 from .drawn_arms import ArmDrawer
 from .joint_files import home_joints
 from .outline_fit import overlap, refine, score_outlines
-from .photos import MASK_ENDING, OVERLAY_ENDING, Photo
+from .photos import MASK_ENDING, OVERLAY_ENDING, Mask, Photo
 
 Image = NDArray[np.uint8]
 
@@ -77,7 +77,7 @@ class Overlayer:
         )
         self._drawer: tuple[CameraModel, ArmDrawer] | None = None
 
-    def run(self, photo: Photo, image: Image, camera: CameraModel, source: str, mask: Image | None = None) -> Overlay:
+    def run(self, photo: Photo, image: Image, camera: CameraModel, source: str, mask: Mask | None = None) -> Overlay:
         """Find the arms in one photo, lay them over it, and score the fit.
 
         Args:
@@ -85,7 +85,7 @@ class Overlayer:
             image: RGB (height, width, 3).
             camera: that took it.
             source: where the camera's figures come from: "file", "episode" or "estimated".
-            mask: where the robot is in the photo (height, width), not 0; for the overlap.
+            mask: where the robot is in the photo (height, width), for the overlap.
 
         Raises:
             ConfigError: the camera or the mask does not fit the photo.
@@ -103,7 +103,7 @@ class Overlayer:
         if result.bases:
             drawer = self._drawer_for(camera)
             if self._options.refine:
-                result = refine(result, drawer, joints, grey)
+                result = refine(result, drawer, joints, grey, self._options.trust_margin)
             result = score_outlines(result, drawer, joints, grey)
             drawer.pose(result.bases, joints)
             drawn = drawer.draw()
@@ -158,24 +158,22 @@ def captions(result: PhotoResult) -> list[str]:
     return lines
 
 
-def write_overlay(overlay: Overlay, stem: str, out: Path, with_mask: bool, inputs: Collection[Path]) -> list[Path]:
-    """Write a result's picture, and its segmentation if wanted; never over an input.
+def picture_paths(out: Path, stem: str, with_mask: bool) -> list[Path]:
+    """What `write_overlay` writes."""
+    endings = (OVERLAY_ENDING, MASK_ENDING) if with_mask else (OVERLAY_ENDING,)
+    return [out / f"{stem}{ending}" for ending in endings]
 
-    Args:
-        inputs: resolved paths of all photos.
+
+def write_overlay(overlay: Overlay, stem: str, out: Path, with_mask: bool) -> list[Path]:
+    """Write a result's picture, and its segmentation if wanted, into a folder; each file is replaced whole.
 
     Raises:
-        ResourceError: it cannot be written, or would replace a photo.
+        ResourceError: it cannot be written.
     """
-    files = {out / f"{stem}{OVERLAY_ENDING}": overlay.picture}
-    if with_mask:
-        files[out / f"{stem}{MASK_ENDING}"] = overlay.labels
+    paths = picture_paths(out, stem, with_mask)
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        for path, image in files.items():
-            if path.resolve() in inputs:
-                raise ResourceError(f"{path} is one of the photos and would be overwritten; choose another --out")
+        for path, image in zip(paths, (overlay.picture, overlay.labels), strict=False):
             write_file(path, encode_png(image))
     except OSError as error:
         raise ResourceError(f"{out} cannot be written: {error.strerror or error}; choose another --out") from error
-    return list(files)
+    return paths

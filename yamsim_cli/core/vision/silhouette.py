@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -23,6 +24,8 @@ _SPACING = 3
 _LEAST_SLOPE = 4.0
 # A point's residual beyond this many times the typical one counts nothing (Tukey).
 _TUKEY = 4.685
+# As many of an outline's points are taken to be independent.
+_INDEPENDENT = 60.0
 # Outlines closer to the picture's border than this belong to the border.
 _BORDER = 3
 
@@ -107,8 +110,17 @@ def edge_offsets(grey: Grey, line: Outline, reach: float = REACH_PX) -> EdgeOffs
     distance = np.where(peak, np.abs(inner)[None, :], np.inf)
     nearest = distance.argmin(axis=1)
     rows = np.arange(len(nearest))
-    offsets = np.where(np.isfinite(distance[rows, nearest]), inner[nearest], np.nan)
-    return EdgeOffsets(offsets)
+    found = np.isfinite(distance[rows, nearest])
+    return EdgeOffsets(np.where(found, inner[nearest] + _beside(slope, nearest) / _FINE, np.nan))
+
+
+def _beside(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
+    """How far (steps) from each row's peak (n,) the top of the parabola through it and its neighbours lies."""
+    rows, middle = np.arange(len(peak)), np.clip(peak, 1, slope.shape[1] - 2)
+    before, here, after = (slope[rows, middle + k].astype(np.float64) for k in (-1, 0, 1))
+    bend = np.minimum(before - 2 * here + after, -1e-9)
+    beside: Array = np.clip((before - after) / (2 * bend), -0.5, 0.5)
+    return beside
 
 
 @dataclass(frozen=True)
@@ -130,25 +142,22 @@ class Correction:
         return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
 
 
-def correction(
-    line: Outline,
-    depth: Array,
-    offsets: Array,
-    K: Array,
-    centre: Array,
-    information: Array,
-    so_far: Array,
-    edge_sigma: float = 1.0,
-) -> Correction:
-    """The step of a pose that brings its outline onto the photo's edges, without leaving what the boards tell.
+@dataclass(frozen=True)
+class Pull:
+    """What the edges of an outline say of a pose: normal equations (6, 6) and (6,) of a `Correction`'s step."""
+
+    normal: Array
+    gradient: Array
+
+
+def pull(line: Outline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0) -> Pull:
+    """How the photo's edges want an outline moved.
 
     Args:
         line: outline in an ideal pinhole picture with camera matrix `K` (3, 3).
         depth: z (n,) in the camera's frame of the surface at each outline point, m.
         offsets: (n,) px to the photo's edge along each normal; NaN for none.
         centre: the point (3,) in the camera's frame that the turn is about.
-        information: inverse covariance (6, 6) of the boards' pose, turn about `centre` (rad) and shift (m).
-        so_far: the sum (6,) of the steps taken since the boards' pose.
         edge_sigma: standard deviation of an edge's place, px.
     """
     use = np.isfinite(offsets) & (depth > 0)
@@ -162,10 +171,23 @@ def correction(
     scale = max(edge_sigma, 1.4826 * float(np.median(np.abs(off)))) if len(off) else edge_sigma
     weight = np.clip(1 - (off / (_TUKEY * scale)) ** 2, 0, None) ** 2
     # Neighbouring outline points see the same edge; a few dozen independent ones are closer to the truth.
-    weight *= min(1.0, 60.0 / max(len(off), 1)) / edge_sigma**2
-    normal = (jacobian * weight[:, None]).T @ jacobian + information
-    gradient = (jacobian * weight[:, None]).T @ off - information @ so_far
-    return Correction(np.linalg.solve(normal, gradient), centre)
+    weight *= min(1.0, _INDEPENDENT / max(len(off), 1)) / edge_sigma**2
+    weighted = jacobian * weight[:, None]
+    return Pull(weighted.T @ jacobian, weighted.T @ off)
+
+
+def correction(pulls: Sequence[Pull], centre: Array, information: Array, so_far: Array) -> Correction:
+    """The step of a pose that brings its outlines onto the photo's edges, without leaving what the boards tell.
+
+    Args:
+        pulls: of all outlines that move with the pose.
+        centre: the point (3,) in the camera's frame that the turn is about.
+        information: inverse covariance (6, 6) of the boards' pose, turn about `centre` (rad) and shift (m).
+        so_far: the sum (6,) of the steps taken since the boards' pose.
+    """
+    normal = information + sum(part.normal for part in pulls)
+    gradient = sum(part.gradient for part in pulls) - information @ so_far
+    return Correction(np.linalg.solve(normal, gradient).astype(np.float64), centre)
 
 
 def rounds() -> list[float]:

@@ -51,7 +51,9 @@ class Alignment:
         T_ref_in_cam: pose (4, 4).
         covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of
             `centre` (m, along them), from the photo's noise alone.
-        centre: the point (3,) of the reference frame that the covariance is about: the middle of the pieces.
+        by_focal, by_print: (6,) how the pose moves, in the same measure, with the natural logarithm of the focal length
+            and of the print's size.
+        centre: the point (3,) of the reference frame that these are about: the middle of the pieces.
         blur: sigma, px.
         noise: standard deviation of the residuals, grey levels.
         cost: weighted sum of squared residuals over `pixels` pixels.
@@ -63,6 +65,8 @@ class Alignment:
 
     T_ref_in_cam: Array
     covariance: Array
+    by_focal: Array
+    by_print: Array
     centre: Array
     blur: float
     noise: float
@@ -105,10 +109,15 @@ class Tile:
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations over the pose's six parameters and the blur, and what the residuals look like."""
+    """Normal equations over the pose's six parameters, the blur and perhaps the zoom, and what the residuals look like.
+
+    Attributes:
+        mixed: products (7, 2) of what pose and blur do to the picture with what the zoom and the print's size do.
+    """
 
     normal: Array
     gradient: Array
+    mixed: Array
     cost: float
     weight: float
     pixels: int
@@ -202,13 +211,15 @@ class _Problem:
         if len(whole) < len(parts):
             return None
         residual = np.concatenate([part[0] for part in whole])
-        jacobian = np.concatenate([part[1] for part in whole])[:, : self._size]
+        jacobian = np.concatenate([part[1] for part in whole])
         if noise is None:
             noise = float(1.4826 * np.median(np.abs(residual)))
         noise = max(noise, _LEAST_NOISE)
         weight = np.minimum(1.0, _HUBER * noise / np.maximum(np.abs(residual), 1e-9))
         weighted = jacobian * weight[:, None]
-        normal, gradient = weighted.T @ jacobian + 1e-12 * np.eye(self._size), weighted.T @ residual
+        products = weighted.T @ jacobian
+        normal = products[: self._size, : self._size] + 1e-12 * np.eye(self._size)
+        gradient = (weighted.T @ residual)[: self._size]
         cost = float(weight @ residual**2)
         if self._zoom is not None:
             strength = (noise / self._zoom.sigma) ** 2
@@ -216,7 +227,7 @@ class _Problem:
             gradient[7] += strength * (self._zoom.mean - state.zoom)
             cost += strength * (self._zoom.mean - state.zoom) ** 2
         tiles = tuple(part[2] for part in whole)
-        return _System(normal, gradient, cost, float(weight.sum()), len(residual), noise, tiles)
+        return _System(normal, gradient, products[:7, 7:], cost, float(weight.sum()), len(residual), noise, tiles)
 
     def moved(self, state: _State, step: Array) -> _State:
         """The state a step away."""
@@ -235,14 +246,19 @@ class _Problem:
         """What was found, with its uncertainty; None where the pixels do not determine it."""
         try:
             covariance: Array = np.linalg.inv(system.normal).astype(np.float64) * system.noise**2
+            by_focal, by_print = -np.linalg.solve(system.normal[:7, :7], system.mixed)[:6].T
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(covariance).all():
             return None
+        # The zoom's column leaves out what the distance makes up for.
+        by_focal[5] += (state.T[:3, :3] @ self.centre + state.T[:3, 3])[2]
         zoom_sigma = math.sqrt(max(0.0, covariance[7, 7])) if self._zoom else 0.0
         return Alignment(
             state.T,
             covariance[:6, :6],
+            by_focal,
+            by_print,
             self.centre,
             state.blur,
             system.noise,
@@ -261,7 +277,7 @@ def _shift_px(camera: CameraModel, T: Array, centre: Array, step: Array) -> floa
 
 
 def _linearized(view: PrintView, state: _State, centre: Array) -> tuple[Array, Array, dict[int, Tile]] | None:
-    """Residuals (n,), their Jacobian (n, 8) without each tile's brightness and contrast, and how the tiles agree."""
+    """Residuals (n,), their Jacobian (n, 9) without each tile's brightness and contrast, and how the tiles agree."""
     drawing = draw_print(view, state.T, state.blur, math.exp(state.zoom))
     tile = _tiles(view, drawing)
     use = tile >= 0
@@ -270,16 +286,18 @@ def _linearized(view: PrintView, state: _State, centre: Array) -> tuple[Array, A
     grey = drawing.grey
     slopes = np.stack([cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)], axis=-1) / 32
     curvature = cv2.Laplacian(grey, cv2.CV_32F, ksize=1)
-    # By the pose, by the blur (which spreads as heat does), by the zoom, and by a shift in the picture.
+    # By the pose, by the blur (which spreads as heat does), by zoom and print size, and by a shift in the picture.
     by_shift = -slopes.reshape(-1, 2)[use].astype(np.float64)
     by_ray = np.einsum("ni,nij->nj", by_shift, view.px_per_ray[use])
-    columns = np.empty((int(use.sum()), 10))
+    columns = np.empty((int(use.sum()), 11))
     columns[:, :6] = _by_pose(view, state, centre, drawing.at[use], by_ray)
     columns[:, 6] = state.blur * curvature.ravel()[use]
     # A longer lens farther away: the part of the zoom that the distance makes up for is no part of the search.
     depth = float((state.T[:3, :3] @ centre + state.T[:3, 3])[2])
     columns[:, 7] = (by_ray * view.centre_rays[use]).sum(axis=1) + columns[:, 5] * depth
-    columns[:, 8:] = by_shift / view.coarser
+    from_middle = drawing.at[use] @ (state.T[:3, :3] @ view.piece.T_board_in_ref[:3, :2]).T
+    columns[:, 8] = (columns[:, 3:6] * from_middle).sum(axis=1)
+    columns[:, 9:] = by_shift / view.coarser
     return _without_light(view.photo.ravel()[use], grey.ravel()[use], columns, tile[use])
 
 
@@ -314,7 +332,7 @@ def _without_light(
 ) -> tuple[Array, Array, dict[int, Tile]]:
     """Residuals and Jacobian once each tile's best brightness and contrast are taken out (variable projection)."""
     order = np.argsort(tile, kind="stable")
-    residual, jacobian = np.empty(len(tile)), np.empty((len(tile), 8))
+    residual, jacobian = np.empty(len(tile)), np.empty((len(tile), 9))
     numbers, starts = np.unique(tile[order], return_index=True)
     tiles = {}
     for number, index in zip(numbers, np.split(order, starts[1:]), strict=True):
@@ -327,8 +345,8 @@ def _without_light(
         contrast = float(shape @ seen) / power
         slopes = contrast * (slopes - np.outer(shape, shape @ slopes / power))
         residual[index] = seen - contrast * shape
-        jacobian[index] = slopes[:, :8]
-        by_shift = slopes[:, 8:]
+        jacobian[index] = slopes[:, :9]
+        by_shift = slopes[:, 9:]
         shift = np.linalg.solve(by_shift.T @ by_shift + 1e-6 * np.eye(2), by_shift.T @ residual[index])
         correlation = contrast * np.sqrt(power / (float(seen @ seen) + 1e-9))
         tiles[int(number)] = Tile(float(correlation), (float(shift[0]), float(shift[1])))
