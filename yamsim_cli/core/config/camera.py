@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ..errors import ConfigError, suggest
 from ..geometry.camera import CameraModel
@@ -59,12 +58,23 @@ class CameraConfig(Config):
         """The camera in numbers."""
         return CameraModel(self.width, self.height, self.K, self.distortion, self.focal_sigma)
 
+    @field_validator("K", mode="before")
+    @classmethod
+    def _three_by_three(cls, value: Any) -> Any:
+        if isinstance(value, list) and len(value) == 9 and not any(isinstance(part, list) for part in value):
+            value = [value[k : k + 3] for k in (0, 3, 6)]
+        is_matrix = isinstance(value, list | tuple) and len(value) == 3
+        if not is_matrix or not all(isinstance(row, list | tuple) and len(row) == 3 for row in value):
+            raise ValueError("K must have 3 x 3 numbers: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        return value
+
     @model_validator(mode="after")
     def _plausible(self) -> CameraConfig:
-        (fx, _, cx), (skewed, fy, cy), last = self.K
-        if last != (0.0, 0.0, 1.0) or skewed != 0.0:
-            raise ValueError("K must have the form [[fx, s, cx], [0, fy, cy], [0, 0, 1]]")
-        if not (math.isfinite(fx) and math.isfinite(fy) and fx > 0 and fy > 0):
+        (fx, skew, cx), (left, fy, cy), last = self.K
+        # A skew, which other models have, OpenCV's passes over in silence.
+        if last != (0.0, 0.0, 1.0) or left != 0.0 or skew != 0.0:
+            raise ValueError("K must have the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        if fx <= 0 or fy <= 0:
             raise ValueError(f"the focal lengths {fx:g} and {fy:g} must be above 0 px")
         # A phone's zoom or a fisheye lie within; a K of another image size or in millimetres does not.
         longer = max(self.width, self.height)
@@ -107,7 +117,7 @@ class CameraConfig(Config):
             for alias in (key, *aliases):
                 if alias in data:
                     value = _matrix(data[alias])
-                    ours[key] = _rows(value) if key == "K" else _flat(value) if key == "distortion" else value
+                    ours[key] = _flat(value) if key == "distortion" else value
                     places[(key,)] = document.place((alias,))
                     break
         if "focal_sigma" in data:
@@ -118,12 +128,6 @@ class CameraConfig(Config):
 def _matrix(value: Any) -> Any:
     """The numbers of a matrix saved as `{rows, cols, data}`, or the value as it is."""
     return value["data"] if isinstance(value, dict) and "data" in value else value
-
-
-def _rows(value: Any) -> Any:
-    if isinstance(value, list) and len(value) == 9:
-        return [value[k : k + 3] for k in (0, 3, 6)]
-    return value
 
 
 def _flat(value: Any) -> Any:

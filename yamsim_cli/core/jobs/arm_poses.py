@@ -8,7 +8,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,9 +17,8 @@ from ..geometry.se3 import Array, inverse
 from ..vision.fiducials.focal import estimate_camera
 from ..vision.fiducials.locate import Sighting, Status, locate, locate_together
 from ..vision.fiducials.markers import seen_ids
+from ..vision.image_files import Image, grey_of
 from .photos import Photo
-
-Image = NDArray[np.uint8]
 
 # Status of an arm that has a pose without its own board: from the other board and the rig, or from the recording.
 INFERRED = "inferred"
@@ -99,8 +97,7 @@ def unknown_camera(images: Iterable[Image], size: tuple[int, ...], rig: RigConfi
     height, width = size
     found: list[CameraModel] = []
     for image in itertools.islice(images, _PHOTOS_TO_SEARCH):
-        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-        if (camera := estimate_camera(grey, boards)) is not None:
+        if (camera := estimate_camera(grey_of(image), boards)) is not None:
             found.append(camera)
         if len(found) == _PHOTOS_FOR_FOCAL:
             break

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,14 +19,13 @@ from ..files import write_file
 from ..geometry.camera import CameraModel
 from ..resources import Locations
 from ..scene.compose import Meshes
+from ..vision.image_files import Image, Mask, grey_of
 from ..vision.overlay import blend, draw_board, write_lines
 from .arm_poses import PhotoResult, find_arms
 from .drawn_arms import ArmDrawer
 from .joint_files import home_joints
 from .outline_fit import overlap, refine, score_outlines
-from .photos import MASK_ENDING, OVERLAY_ENDING, Mask, Photo
-
-Image = NDArray[np.uint8]
+from .photos import MASK_ENDING, OVERLAY_ENDING, Photo
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ class Overlayer:
                 f"{photo.path} has {width} x {height} pixels, but the camera is calibrated for "
                 f"{camera.width} x {camera.height}: give the camera file of this image size"
             )
-        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+        grey = grey_of(image)
         result = find_arms(self._rig, photo, grey, camera, source, self._options.trust_margin)
         joints = home_joints(self._rig)[0] if photo.joints is None else photo.joints
         picture, labels = image.copy(), np.zeros((height, width), np.uint8)

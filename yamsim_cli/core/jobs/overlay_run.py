@@ -7,9 +7,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..config.record import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
@@ -19,13 +16,13 @@ from ..geometry.se3 import Array
 from ..resources import Locations
 from ..scene.compose import Meshes
 from ..vision.fiducials.locate import Status
+from ..vision.image_files import Image, read_image, read_mask
 from ..vision.video import VideoWriter
 from .arm_poses import unknown_camera
 from .overlay import Overlay, Overlayer, OverlayOptions, picture_paths, write_overlay
 from .overlay_report import OverlayReport
-from .photos import Photo, mask_of, read_image, read_mask
+from .photos import Photo, mask_of
 
-Image = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
 
 
