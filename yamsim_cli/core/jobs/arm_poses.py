@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..config.rig import RigConfig
 from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array, inverse
-from ..vision.fiducials.focal import estimate_camera
+from ..vision.fiducials.focal import combined_camera, estimate_camera
 from ..vision.fiducials.locate import Sighting, Status, locate, locate_together
 from ..vision.fiducials.markers import seen_ids
 from ..vision.image_files import Image, grey_of
@@ -101,16 +101,8 @@ def unknown_camera(images: Iterable[Image], size: tuple[int, ...], rig: RigConfi
             found.append(camera)
         if len(found) == _PHOTOS_FOR_FOCAL:
             break
-    return _combined(found) or CameraModel.pinhole(width, height, _UNKNOWN_FOCAL * max(width, height), _UNKNOWN_SIGMA)
-
-
-def _combined(cameras: Sequence[CameraModel]) -> CameraModel | None:
-    """One camera for all: the mean of the logarithms of the focal lengths, each weighted by what it is known to."""
-    if not cameras:
-        return None
-    weights = np.array([camera.focal_sigma**-2.0 for camera in cameras])
-    mean = float(weights @ np.log([camera.focal for camera in cameras]) / weights.sum())
-    return CameraModel.pinhole(cameras[0].width, cameras[0].height, math.exp(mean), float(weights.sum() ** -0.5))
+    camera = combined_camera(width, height, [(math.log(one.focal), one.focal_sigma) for one in found])
+    return camera or CameraModel.pinhole(width, height, _UNKNOWN_FOCAL * max(width, height), _UNKNOWN_SIGMA)
 
 
 def find_arms(

@@ -14,7 +14,7 @@ from ..errors import ConfigError
 from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array, inverse
 from ..vision.fiducials.locate import at_pose
-from ..vision.silhouette import EdgeOffsets, Pull, correction, edge_offsets, outline, pull, rounds
+from ..vision.silhouette import EdgeOffsets, Pull, correction, edge_offsets, grain_px, outline, pull, rounds
 from .arm_poses import ArmPose, PhotoResult
 from .drawn_arms import ArmDrawer, Flat
 
@@ -26,12 +26,13 @@ def score_outlines(result: PhotoResult, drawer: ArmDrawer, joints: Array, grey: 
     """The result with its outlines compared with the edges of the photo (height, width)."""
     flat_grey = drawer.flattened(grey)
     drawer.pose(result.bases, joints)
-    labels = drawer.flat().labels
+    labels = drawer.flat_labels()
     offsets = {k: edge_offsets(flat_grey, outline(labels == k + 1, _other(labels, k))) for k in result.bases}
     arms = tuple(
         replace(arm, edge_residual=offsets[k].residual) if k in offsets else arm for k, arm in enumerate(result.arms)
     )
-    every = EdgeOffsets(np.concatenate([found.offsets for found in offsets.values()]))
+    reach = next(iter(offsets.values())).reach
+    every = EdgeOffsets(np.concatenate([found.offsets for found in offsets.values()]), reach)
     return replace(result, arms=arms, edge_residual=every.residual)
 
 
@@ -75,7 +76,8 @@ def _pull(flat: Flat, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach
         return None
     inside = np.round(line.points - line.normals).astype(int)
     depth = flat.depth[inside[:, 1], inside[:, 0]].astype(np.float64)
-    return pull(line, depth, edge_offsets(flat_grey, line, reach).offsets, flat.intrinsics.K, centre)
+    offsets = edge_offsets(flat_grey, line, reach).offsets
+    return pull(line, depth, offsets, flat.intrinsics.K, centre, edge_sigma=grain_px(flat_grey.shape))
 
 
 def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:

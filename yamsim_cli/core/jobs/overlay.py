@@ -112,7 +112,7 @@ class Overlayer:
                 draw_board(picture, camera, arm.sighting.board, arm.sighting.T_board_in_cam)
         if mask is not None:
             result = replace(result, iou=overlap(labels, mask, photo.path))
-        write_lines(picture, captions(result))
+        write_lines(picture, captions(result), (picture != image).any(axis=2))
         return Overlay(result, picture, labels)
 
     def _drawer_for(self, camera: CameraModel) -> ArmDrawer:
@@ -148,7 +148,9 @@ def captions(result: PhotoResult) -> list[str]:
         if arm.edge_residual is not None:
             text += f", outline {arm.edge_residual:.1f} px"
         lines.append(text)
-    if result.camera_source == "estimated":
+    if result.joints_source == "home" and result.bases:
+        lines.append("joints not given: drawn at home")
+    if result.camera_source == "estimated" and result.bases:
         sigma = result.camera.focal_sigma * 100
         lines.append(f"focal length estimated: {result.camera.focal:.0f} px +- {sigma:.1f} %")
     if result.margin is not None:
