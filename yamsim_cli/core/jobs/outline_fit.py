@@ -22,10 +22,9 @@ from .drawn_arms import ArmDrawer, Flat
 _LEAST_POINTS = 20
 
 
-def score_outlines(result: PhotoResult, drawer: ArmDrawer, joints: Array, grey: NDArray[np.uint8]) -> PhotoResult:
-    """The result with its outlines compared with the edges of the photo (height, width)."""
+def score_outlines(result: PhotoResult, drawer: ArmDrawer, grey: NDArray[np.uint8]) -> PhotoResult:
+    """The result with its outlines, as posed in `drawer`, compared with the edges of the photo (height, width)."""
     flat_grey = drawer.flattened(grey)
-    drawer.pose(result.bases, joints)
     labels = drawer.flat_labels()
     offsets = {k: edge_offsets(flat_grey, outline(labels == k + 1, _other(labels, k))) for k in result.bases}
     arms = tuple(

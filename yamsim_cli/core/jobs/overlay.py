@@ -102,8 +102,8 @@ class Overlayer:
             drawer = self._drawer_for(camera)
             if self._options.refine:
                 result = refine(result, drawer, joints, grey, self._options.trust_margin)
-            result = score_outlines(result, drawer, joints, grey)
             drawer.pose(result.bases, joints)
+            result = score_outlines(result, drawer, grey)
             drawn = drawer.draw()
             labels = drawn.labels
             picture = blend(image, drawn.colour, labels, self._options.opacity)
