@@ -302,16 +302,11 @@ def _linearized(view: PrintView, state: _State, centre: Array) -> tuple[Array, A
 
 
 def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
-    """Which of the piece's markers (n,), with half the gap around it, each pixel shows; -1 for none."""
-    board, at = view.piece.board, drawing.at
-    step = board.marker_length + board.gap
-    column = np.floor((at[:, 0] + board.width / 2 + board.gap / 2) / step).astype(int)
-    row = np.floor((board.height / 2 - at[:, 1] + board.gap / 2) / step).astype(int)
-    tile: NDArray[np.int_] = np.clip(row, 0, board.rows - 1) * board.columns + np.clip(column, 0, board.columns - 1)
-    tile[~(drawing.alone & np.isin(tile, view.piece.markers))] = -1
-    counts = np.bincount(tile[tile >= 0], minlength=board.rows * board.columns)
-    tile[~np.append(counts >= _MIN_TILE_PIXELS, False)[tile]] = -1
-    return tile
+    """The marker (n,) each pixel shows, -1 for none: markers of too few pixels are left out."""
+    board, marker = view.piece.board, drawing.marker.copy()
+    counts = np.bincount(marker[marker >= 0], minlength=board.rows * board.columns)
+    marker[~np.append(counts >= _MIN_TILE_PIXELS, False)[marker]] = -1
+    return marker
 
 
 def _by_pose(view: PrintView, state: _State, centre: Array, at: Array, by_ray: Array) -> Array:

@@ -21,7 +21,7 @@ Grey = NDArray[np.float32]
 _FINE = 3
 
 # Finer than this (px a cell), pixels only cost time.
-_ENOUGH_PX_A_CELL = 9.0
+_ENOUGH_PX_A_CELL = 2.7
 
 # Pixels around the board that a pose may move it by.
 _MARGIN_PX = 3
@@ -73,12 +73,12 @@ class Drawing:
     Attributes:
         grey: (rows, columns), 0 black to 1 white.
         at: where on the board (n, 2) each pixel lies, m.
-        alone: (n,) whether nothing beside the print is blurred into the pixel.
+        marker: which marker's surroundings (n,) the pixel shows and nothing else; -1 for none.
     """
 
     grey: Grey
     at: Array
-    alone: NDArray[np.bool_]
+    marker: NDArray[np.int_]
 
 
 def view_print(photo: Grey, camera: CameraModel, piece: Piece, T_ref_in_cam: Array) -> PrintView | None:
@@ -184,14 +184,23 @@ def draw_print(view: PrintView, T_ref_in_cam: Array, blur: float, lengthened: fl
     drawn = cv2.GaussianBlur(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), (0, 0), blur)
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
     at = homogeneous[:, :2] / homogeneous[:, 2:]
-    return Drawing(np.asarray(drawn, dtype=np.float32), at, _print_alone(view, at, blur))
+    return Drawing(np.asarray(drawn, dtype=np.float32), at, _marker_at(view, at, blur))
 
 
-def _print_alone(view: PrintView, at: Array, blur: float) -> NDArray[np.bool_]:
-    """Pixels so far inside the board's edge that nothing else is blurred into them."""
+def _marker_at(view: PrintView, at: Array, blur: float) -> NDArray[np.int_]:
+    """Which of the piece's markers, with half the gap around it, each pixel shows; -1 for none.
+
+    Also -1 near what is not compared, from where something else (the table, a hand) may be blurred into the pixel.
+    """
     board = view.piece.board
+    step = board.marker_length + board.gap
+    column = np.floor((at[:, 0] + board.width / 2 + board.gap / 2) / step).astype(int)
+    row = np.floor((board.height / 2 - at[:, 1] + board.gap / 2) / step).astype(int)
+    marker = np.clip(row, 0, board.rows - 1) * board.columns + np.clip(column, 0, board.columns - 1)
     inside = (np.abs(at[:, 0]) < board.width / 2) & (np.abs(at[:, 1]) < board.height / 2)
-    mask = inside.reshape(view.photo.shape).astype(np.uint8)
+    inside &= np.isin(marker, view.piece.markers)
     reach = 1 + round(1.5 * blur)
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    return cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0
+    mask = inside.reshape(view.photo.shape).astype(np.uint8)
+    clear = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0
+    return np.where(clear, marker, -1)

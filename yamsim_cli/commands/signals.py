@@ -1,0 +1,50 @@
+"""Ctrl-C and SIGTERM, which are one wish: to end. Noted where nothing may be broken off, else raised."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+_RETRY_SECONDS = 0.02
+
+
+@contextmanager
+def noted_signals() -> Iterator[Callable[[], bool]]:
+    """Inside, a signal to end raises nothing; the function tells whether one has come."""
+    came = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+
+    before = {number: signal.signal(number, note) for number in _ENDING}
+    try:
+        yield lambda: came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def raise_signals() -> None:
+    """From now on, a signal to end raises KeyboardInterrupt: at once, or when the import that is going on is done."""
+    for number in (*_ENDING, signal.SIGALRM):
+        signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    # Broken off, an extension module reports that it cannot be loaded, and a library may do without it from then on.
+    if _importing(frame):
+        signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
+        return
+    raise KeyboardInterrupt
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
