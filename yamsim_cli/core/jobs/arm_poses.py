@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,6 +25,8 @@ INFERRED = "inferred"
 RECORDED = "recorded"
 NO_BOARD = "no_board"
 
+# Markers that lie farther (px) from where the pose puts them are worth a word.
+_PRINT_TOLERANCE = 0.5
 # A margin that is off by more than this (m), and by more than it is known to, is worth a word.
 _MARGIN_TOLERANCE = 0.002
 
@@ -128,7 +130,7 @@ def find_arms(
             T = seen.T_board_in_cam @ inverse(config.T_board_in_arm)
         arms.append(ArmPose(arm.name, config.name if config else None, seen.status if seen else NO_BOARD, seen, T))
     ids = tuple(seen_ids(markers))
-    result = PhotoResult(photo.path, camera, source, photo.joints_source, tuple(arms), ids)
+    result = PhotoResult(photo.path, camera, source, photo.joints_source, tuple(arms), ids, notes=_misfits(arms))
     result = _with_margin(rig, result)
     if trust_margin and len(arms) > 1 and result.bases:
         result = replace(result, arms=_trusting(rig, result, grey, camera))
@@ -137,6 +139,17 @@ def find_arms(
         recorded = replace(first, status=RECORDED, T_base_in_cam=photo.T_base_in_cam)
         result = replace(result, arms=(recorded, *result.arms[1:]))
     return result
+
+
+def _misfits(arms: Sequence[ArmPose]) -> tuple[str, ...]:
+    """A word on each board whose print is not quite as the rig and the camera file have it."""
+    return tuple(
+        f"{arm.name}'s markers lie {rms:.2f} px from where its pose puts them: check the camera's distortion, and the "
+        "rig's marker_length_mm and gap_mm against the print"
+        for arm in arms
+        if arm.T_base_in_cam is not None and arm.sighting
+        if (rms := arm.sighting.reprojection_rms) is not None and rms > _PRINT_TOLERANCE
+    )
 
 
 def _with_margin(rig: RigConfig, result: PhotoResult) -> PhotoResult:

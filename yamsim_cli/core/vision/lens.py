@@ -15,7 +15,7 @@ from ..geometry.se3 import Array
 # Iterations for undoing distortion: OpenCV's default of 5 leaves tenths of a pixel with strong lenses.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
 
-# Distortion is smooth: viewing rays on this grid (px), interpolated between, are exact to 1e-4 px.
+# Distortion is smooth: viewing rays on this grid (px), interpolated between, are exact to 5e-4 px.
 _RAY_GRID = 8
 
 # Wider than this an ideal pinhole picture is mostly border.

@@ -22,7 +22,7 @@ from .print_view import Drawing, Piece, PrintView, draw_print, view_print
 
 Grey = NDArray[np.float32]
 
-# Blur (sigma, px) that is believed: less cannot be told from none, more is no picture of a marker.
+# Blur (sigma, pixels of a `PrintView`) that is believed: less cannot be told from none, more is no picture of a marker.
 BLUR_RANGE = (0.25, 4.0)
 
 # Residuals beyond this many standard deviations count less and less (Huber's 95 % efficiency).
@@ -203,6 +203,8 @@ class _Problem:
         self._views = views
         self._zoom = zoom
         self._size = 7 if zoom is None else 8
+        coarser = [view.coarser for view in views]
+        self._blur_range = (BLUR_RANGE[0] * min(coarser), BLUR_RANGE[1] * max(coarser))
 
     def system(self, state: _State, noise: float | None) -> _System | None:
         """Normal equations at a state; residuals weighted for a given noise, or for the noise found."""
@@ -234,7 +236,7 @@ class _Problem:
         turn = rotation_from_vector(step[:3])
         at = state.T[:3, :3] @ self.centre + state.T[:3, 3]
         R = turn @ state.T[:3, :3]
-        blur = float(np.clip(state.blur + step[6], *BLUR_RANGE))
+        blur = float(np.clip(state.blur + step[6], *self._blur_range))
         if self._zoom is None:
             return _State(pose(at + step[3:6] - R @ self.centre, R), blur)
         change = float(np.clip(step[7], -_ZOOM_STEP, _ZOOM_STEP))
@@ -278,7 +280,8 @@ def _shift_px(camera: CameraModel, T: Array, centre: Array, step: Array) -> floa
 
 def _linearized(view: PrintView, state: _State, centre: Array) -> tuple[Array, Array, dict[int, Tile]] | None:
     """Residuals (n,), their Jacobian (n, 9) without each tile's brightness and contrast, and how the tiles agree."""
-    drawing = draw_print(view, state.T, state.blur, math.exp(state.zoom))
+    blur = state.blur / view.coarser
+    drawing = draw_print(view, state.T, blur, math.exp(state.zoom))
     tile = _tiles(view, drawing)
     use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
@@ -291,7 +294,7 @@ def _linearized(view: PrintView, state: _State, centre: Array) -> tuple[Array, A
     by_ray = np.einsum("ni,nij->nj", by_shift, view.px_per_ray[use])
     columns = np.empty((int(use.sum()), 11))
     columns[:, :6] = _by_pose(view, state, centre, drawing.at[use], by_ray)
-    columns[:, 6] = state.blur * curvature.ravel()[use]
+    columns[:, 6] = blur * curvature.ravel()[use] / view.coarser
     # A longer lens farther away: the part of the zoom that the distance makes up for is no part of the search.
     depth = float((state.T[:3, :3] @ centre + state.T[:3, 3])[2])
     columns[:, 7] = (by_ray * view.centre_rays[use]).sum(axis=1) + columns[:, 5] * depth

@@ -73,7 +73,7 @@ class Sighting:
         shared: (6, 2) the part of it that is the same mistake for all boards of a photo: what one standard deviation of
             the focal length and one of the print scale do to the pose.
         reprojection_rms: root mean square of how far (px) each marker's picture lies from where the pose puts it.
-        blur: sigma of the photo's blur, px.
+        blur: about the photo's blur, sigma in px; of a board that fills the photo, at most so much.
     """
 
     board: Board

@@ -166,7 +166,7 @@ def _reduced(board: Board, coarser: int) -> Grey:
 
 
 def draw_print(view: PrintView, T_ref_in_cam: Array, blur: float, lengthened: float) -> Drawing:
-    """Draw a piece at a pose, `blur` (sigma) in px, the focal length `lengthened` times the camera's."""
+    """Draw a piece at a pose, `blur` (sigma) in the view's pixels, the focal length `lengthened` times the camera's."""
     T_board_in_cam = T_ref_in_cam @ view.piece.T_board_in_ref
     shorter = 1 / lengthened
     onto_board = np.linalg.inv(T_board_in_cam[:3, [0, 1, 3]]) @ np.diag([shorter, shorter, 1.0])
