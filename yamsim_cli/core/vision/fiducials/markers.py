@@ -21,6 +21,11 @@ Grey = NDArray[np.uint8]
 _ENLARGE_TO = 1920
 _MAX_ENLARGEMENT = 3
 
+# The detector's thresholds are made for grey levels that use their range: darker photos are stretched to it, their darkest
+# and brightest thousandth left out.
+_ENDS = (0.1, 99.9)
+_WIDEST = 128.0
+
 # Markers belong to one board when the board's middle that each predicts lies within this many marker edges.
 _SAME_BOARD = 0.8
 
@@ -48,6 +53,7 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Mark
         ConfigError: OpenCV has no such dictionary.
     """
     factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGE_TO / max(grey.shape))))
+    grey = _stretched(grey)
     large = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC) if factor > 1 else grey
     parameters = cv2.aruco.DetectorParameters()
     # Corners are only where the pose starts from; refining them one by one costs six times as much as finding them.
@@ -63,6 +69,13 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Mark
             for number, quad in zip(numbers, corners, strict=True)
         ]
     return found
+
+
+def _stretched(grey: Grey) -> Grey:
+    low, high = np.percentile(grey, _ENDS)
+    if high - low >= _WIDEST or high - low < 1:
+        return grey
+    return np.clip((grey.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
 
 
 def groups(markers: Sequence[Marker], board: Board, camera: CameraModel) -> list[Group]:
