@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,7 @@ from .console import note, print_json, print_line, progress_bar
 from .session import Json, Margin, RigName, locations, resolve_meshes, rig_config, use_gl
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.jobs.overlay_run import OverlayReport
+    from yamsim_cli.core.jobs.overlay_report import OverlayReport
 
 
 def overlay(
@@ -66,7 +66,7 @@ def overlay(
 
     from yamsim_cli.core.jobs.joint_files import load_joints
     from yamsim_cli.core.jobs.overlay import OverlayOptions
-    from yamsim_cli.core.jobs.overlay_run import OverlayRequest, plain, run_overlays
+    from yamsim_cli.core.jobs.overlay_run import OverlayRequest, run_overlays
     from yamsim_cli.core.jobs.photos import Photo, episode_photos, find_photos
     from yamsim_cli.core.scene.compose import mesh_sets
 
@@ -93,15 +93,14 @@ def overlay(
         report = run_overlays(
             settings, request, scene, quality, where, meshes, lambda done, total: advance(done, total, "")
         )
-    images = [plain(result, settings) for result in report.results]
-    _tell(report, images, json)
-    report.check(settings)
-
-
-def _tell(report: OverlayReport, images: list[dict[str, Any]], json: bool) -> None:
     if json:
-        print_json({"images": images, "files": [str(path) for path in report.files], "failures": report.failures})
-        return
+        print_json(report.plain())
+    else:
+        _tell(report)
+    report.check()
+
+
+def _tell(report: OverlayReport) -> None:
     from yamsim_cli.core.jobs.overlay import captions
 
     for result in report.results:

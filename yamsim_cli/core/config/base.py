@@ -19,7 +19,7 @@ class Config(BaseModel):
 
     @classmethod
     def adopt(cls, document: Document) -> None:
-        """Rewrite what other programs' files call otherwise in this config's keys, in place; as a rule there is nothing."""
+        """Rewrite the keys of other programs' files as this config's own, in place; as a rule there are none."""
 
 
 @dataclass(frozen=True)

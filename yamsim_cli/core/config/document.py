@@ -162,7 +162,7 @@ def parse_yaml(text: str | bytes, source: str) -> Document:
 
 
 def _without_opencv_header(text: str | bytes) -> str | bytes:
-    """OpenCV's FileStorage begins with `%YAML:1.0`, which is no YAML: made a comment, so that lines keep their numbers."""
+    """OpenCV's FileStorage begins with `%YAML:1.0`, which is no YAML: as a comment it keeps the lines' numbers."""
     if isinstance(text, bytes):
         return b"#" + text if text.startswith(b"%YAML:") else text
     return "#" + text if text.startswith("%YAML:") else text

@@ -103,6 +103,7 @@ class ArmDrawer:
         arm_of_root = {root: k for k, root in enumerate(self._roots, start=1)}
         numbers = [arm_of_root.get(int(self._model.body_rootid[body]), 0) for body in self._model.geom_bodyid]
         self._arm_of_geom = np.array([*numbers, 0], np.uint8)
+        self._labels: NDArray[np.uint8] | None = None
         self._renderer = SceneRenderer(self._model, size)
 
     def pose(self, T_base_in_cam: Mapping[int, Array], joints: Array) -> None:
@@ -126,19 +127,29 @@ class ArmDrawer:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)
+        self._labels = None
 
     def draw(self) -> Drawn:
         """The arms as the real camera sees them."""
         colour = self._warp.image(self._renderer.draw(self._data, _CAMERA))
-        labels = self._arm_of_geom[self._renderer.segment(self._data, _CAMERA)]
-        return Drawn(colour, self._warp.image(labels, nearest=True))
+        return Drawn(colour, self._warp.image(self._ideal_labels(), nearest=True))
+
+    def flat_labels(self) -> NDArray[np.uint8]:
+        """`flat` without the depth, which takes as long again."""
+        step = self._warp.supersample
+        return np.ascontiguousarray(self._ideal_labels()[::step, ::step])
 
     def flat(self) -> Flat:
         """The arms in an ideal pinhole picture."""
         step = self._warp.supersample
-        labels = self._arm_of_geom[self._renderer.segment(self._data, _CAMERA)][::step, ::step]
         depth = self._renderer.depth(self._data, _CAMERA)[::step, ::step]
-        return Flat(np.ascontiguousarray(labels), np.ascontiguousarray(depth), self._warp.coarse)
+        return Flat(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
+
+    def _ideal_labels(self) -> NDArray[np.uint8]:
+        """Drawn once a pose: two of the results need it."""
+        if self._labels is None:
+            self._labels = self._arm_of_geom[self._renderer.segment(self._data, _CAMERA)]
+        return self._labels
 
     def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A photo of the camera without its distortion: what `flat` can be compared with."""

@@ -17,9 +17,9 @@ from ..scene.robot import HOME, JOINTS, bare_arm
 
 # Encoders and calibrations are off by a little: so far outside its range a joint is still believed.
 _SLACK = math.radians(3.0)
-# Openings of one finger, m, are far below this; what lies above is a share of the full opening, as drives report it.
-_METRES = 0.06
+# A finger's opening, m, and the most that its drive is ever told: a file with more in it gives shares of the opening.
 _FULL_OPENING = 0.0375
+_MOST_METRES = 0.041
 
 _KINDS = (".npy", ".yaml", ".yml", ".pkl")
 # Fixed by the real recorder: the left arm's six joints and gripper, then the right arm's.
@@ -34,25 +34,40 @@ def home_joints(rig: RigConfig) -> Array:
 def load_joints(path: Path, rig: RigConfig, locations: Locations) -> Array:
     """Joints of every arm (rows, arms, 7): six in rad, and the opening of one finger in m; a row for each photo.
 
-    What a file may hold: `.npy`, an array of one row or of a row for each photo; `.pkl`, a recorded frame's lowdim; YAML,
-    either `joints: [...]` or a list under each arm's name. A row has 6 or 7 numbers for a rig of one arm, and 14 (left
-    arm's six joints and gripper, then the right arm's) for any.
+    What a file may hold: `.npy`, an array of one row or of a row for each photo; `.pkl`, a recorded frame's lowdim;
+    YAML, either `joints: [...]` or a list under each arm's name. A row has 6 or 7 numbers for a rig of one arm, and 14
+    (left arm's six joints and gripper, then the right arm's) for any. A gripper is the opening of one finger in m;
+    where any in the file is above 0.041, all are shares of the full opening.
 
     Raises:
         ConfigError: unreadable, another shape, not finite, or outside the joints' ranges.
     """
-    if path.suffix not in _KINDS:
+    kind = path.suffix.lower()
+    if kind not in _KINDS:
         raise ConfigError(f"--joints {path}: unknown kind of file {path.suffix!r}; valid: {', '.join(_KINDS)}")
     try:
-        rows = _yaml_rows(path, rig) if path.suffix in (".yaml", ".yml") else _by_arm(_numbers(path), rig, path)
+        rows = _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _by_arm(_numbers(path, kind), rig, path)
     except OSError as error:
         raise ConfigError(f"--joints {path}: cannot be read: {error.strerror or error}") from error
     if not np.isfinite(rows).all():
         raise ConfigError(f"--joints {path}: has values that are not finite; give radians")
     _check_ranges(rows, rig, locations, path)
-    share = rows[..., 6] > _METRES
-    rows[..., 6] = np.where(share, np.clip(rows[..., 6], 0, 1) * _FULL_OPENING, rows[..., 6])
+    rows[..., 6] = _openings(rows[..., 6], path)
     return rows
+
+
+def _openings(values: Array, path: Path) -> Array:
+    """Openings (rows, arms) in m, from metres or shares."""
+    full = 1.0 if (values > _MOST_METRES).any() else _FULL_OPENING
+    # Drives report a little beyond both ends.
+    if values.min() < -0.1 * full or values.max() > 1.1 * full:
+        worst = values.flat[np.abs(values - full / 2).argmax()]
+        raise ConfigError(
+            f"--joints {path}: gripper {worst:.4g} is no opening: give that of one finger, 0..{_FULL_OPENING} m, or a "
+            "share of it, 0..1"
+        )
+    opened: Array = np.clip(values / full, 0.0, 1.0) * _FULL_OPENING
+    return opened
 
 
 def arm_rows(values: Array, rig: RigConfig, source: Path) -> Array:
@@ -60,8 +75,8 @@ def arm_rows(values: Array, rig: RigConfig, source: Path) -> Array:
     return _by_arm(values, rig, source)
 
 
-def _numbers(path: Path) -> Array:
-    if path.suffix == ".npy":
+def _numbers(path: Path, kind: str) -> Array:
+    if kind == ".npy":
         try:
             return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
         except (ValueError, TypeError, EOFError) as error:
@@ -105,6 +120,8 @@ def _array(value: object, path: Path) -> Array:
 
 def _by_arm(values: Array, rig: RigConfig, path: Path) -> Array:
     rows = np.atleast_2d(values)
+    if len(rows) == 0:
+        raise ConfigError(f"{path}: holds no row of joints")
     if rows.ndim == 2 and rows.shape[1] == 14:
         return np.stack([rows[:, _SIDES[arm.side]] for arm in rig.arms], axis=1)
     if rows.ndim == 2 and rows.shape[1] in (6, 7) and len(rig.arms) == 1:
@@ -113,7 +130,8 @@ def _by_arm(values: Array, rig: RigConfig, path: Path) -> Array:
         return padded
     valid = "6, 7 or 14" if len(rig.arms) == 1 else "14 (left 6, left gripper, right 6, right gripper)"
     raise ConfigError(
-        f"{path}: joints have the shape {values.shape}; rig {rig.name!r} with {len(rig.arms)} arms needs {valid} numbers a row"
+        f"{path}: joints have the shape {values.shape}; rig {rig.name!r} with {len(rig.arms)} arms needs {valid} "
+        "numbers a row"
     )
 
 

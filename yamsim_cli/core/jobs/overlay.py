@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,14 +19,13 @@ from ..files import write_file
 from ..geometry.camera import CameraModel
 from ..resources import Locations
 from ..scene.compose import Meshes
+from ..vision.image_files import Image, Mask, grey_of
 from ..vision.overlay import blend, draw_board, write_lines
 from .arm_poses import PhotoResult, find_arms
 from .drawn_arms import ArmDrawer
 from .joint_files import home_joints
 from .outline_fit import overlap, refine, score_outlines
 from .photos import MASK_ENDING, OVERLAY_ENDING, Photo
-
-Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -72,10 +70,12 @@ class Overlayer:
     ) -> None:
         self._rig = rig
         self._options = options
-        self._make_drawer = lambda camera: ArmDrawer(rig, scene, quality, camera, locations, meshes)
+        self._make_drawer: Callable[[CameraModel], ArmDrawer] = lambda camera: ArmDrawer(
+            rig, scene, quality, camera, locations, meshes
+        )
         self._drawer: tuple[CameraModel, ArmDrawer] | None = None
 
-    def run(self, photo: Photo, image: Image, camera: CameraModel, source: str, mask: Image | None = None) -> Overlay:
+    def run(self, photo: Photo, image: Image, camera: CameraModel, source: str, mask: Mask | None = None) -> Overlay:
         """Find the arms in one photo, lay them over it, and score the fit.
 
         Args:
@@ -83,7 +83,7 @@ class Overlayer:
             image: RGB (height, width, 3).
             camera: that took it.
             source: where the camera's figures come from: "file", "episode" or "estimated".
-            mask: where the robot is in the photo (height, width), not 0; for the overlap.
+            mask: where the robot is in the photo (height, width), for the overlap.
 
         Raises:
             ConfigError: the camera or the mask does not fit the photo.
@@ -94,16 +94,16 @@ class Overlayer:
                 f"{photo.path} has {width} x {height} pixels, but the camera is calibrated for "
                 f"{camera.width} x {camera.height}: give the camera file of this image size"
             )
-        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+        grey = grey_of(image)
         result = find_arms(self._rig, photo, grey, camera, source, self._options.trust_margin)
         joints = home_joints(self._rig)[0] if photo.joints is None else photo.joints
         picture, labels = image.copy(), np.zeros((height, width), np.uint8)
         if result.bases:
             drawer = self._drawer_for(camera)
             if self._options.refine:
-                result = refine(result, drawer, joints, grey)
-            result = score_outlines(result, drawer, joints, grey)
+                result = refine(result, drawer, joints, grey, self._options.trust_margin)
             drawer.pose(result.bases, joints)
+            result = score_outlines(result, drawer, grey)
             drawn = drawer.draw()
             labels = drawn.labels
             picture = blend(image, drawn.colour, labels, self._options.opacity)
@@ -112,7 +112,7 @@ class Overlayer:
                 draw_board(picture, camera, arm.sighting.board, arm.sighting.T_board_in_cam)
         if mask is not None:
             result = replace(result, iou=overlap(labels, mask, photo.path))
-        write_lines(picture, captions(result))
+        write_lines(picture, captions(result), (picture != image).any(axis=2))
         return Overlay(result, picture, labels)
 
     def _drawer_for(self, camera: CameraModel) -> ArmDrawer:
@@ -148,7 +148,9 @@ def captions(result: PhotoResult) -> list[str]:
         if arm.edge_residual is not None:
             text += f", outline {arm.edge_residual:.1f} px"
         lines.append(text)
-    if result.camera_source == "estimated":
+    if result.joints_source == "home" and result.bases:
+        lines.append("joints not given: drawn at home")
+    if result.camera_source == "estimated" and result.bases:
         sigma = result.camera.focal_sigma * 100
         lines.append(f"focal length estimated: {result.camera.focal:.0f} px +- {sigma:.1f} %")
     if result.margin is not None:
@@ -156,24 +158,22 @@ def captions(result: PhotoResult) -> list[str]:
     return lines
 
 
-def write_overlay(overlay: Overlay, stem: str, out: Path, with_mask: bool, inputs: Collection[Path]) -> list[Path]:
-    """Write a result's picture, and its segmentation if wanted; never over an input.
+def picture_paths(out: Path, stem: str, with_mask: bool) -> list[Path]:
+    """What `write_overlay` writes."""
+    endings = (OVERLAY_ENDING, MASK_ENDING) if with_mask else (OVERLAY_ENDING,)
+    return [out / f"{stem}{ending}" for ending in endings]
 
-    Args:
-        inputs: resolved paths of all photos.
+
+def write_overlay(overlay: Overlay, stem: str, out: Path, with_mask: bool) -> list[Path]:
+    """Write a result's picture, and its segmentation if wanted, into a folder; each file is replaced whole.
 
     Raises:
-        ResourceError: it cannot be written, or would replace a photo.
+        ResourceError: it cannot be written.
     """
-    files = {out / f"{stem}{OVERLAY_ENDING}": overlay.picture}
-    if with_mask:
-        files[out / f"{stem}{MASK_ENDING}"] = overlay.labels
+    paths = picture_paths(out, stem, with_mask)
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        for path, image in files.items():
-            if path.resolve() in inputs:
-                raise ResourceError(f"{path} is one of the photos and would be overwritten; choose another --out")
+        for path, image in zip(paths, (overlay.picture, overlay.labels), strict=False):
             write_file(path, encode_png(image))
     except OSError as error:
         raise ResourceError(f"{out} cannot be written: {error.strerror or error}; choose another --out") from error
-    return list(files)
+    return paths

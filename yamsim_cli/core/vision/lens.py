@@ -1,4 +1,4 @@
-"""Through a real lens: projection with distortion, viewing rays, and ideal pictures bent to what the camera would see."""
+"""Through a real lens: projection with distortion, viewing rays, and ideal pictures bent to what the camera sees."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..geometry.se3 import Array
 # Iterations for undoing distortion: OpenCV's default of 5 leaves tenths of a pixel with strong lenses.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
 
-# Distortion is smooth: viewing rays on this grid (px), interpolated between, are exact to 1e-4 px.
+# Distortion is smooth: viewing rays on this grid (px), interpolated between, are exact to 5e-4 px.
 _RAY_GRID = 8
 
 # Wider than this an ideal pinhole picture is mostly border.
@@ -119,7 +119,7 @@ class LensWarp:
         return 2 * math.atan(self.ideal.height / 2 / self.ideal.fy)
 
     def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The real camera's photo as the ideal camera would have taken it without `supersample`: its every so-manyth pixel."""
+        """A photo as the camera `coarse` would have taken it: without distortion, with the real one's pixel size."""
         ideal, K = self.coarse, np.array(self._camera.K)
         map_x, map_y = cv2.initUndistortRectifyMap(
             K, np.array(self._camera.distortion), np.eye(3), ideal.K, (ideal.width, ideal.height), cv2.CV_32FC1

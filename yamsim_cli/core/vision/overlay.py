@@ -57,20 +57,33 @@ def draw_board(image: Image, camera: CameraModel, board: Board, T_board_in_cam: 
         cv2.line(image, pixels[4].tolist(), end.tolist(), colour, thickness + 1, cv2.LINE_AA, _SHIFT)
 
 
-def write_lines(image: Image, lines: Sequence[str]) -> None:
-    """Write lines of text into the top left corner of an image, on a dark plate, in place."""
+def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> None:
+    """Write lines of text on a dark plate into an image, in place, in the corner where they hide least.
+
+    Args:
+        busy: (height, width) what had better not be hidden.
+    """
     if not lines:
         return
-    scale = max(0.38, max(image.shape) / 1700)
-    sizes = [cv2.getTextSize(line, _FONT, scale, 1) for line in lines]
-    # Too long a line is made to fit.
-    widest = max(width for (width, _), _ in sizes)
-    scale *= min(1.0, image.shape[1] * 0.96 / widest)
-    row = round(38 * scale)
-    pad = round(12 * scale)
-    width = round(min(widest, image.shape[1] * 0.96)) + 2 * pad
-    plate = image[: len(lines) * row + 2 * pad, :width]
+    height, width = image.shape[:2]
+    scale = max(0.38, max(height, width) / 1700)
+    thickness = max(1, round(1.2 * scale))
+    widest = max(cv2.getTextSize(line, _FONT, scale, thickness)[0][0] for line in lines)
+    # Too long a line, or too many for the image, are made to fit.
+    smaller = min(1.0, 0.96 * width / widest, 0.9 * height / (38 * scale * (len(lines) + 0.6)))
+    scale *= smaller
+    row, pad = round(38 * scale), round(12 * scale)
+    size = (len(lines) * row + 2 * pad, min(width, round(widest * smaller) + 2 * pad))
+    top, left = _freest_corner(busy, size)
+    plate = image[top : top + size[0], left : left + size[1]]
     plate[:] = (plate * 0.35).astype(np.uint8)
-    for k, line in enumerate(lines):
-        at = (pad, pad + (k + 1) * row - round(12 * scale))
-        cv2.putText(image, line, at, _FONT, scale, (255, 255, 255), 1, cv2.LINE_AA)
+    for k, line in enumerate(lines, start=1):
+        at = (left + pad, top + pad + k * row - round(12 * scale))
+        cv2.putText(image, line, at, _FONT, scale, (255, 255, 255), thickness, cv2.LINE_AA)
+
+
+def _freest_corner(busy: NDArray[np.bool_], size: tuple[int, int]) -> tuple[int, int]:
+    """Top and left of the corner piece of a size (rows, columns) with the least in it; the top left one where equal."""
+    rows, columns = size
+    corners = [(top, left) for top in (0, busy.shape[0] - rows) for left in (0, busy.shape[1] - columns)]
+    return min(corners, key=lambda at: int(busy[at[0] : at[0] + rows, at[1] : at[1] + columns].sum()))

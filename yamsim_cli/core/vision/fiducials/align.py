@@ -1,9 +1,9 @@
 """Refine a pose by the boards' whole picture rather than by a few corners.
 
 The boards' print is known to the last cell. So it is drawn as the camera would see it from a supposed pose, blurred as
-the lens blurs it, and the pose (and the blur) is moved until drawing and photo agree best: least squares over all pixels,
-brightness and contrast free for each marker, outlying pixels weighted down. Corners found one by one lie on blurred
-black-to-white edges and are pushed about by their neighbours; here neighbours and blur are part of the model.
+the lens blurs it, and the pose (and the blur) is moved until drawing and photo agree best: least squares over all
+pixels, brightness and contrast free for each marker, outlying pixels weighted down. Corners found one by one lie on
+blurred black-to-white edges and are pushed about by their neighbours; here neighbours and blur are part of the model.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .print_view import Drawing, Piece, PrintView, draw_print, view_print
 
 Grey = NDArray[np.float32]
 
-# Blur (sigma, px) that is believed: less cannot be told from none, more is no picture of a marker.
+# Blur (sigma, pixels of a `PrintView`) that is believed: less cannot be told from none, more is no picture of a marker.
 BLUR_RANGE = (0.25, 4.0)
 
 # Residuals beyond this many standard deviations count less and less (Huber's 95 % efficiency).
@@ -34,7 +34,8 @@ _CONVERGED_PX = 4e-3
 
 # The least noise (grey levels) that is believed: rounding alone makes as much.
 _LEAST_NOISE = 0.3
-# The longest step of the zoom, and how far (px) a zoom by one moves the print once the distance has made up for most of it.
+# The longest step of the zoom, and how far (px) a zoom by one moves the print once the distance has made up for most of
+# it.
 _ZOOM_STEP = 0.2
 _ZOOM_PX = 4.0
 
@@ -48,20 +49,24 @@ class Alignment:
 
     Attributes:
         T_ref_in_cam: pose (4, 4).
-        covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of `centre`
-            (m, along them), from the photo's noise alone.
-        centre: the point (3,) of the reference frame that the covariance is about: the middle of the pieces.
+        covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of
+            `centre` (m, along them), from the photo's noise alone.
+        by_focal, by_print: (6,) how the pose moves, in the same measure, with the natural logarithm of the focal length
+            and of the print's size.
+        centre: the point (3,) of the reference frame that these are about: the middle of the pieces.
         blur: sigma, px.
         noise: standard deviation of the residuals, grey levels.
         cost: weighted sum of squared residuals over `pixels` pixels.
         pixels: how many were compared.
         tiles: for each piece, marker -> how drawing and photo agree there.
-        zoom, zoom_sigma: natural logarithm of how much longer the focal length is than the camera says, and its standard
-            deviation from the noise alone; both 0 where it was not asked for.
+        zoom, zoom_sigma: natural logarithm of how much longer the focal length is than the camera says, and its
+            standard deviation from the noise alone; both 0 where it was not asked for.
     """
 
     T_ref_in_cam: Array
     covariance: Array
+    by_focal: Array
+    by_print: Array
     centre: Array
     blur: float
     noise: float
@@ -104,10 +109,15 @@ class Tile:
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations over the pose's six parameters and the blur, and what the residuals look like."""
+    """Normal equations over the pose's six parameters, the blur and perhaps the zoom, and what the residuals look like.
+
+    Attributes:
+        mixed: products (7, 2) of what pose and blur do to the picture with what the zoom and the print's size do.
+    """
 
     normal: Array
     gradient: Array
+    mixed: Array
     cost: float
     weight: float
     pixels: int
@@ -193,6 +203,8 @@ class _Problem:
         self._views = views
         self._zoom = zoom
         self._size = 7 if zoom is None else 8
+        coarser = [view.coarser for view in views]
+        self._blur_range = (BLUR_RANGE[0] * min(coarser), BLUR_RANGE[1] * max(coarser))
 
     def system(self, state: _State, noise: float | None) -> _System | None:
         """Normal equations at a state; residuals weighted for a given noise, or for the noise found."""
@@ -201,13 +213,15 @@ class _Problem:
         if len(whole) < len(parts):
             return None
         residual = np.concatenate([part[0] for part in whole])
-        jacobian = np.concatenate([part[1] for part in whole])[:, : self._size]
+        jacobian = np.concatenate([part[1] for part in whole])
         if noise is None:
             noise = float(1.4826 * np.median(np.abs(residual)))
         noise = max(noise, _LEAST_NOISE)
         weight = np.minimum(1.0, _HUBER * noise / np.maximum(np.abs(residual), 1e-9))
         weighted = jacobian * weight[:, None]
-        normal, gradient = weighted.T @ jacobian + 1e-12 * np.eye(self._size), weighted.T @ residual
+        products = weighted.T @ jacobian
+        normal = products[: self._size, : self._size] + 1e-12 * np.eye(self._size)
+        gradient = (weighted.T @ residual)[: self._size]
         cost = float(weight @ residual**2)
         if self._zoom is not None:
             strength = (noise / self._zoom.sigma) ** 2
@@ -215,14 +229,14 @@ class _Problem:
             gradient[7] += strength * (self._zoom.mean - state.zoom)
             cost += strength * (self._zoom.mean - state.zoom) ** 2
         tiles = tuple(part[2] for part in whole)
-        return _System(normal, gradient, cost, float(weight.sum()), len(residual), noise, tiles)
+        return _System(normal, gradient, products[:7, 7:], cost, float(weight.sum()), len(residual), noise, tiles)
 
     def moved(self, state: _State, step: Array) -> _State:
         """The state a step away."""
         turn = rotation_from_vector(step[:3])
         at = state.T[:3, :3] @ self.centre + state.T[:3, 3]
         R = turn @ state.T[:3, :3]
-        blur = float(np.clip(state.blur + step[6], *BLUR_RANGE))
+        blur = float(np.clip(state.blur + step[6], *self._blur_range))
         if self._zoom is None:
             return _State(pose(at + step[3:6] - R @ self.centre, R), blur)
         change = float(np.clip(step[7], -_ZOOM_STEP, _ZOOM_STEP))
@@ -234,14 +248,19 @@ class _Problem:
         """What was found, with its uncertainty; None where the pixels do not determine it."""
         try:
             covariance: Array = np.linalg.inv(system.normal).astype(np.float64) * system.noise**2
+            by_focal, by_print = -np.linalg.solve(system.normal[:7, :7], system.mixed)[:6].T
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(covariance).all():
             return None
+        # The zoom's column leaves out what the distance makes up for.
+        by_focal[5] += (state.T[:3, :3] @ self.centre + state.T[:3, 3])[2]
         zoom_sigma = math.sqrt(max(0.0, covariance[7, 7])) if self._zoom else 0.0
         return Alignment(
             state.T,
             covariance[:6, :6],
+            by_focal,
+            by_print,
             self.centre,
             state.blur,
             system.noise,
@@ -260,8 +279,9 @@ def _shift_px(camera: CameraModel, T: Array, centre: Array, step: Array) -> floa
 
 
 def _linearized(view: PrintView, state: _State, centre: Array) -> tuple[Array, Array, dict[int, Tile]] | None:
-    """Residuals (n,), their Jacobian (n, 8) without each tile's brightness and contrast, and how the tiles agree."""
-    drawing = draw_print(view, state.T, state.blur, math.exp(state.zoom))
+    """Residuals (n,), their Jacobian (n, 9) without each tile's brightness and contrast, and how the tiles agree."""
+    blur = state.blur / view.coarser
+    drawing = draw_print(view, state.T, blur, math.exp(state.zoom))
     tile = _tiles(view, drawing)
     use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
@@ -269,16 +289,18 @@ def _linearized(view: PrintView, state: _State, centre: Array) -> tuple[Array, A
     grey = drawing.grey
     slopes = np.stack([cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)], axis=-1) / 32
     curvature = cv2.Laplacian(grey, cv2.CV_32F, ksize=1)
-    # By the pose, by the blur (which spreads as heat does), by the zoom, and by a shift in the picture.
+    # By the pose, by the blur (which spreads as heat does), by zoom and print size, and by a shift in the picture.
     by_shift = -slopes.reshape(-1, 2)[use].astype(np.float64)
     by_ray = np.einsum("ni,nij->nj", by_shift, view.px_per_ray[use])
-    columns = np.empty((int(use.sum()), 10))
+    columns = np.empty((int(use.sum()), 11))
     columns[:, :6] = _by_pose(view, state, centre, drawing.at[use], by_ray)
-    columns[:, 6] = state.blur * curvature.ravel()[use]
+    columns[:, 6] = blur * curvature.ravel()[use] / view.coarser
     # A longer lens farther away: the part of the zoom that the distance makes up for is no part of the search.
     depth = float((state.T[:3, :3] @ centre + state.T[:3, 3])[2])
     columns[:, 7] = (by_ray * view.centre_rays[use]).sum(axis=1) + columns[:, 5] * depth
-    columns[:, 8:] = by_shift / view.coarser
+    from_middle = drawing.at[use] @ (state.T[:3, :3] @ view.piece.T_board_in_ref[:3, :2]).T
+    columns[:, 8] = (columns[:, 3:6] * from_middle).sum(axis=1)
+    columns[:, 9:] = by_shift / view.coarser
     return _without_light(view.photo.ravel()[use], grey.ravel()[use], columns, tile[use])
 
 
@@ -308,7 +330,7 @@ def _without_light(
 ) -> tuple[Array, Array, dict[int, Tile]]:
     """Residuals and Jacobian once each tile's best brightness and contrast are taken out (variable projection)."""
     order = np.argsort(tile, kind="stable")
-    residual, jacobian = np.empty(len(tile)), np.empty((len(tile), 8))
+    residual, jacobian = np.empty(len(tile)), np.empty((len(tile), 9))
     numbers, starts = np.unique(tile[order], return_index=True)
     tiles = {}
     for number, index in zip(numbers, np.split(order, starts[1:]), strict=True):
@@ -321,8 +343,8 @@ def _without_light(
         contrast = float(shape @ seen) / power
         slopes = contrast * (slopes - np.outer(shape, shape @ slopes / power))
         residual[index] = seen - contrast * shape
-        jacobian[index] = slopes[:, :8]
-        by_shift = slopes[:, 8:]
+        jacobian[index] = slopes[:, :9]
+        by_shift = slopes[:, 9:]
         shift = np.linalg.solve(by_shift.T @ by_shift + 1e-6 * np.eye(2), by_shift.T @ residual[index])
         correlation = contrast * np.sqrt(power / (float(seen @ seen) + 1e-9))
         tiles[int(number)] = Tile(float(correlation), (float(shift[0]), float(shift[1])))

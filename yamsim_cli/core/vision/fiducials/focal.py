@@ -25,8 +25,8 @@ Grey = NDArray[np.uint8]
 _USUAL = 0.5 / math.tan(math.radians(30.0))
 _USUAL_SPREAD = 0.35
 
-# Lens distortion, which is left out, moves it by at least this.
-_LEAST_SIGMA = 0.003
+# However many boards are seen, lens distortion and an off-centre principal point, which are left out, move it so much.
+_LEAST_SIGMA = 0.01
 
 # Tried for a start, in image widths.
 _TRIALS = (0.87, 0.6, 1.2, 1.8, 2.6)
@@ -57,13 +57,13 @@ def estimate_camera(grey: Grey, boards: Sequence[Board]) -> CameraModel | None:
 
 
 def combined_camera(width: int, height: int, estimates: Sequence[tuple[float, float]]) -> CameraModel | None:
-    """The camera that several estimates of ln(focal) with their standard deviations speak for; None without any."""
+    """The camera that several estimates of ln(focal), each with its standard deviation, speak for; None without any."""
     if not estimates:
         return None
     values, sigmas = np.array(estimates).T
     weights = sigmas**-2.0
     mean = float((weights * values).sum() / weights.sum())
-    return CameraModel.pinhole(width, height, math.exp(mean), float(weights.sum() ** -0.5))
+    return CameraModel.pinhole(width, height, math.exp(mean), max(float(weights.sum() ** -0.5), _LEAST_SIGMA))
 
 
 @dataclass(frozen=True)

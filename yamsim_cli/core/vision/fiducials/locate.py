@@ -1,7 +1,7 @@
 """From a photo to the pose of each board in it, or to the reason why there is none.
 
-Find the markers, take every pose that their corners allow, let each compete for the whole print (`align`), and accept the
-winner only where no other pose explains the photo nearly as well. A flat board seen from afar has two: refusing is
+Find the markers, take every pose that their corners allow, let each compete for the whole print (`align`), and accept
+the winner only where no other pose explains the photo nearly as well. A flat board seen from afar has two: refusing is
 better than guessing.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import cv2
@@ -26,6 +26,8 @@ from .print_view import Piece
 
 Grey = NDArray[np.uint8]
 
+# Sigma, px, where nothing is known yet.
+_USUAL_BLUR = 0.9
 # A marker whose print and photo correlate less than this is hidden, moved or something else.
 _SAME_PRINT = 0.75
 # How much more likely the photo has to be under the pose than under its rival (difference of log-likelihoods), with
@@ -66,10 +68,12 @@ class Sighting:
         status: OK where there is a pose.
         reason: why not, for a person; empty with a pose.
         T_board_in_cam: pose (4, 4) of the `board` frame (origin at the centre, z out of the paper), or None.
-        covariance: (6, 6) of a small rotation (rad) about the board's centre and of its shift (m), both along the camera's
-            axes: noise, and what focal length and print scale are known to.
+        covariance: (6, 6) of a small rotation (rad) about the board's centre and of its shift (m), both along the
+            camera's axes: noise, and what focal length and print scale are known to.
+        shared: (6, 2) the part of it that is the same mistake for all boards of a photo: what one standard deviation of
+            the focal length and one of the print scale do to the pose.
         reprojection_rms: root mean square of how far (px) each marker's picture lies from where the pose puts it.
-        blur: sigma of the photo's blur, px.
+        blur: about the photo's blur, sigma in px; of a board that fills the photo, at most so much.
     """
 
     board: Board
@@ -78,6 +82,7 @@ class Sighting:
     reason: str = ""
     T_board_in_cam: Array | None = None
     covariance: Array | None = None
+    shared: Array | None = None
     reprojection_rms: float | None = None
     blur: float | None = None
 
@@ -153,15 +158,25 @@ def locate_together(
     T_board_in_cam = sightings[start].T_board_in_cam
     assert T_board_in_cam is not None
     T_start = T_board_in_cam @ inverse(T_boards_in_ref[start])
-    alignment = align(grey.astype(np.float32), camera, pieces, T_start, sightings[start].blur or 0.9)
+    alignment = align(grey.astype(np.float32), camera, pieces, T_start, sightings[start].blur or _USUAL_BLUR)
     if alignment is None:
         return None
     T_ref, joint = alignment.T_ref_in_cam, []
     for k, (seen, T) in enumerate(zip(sightings, T_boards_in_ref, strict=True)):
-        covariance = _covariance(alignment, camera, T[:3, 3])
+        covariance, shared = _uncertainty(alignment, camera, T[:3, 3])
         rms = _shift_rms(alignment.tiles[k])
-        joint.append(Sighting(seen.board, seen.markers, Status.OK, "", T_ref @ T, covariance, rms, alignment.blur))
+        joint.append(
+            Sighting(seen.board, seen.markers, Status.OK, "", T_ref @ T, covariance, shared, rms, alignment.blur)
+        )
     return joint
+
+
+def at_pose(grey: Grey, camera: CameraModel, seen: Sighting, T_board_in_cam: Array) -> Sighting:
+    """A sighting with a pose from elsewhere, and how far the photo (height, width) has its markers from there."""
+    piece = Piece(seen.board, np.eye(4), tuple(seen.board.ids.index(number) for number in seen.markers))
+    check = agreement(grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.blur or _USUAL_BLUR, noise=1.0)
+    rms = None if check is None else _shift_rms(check.tiles[0])
+    return replace(seen, T_board_in_cam=T_board_in_cam, reprojection_rms=rms)
 
 
 @dataclass(frozen=True)
@@ -232,21 +247,21 @@ def _fit(photo: NDArray[np.float32], camera: CameraModel, board: Board, places: 
 def _judge(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: _Fit, fits: Sequence[_Fit]) -> Sighting:
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = _shift_rms(fit.alignment.tiles[0])
-    covariance = _covariance(fit.alignment, camera, np.zeros(3))
+    covariance, shared = _uncertainty(fit.alignment, camera, np.zeros(3))
     if rival := _rival(photo, camera, board, fit, fits):
         reason = (
-            f"two poses, {math.degrees(_angle(fit.T, rival.T)):.0f} degrees apart, explain the {len(ids)} markers about "
-            "equally well: take the photo from nearer by or from a slant"
+            f"two poses, {math.degrees(_angle(fit.T, rival.T)):.0f} degrees apart, explain the {len(ids)} markers "
+            "about equally well: take the photo from nearer by or from a slant"
         )
         return Sighting(board, ids, Status.AMBIGUOUS, reason, reprojection_rms=rms, blur=fit.alignment.blur)
-    sighting = Sighting(board, ids, Status.OK, "", fit.T, covariance, rms, fit.alignment.blur)
+    sighting = Sighting(board, ids, Status.OK, "", fit.T, covariance, shared, rms, fit.alignment.blur)
     turn, shift = sighting.rotation_sigma, sighting.position_sigma
     assert turn is not None and shift is not None
     distance = float(np.linalg.norm(fit.T[:3, 3]))
     if turn > _MAX_TURN_SIGMA or shift > _MAX_SHIFT_SIGMA * distance + camera.focal_sigma * distance:
         reason = (
-            f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: too few, too small or "
-            "too blurred markers"
+            f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: too few, too small "
+            "or too blurred markers"
         )
         return Sighting(board, ids, Status.POOR_FIT, reason, reprojection_rms=rms, blur=fit.alignment.blur)
     return sighting
@@ -290,17 +305,16 @@ def _shift_rms(tiles: Mapping[int, Tile]) -> float:
     return float(np.sqrt((shifts**2).sum(axis=1).mean()))
 
 
-def _covariance(alignment: Alignment, camera: CameraModel, point: Array) -> Array:
-    """Covariance of a turn about a point (3,) of the reference frame and of its shift.
+def _uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
+    """Covariance (6, 6) of a turn about a point (3,) of the reference frame and of its shift; its shared part (6, 2).
 
-    The noise's, inflated, with what focal length and print scale add along the line of sight.
+    The noise's, inflated, with what the uncertainties of focal length and print scale add.
     """
-    R = alignment.T_ref_in_cam[:3, :3]
-    x, y, z = R @ (point - alignment.centre)
+    x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
     # A turn w about the centre moves the point by w x r.
     moved = np.eye(6)
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
-    covariance: Array = moved @ alignment.covariance @ moved.T * INFLATION**2
-    sight = R @ point + alignment.T_ref_in_cam[:3, 3]
-    covariance[3:, 3:] += np.outer(sight, sight) * (camera.focal_sigma**2 + _PRINT_SIGMA**2)
-    return covariance
+    scales = [camera.focal_sigma * alignment.by_focal, _PRINT_SIGMA * alignment.by_print]
+    shared: Array = moved @ np.column_stack(scales)
+    covariance: Array = moved @ alignment.covariance @ moved.T * INFLATION**2 + shared @ shared.T
+    return covariance, shared

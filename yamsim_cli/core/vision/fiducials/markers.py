@@ -62,7 +62,8 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Mark
     for name in dictionaries:
         detector = cv2.aruco.ArucoDetector(dictionary_of(name), parameters)
         corners, ids, _ = detector.detectMarkers(large)
-        numbers = [] if ids is None else ids.ravel().tolist()
+        # Without any, OpenCV 4 gives None, which its type hints do not know of.
+        numbers = np.asarray(() if not corners else ids, dtype=int).ravel().tolist()
         found[name] = [
             Marker(number, (quad.reshape(4, 2).astype(np.float64) + 0.5) / factor - 0.5)
             for number, quad in zip(numbers, corners, strict=True)

@@ -1,4 +1,4 @@
-"""A board's print as the camera sees it from a supposed pose: drawn fine, averaged to pixels, blurred as a lens blurs."""
+"""A board's print as the camera sees it from a pose: drawn fine, averaged to pixels, blurred as a lens blurs."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def _fine_pattern(board: Board) -> tuple[Grey, float]:
 
     cells = marker_cells(board).shape[1]
     cell_px = min(range(16, 33, 4), key=rounding)
-    image = board_image(board, cell_px, quiet_cells=0).astype(np.float32) / 255
+    image = board_image(board, cell_px, quiet_cells=0).astype(np.float32) / np.float32(255)
     return image, cells * cell_px / board.marker_length
 
 
@@ -166,7 +166,7 @@ def _reduced(board: Board, coarser: int) -> Grey:
 
 
 def draw_print(view: PrintView, T_ref_in_cam: Array, blur: float, lengthened: float) -> Drawing:
-    """Draw a piece at a pose, `blur` (sigma) in px, the focal length `lengthened` times the camera's."""
+    """Draw a piece at a pose, `blur` (sigma) in the view's pixels, the focal length `lengthened` times the camera's."""
     T_board_in_cam = T_ref_in_cam @ view.piece.T_board_in_ref
     shorter = 1 / lengthened
     onto_board = np.linalg.inv(T_board_in_cam[:3, [0, 1, 3]]) @ np.diag([shorter, shorter, 1.0])
@@ -190,7 +190,7 @@ def draw_print(view: PrintView, T_ref_in_cam: Array, blur: float, lengthened: fl
 def _marker_at(view: PrintView, at: Array, blur: float) -> NDArray[np.int_]:
     """Which of the piece's markers, with half the gap around it, each pixel shows; -1 for none.
 
-    Also -1 near what is not to be compared, from where something else (the table, a hand) may be blurred into the pixel.
+    Also -1 near what is not compared, from where something else (the table, a hand) may be blurred into the pixel.
     """
     board = view.piece.board
     step = board.marker_length + board.gap
