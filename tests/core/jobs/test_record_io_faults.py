@@ -1,4 +1,4 @@
-"""Every single call that changes the disk fails once, or is the last one ever: nothing is lost, and --resume mends it."""
+"""Every single call that changes the disk fails once, or is the last one: nothing is lost, and --resume mends it."""
 
 from __future__ import annotations
 
