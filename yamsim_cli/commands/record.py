@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,6 +24,13 @@ from .session import (
     resolve_meshes,
     use_gl,
 )
+from .signals import stoppable
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.dataset.opening import OpenMode
+    from yamsim_cli.core.jobs.record import RecordReport
+
+_STOPPING = "Stopping: what is in hand is finished first. Once more stops at once; nothing is lost either way."
 
 
 def record(
@@ -39,6 +46,9 @@ def record(
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    attempt_timeout: Annotated[
+        float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
+    ] = 600.0,
     config: ConfigOption = "default",
     json: Json = False,
 ) -> None:
@@ -46,8 +56,7 @@ def record(
 
     Example: yamsim record --n 500 --workers 4
     """
-    if resume and overwrite:
-        raise UsageError("--resume and --overwrite exclude each other; give one")
+    mode = _mode(resume=resume, overwrite=overwrite)
     where = locations()
     flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
         "--wrist": (("wrist",), wrist),
@@ -57,22 +66,28 @@ def record(
     settings = record_config(config, where, flags)
     use_gl()
 
-    from yamsim_cli.core.dataset.writer import OpenMode
+    from yamsim_cli.core.jobs.record import LocalProcesses, Output, Watch
     from yamsim_cli.core.jobs.record import record as run
     from yamsim_cli.core.scene.compose import mesh_sets
 
-    mode = OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
-    with progress_bar("recording", "episodes") as advance:
-        report = run(
-            settings,
-            where,
-            resolve_meshes(mesh_sets(settings.rig, (settings.task.object, settings.task.target)), where),
-            out,
-            mode,
-            lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"),
-        )
+    meshes = resolve_meshes(mesh_sets(settings.rig, (settings.task.object, settings.task.target)), where)
+    with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
+        watch = Watch(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
+        report = run(settings, where, meshes, Output(out, mode), LocalProcesses(attempt_timeout), watch, stop)
+    _show(report, json)
+
+
+def _mode(*, resume: bool, overwrite: bool) -> OpenMode:
+    from yamsim_cli.core.dataset.opening import OpenMode
+
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other; give one")
+    return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
+
+
+def _show(report: RecordReport, json: bool) -> None:
     if report.moved_aside:
-        note(f"What was in {out} is now in {report.moved_aside}.")
+        note(f"What was in {report.path} is now in {report.moved_aside}.")
     if json:
         print_json(
             {

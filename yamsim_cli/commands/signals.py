@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.jobs.stop import Stop
 
 _ENDING = (signal.SIGINT, signal.SIGTERM)
+_STDERR = 2
 _RETRY_SECONDS = 0.02
 
 
@@ -23,6 +29,35 @@ def noted_signals() -> Iterator[Callable[[], bool]]:
     before = {number: signal.signal(number, note) for number in _ENDING}
     try:
         yield lambda: came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def stoppable(message: str) -> Iterator[Stop]:
+    """For the block, the first signal (or closed terminal) asks it to stop; a second one ends it at once.
+
+    Args:
+        message: shown on the first signal.
+    """
+    from yamsim_cli.core.jobs.stop import Stop
+
+    stop = Stop()
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if stop.asked:
+            _interrupt(number, frame)
+        stop.ask()
+        # The handler may have interrupted a write to sys.stderr, which must not be entered twice.
+        with suppress(OSError):
+            os.write(_STDERR, f"{message}\n".encode())
+
+    # nohup has the hang-up ignored: that is to stay so.
+    wanted = [number for number in (*_ENDING, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, ask) for number in wanted}
+    try:
+        yield stop
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -119,7 +119,7 @@ class StepState:
 
 
 class Cause(StrEnum):
-    """Why an attempt failed."""
+    """Why an attempt failed. `WORKER_LOST` is the one that the machine can have a part in, and never the task."""
 
     NO_LAYOUT = "no_layout"
     UNREACHABLE = "unreachable"
@@ -127,6 +127,7 @@ class Cause(StrEnum):
     DROPPED = "dropped"
     OFF_TARGET = "off_target"
     UNSTABLE = "unstable"
+    WORKER_LOST = "worker_lost"
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ def build(tmp_path) -> Callable[..., Path]:
 
     def write(*episodes: Made) -> Path:
         path = tmp_path / "dataset"
-        writer = DatasetWriter(path, CONFIG, OpenMode.NEW)
-        for episode in episodes or [made(k) for k in range(3)]:
-            publish(writer, episode)
-        writer.finish()
+        with DatasetWriter(path, CONFIG, OpenMode.NEW) as writer:
+            for episode in episodes or [made(k) for k in range(3)]:
+                publish(writer, episode)
+            writer.finish()
         return path
 
     return write

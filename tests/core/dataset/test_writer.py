@@ -17,8 +17,14 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+def opened(path: Path, config: dict = CONFIG, mode: OpenMode = OpenMode.RESUME) -> DatasetWriter:
+    """A writer that has let go of its lock, so that one test can open a dataset again and again."""
+    with DatasetWriter(path, config, mode) as writer:
+        return writer
+
+
 def resume(path: Path, config: dict = CONFIG) -> DatasetWriter:
-    return DatasetWriter(path, config, OpenMode.RESUME)
+    return opened(path, config)
 
 
 def numbers(writer: DatasetWriter) -> list[tuple[int, int | None]]:
@@ -31,7 +37,7 @@ def test_a_new_or_empty_directory_is_taken_in_every_mode(tmp_path, mode, exists)
     path = tmp_path / "some/where"
     if exists:
         path.mkdir(parents=True)
-    writer = DatasetWriter(path, CONFIG, mode)
+    writer = opened(path, CONFIG, mode)
     assert load_yaml(path / "config.yaml").data == CONFIG
     assert (writer.episodes, writer.attempts, writer.missing, writer.moved_aside) == (0, [], [], None)
 
@@ -58,7 +64,7 @@ def test_the_manifest_counts_what_is_published(dataset):
 def test_what_is_in_a_directory_is_never_written_over_unasked(dataset):
     before = tree(dataset)
     with pytest.raises(UsageError, match=r"is not empty; continue it with --resume, move it aside with --overwrite"):
-        DatasetWriter(dataset, CONFIG, OpenMode.NEW)
+        opened(dataset, CONFIG, OpenMode.NEW)
     assert tree(dataset) == before
 
 
@@ -66,13 +72,13 @@ def test_what_is_in_a_directory_is_never_written_over_unasked(dataset):
 def test_a_file_in_the_place_of_the_directory_is_refused_and_kept(tmp_path, mode):
     (tmp_path / "out").write_text("precious")
     with pytest.raises((UsageError, ResourceError), match="out"):
-        DatasetWriter(tmp_path / "out", CONFIG, mode)
+        opened(tmp_path / "out", CONFIG, mode)
     assert (tmp_path / "out").read_text() == "precious"
 
 
 def test_a_file_in_the_place_of_the_directory_can_be_moved_aside(tmp_path):
     (tmp_path / "out").write_text("precious")
-    writer = DatasetWriter(tmp_path / "out", CONFIG, OpenMode.OVERWRITE)
+    writer = opened(tmp_path / "out", CONFIG, OpenMode.OVERWRITE)
     assert writer.moved_aside == tmp_path / "out.old-1"
     assert (tmp_path / "out.old-1").read_text() == "precious"
     assert (tmp_path / "out/config.yaml").is_file()
@@ -81,7 +87,7 @@ def test_a_file_in_the_place_of_the_directory_can_be_moved_aside(tmp_path):
 def test_overwriting_moves_aside_as_often_as_it_is_asked(dataset):
     first = tree(dataset)
     for k in (1, 2):
-        writer = DatasetWriter(dataset, {**CONFIG, "seed": k}, OpenMode.OVERWRITE)
+        writer = opened(dataset, {**CONFIG, "seed": k}, OpenMode.OVERWRITE)
         assert writer.moved_aside == dataset.with_name(f"dataset.old-{k}")
         assert tree(dataset).keys() == {"config.yaml"}
     assert tree(dataset.with_name("dataset.old-1")) == first
@@ -91,7 +97,7 @@ def test_overwriting_moves_aside_as_often_as_it_is_asked(dataset):
 def test_a_place_that_cannot_be_written_is_a_resource_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ResourceError) as caught:
-        DatasetWriter(tmp_path / "file/dataset", CONFIG, OpenMode.NEW)
+        opened(tmp_path / "file/dataset", CONFIG, OpenMode.NEW)
     assert str(caught.value) == f"{tmp_path}/file/dataset cannot be written: Not a directory; choose another --out"
 
 
@@ -101,8 +107,8 @@ def test_a_disk_that_refuses_is_a_resource_error_with_its_reason(tmp_path, monke
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     monkeypatch.setattr("yamsim_cli.core.dataset.writer.write_file", refuse)
-    with pytest.raises(ResourceError, match="cannot be written: Read-only file system; choose another --out"):
-        DatasetWriter(tmp_path / "dataset", CONFIG, mode)
+    with pytest.raises(ResourceError, match=r"cannot be written: Read-only file system: .*; choose another --out"):
+        opened(tmp_path / "dataset", CONFIG, mode)
 
 
 def test_resuming_goes_on_where_it_ended(dataset):
@@ -165,7 +171,7 @@ def test_a_long_list_of_changes_is_cut(dataset):
 def test_tuples_and_lists_are_the_same_configuration(tmp_path):
     path = tmp_path / "d"
     config = CONFIG | {"size": (640, 480)}
-    DatasetWriter(path, config, OpenMode.NEW)
+    opened(path, config, OpenMode.NEW)
     resume(path, config)
 
 
@@ -351,17 +357,70 @@ def test_a_lost_episode_is_missing_and_can_be_made_again(dataset):
     assert tree(dataset) == before
 
 
-def test_a_file_in_the_place_of_an_episode_counts_as_lost(dataset):
+def test_a_file_in_the_place_of_an_episode_is_moved_out_of_the_way(dataset):
     shutil.rmtree(dataset / "ep_000001")
     (dataset / "ep_000001").write_text("")
-    assert [attempt.episode for attempt in resume(dataset).missing] == [1]
+    writer = resume(dataset)
+    assert [attempt.episode for attempt in writer.missing] == [1]
+    assert "ep_000001 is no directory" in writer.repairs[0]
+    writer.publish(made(1).record, made(1).files)
 
 
-@pytest.mark.parametrize("text", [b"", b"{", b"\xff"])
-def test_an_episode_whose_record_is_damaged_is_named(dataset, text):
-    (dataset / "ep_000001/episode.json").write_bytes(text)
-    with pytest.raises(DatasetError, match=r"ep_000001/episode\.json: "):
-        resume(dataset)
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def alter(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1] + b"\0")
+
+
+@pytest.mark.parametrize(
+    ("file", "damage", "fault"),
+    [
+        ("episode.json", lambda path: path.write_bytes(b""), "episode.json: "),
+        ("episode.json", lambda path: path.write_bytes(b"{"), "episode.json: "),
+        ("episode.json", lambda path: path.write_bytes(b"\xff"), "episode.json: "),
+        ("episode.json", lambda path: path.write_bytes(to_json(made(2).record)), "episode.json is that of episode 2"),
+        ("episode.json", Path.unlink, "episode.json is missing"),
+        ("rgb/scene_camera/000003.jpg", truncate, "rgb/scene_camera/000003.jpg is not what was recorded"),
+        ("rgb/scene_camera/000003.jpg", alter, "rgb/scene_camera/000003.jpg is not what was recorded"),
+        ("lowdim/000000.pkl", truncate, "lowdim/000000.pkl is not what was recorded"),
+        ("lowdim/000000.pkl", Path.unlink, "lowdim/000000.pkl is missing"),
+    ],
+)
+def test_a_damaged_episode_is_moved_out_of_the_way_named_and_made_again(dataset, file, damage, fault):
+    before = tree(dataset)
+    damage(dataset / "ep_000001" / file)
+    damaged = tree(dataset / "ep_000001")
+    writer = resume(dataset)
+    assert writer.missing == [made(1).attempt]
+    assert len(writer.repairs) == 1
+    aside = dataset / ".damaged/ep_000001.1"
+    assert writer.repairs[0].startswith(f"ep_000001: {fault}")
+    assert writer.repairs[0].endswith(f"; moved to {aside}, and made again")
+    assert tree(aside) == damaged, "nothing is thrown away"
+
+    writer.publish(made(1).record, made(1).files)
+    writer.finish()
+    shutil.rmtree(dataset / ".damaged")
+    assert tree(dataset) == before
+    assert resume(dataset).repairs == []
+
+
+def test_an_episode_damaged_twice_is_moved_to_two_places(dataset):
+    for k in (1, 2):
+        (dataset / "ep_000001/lowdim/000000.pkl").unlink()
+        writer = resume(dataset)
+        assert (dataset / f".damaged/ep_000001.{k}").is_dir()
+        writer.publish(made(1).record, made(1).files)
+
+
+def test_a_damaged_episode_that_is_not_in_the_ledger_yet_is_simply_the_next(dataset):
+    resume(dataset).publish(made(3).record, made(3).files)
+    (dataset / "ep_000003/lowdim/000000.pkl").unlink()
+    writer = resume(dataset)
+    assert (len(writer.attempts), writer.missing) == (3, [])
+    assert not (dataset / "ep_000003").exists()
 
 
 def test_what_a_crash_left_half_written_is_removed_and_never_counted(dataset):
@@ -370,6 +429,22 @@ def test_what_a_crash_left_half_written_is_removed_and_never_counted(dataset):
     writer = resume(dataset)
     assert writer.episodes == 3
     assert not (dataset / ".staging").exists()
+
+
+@pytest.mark.parametrize("name", [".lock", ".staging", ".config.yaml.0123456789abcdef0123456789abcdef.part"])
+@pytest.mark.parametrize("mode", OpenMode)
+def test_what_a_crash_left_of_an_empty_dataset_is_in_nobodys_way(tmp_path, name, mode):
+    (tmp_path / name).mkdir() if name == ".staging" else (tmp_path / name).touch()
+    writer = opened(tmp_path, mode=mode)
+    assert writer.moved_aside is None
+    assert tree(tmp_path).keys() == {"config.yaml"}
+
+
+def test_what_a_crash_left_beside_the_manifest_is_removed(dataset):
+    before = tree(dataset)
+    (dataset / f".manifest.json.{'0' * 32}.part").write_bytes(b"{")
+    resume(dataset)
+    assert tree(dataset) == before
 
 
 def test_an_episode_is_never_published_over_another(dataset):

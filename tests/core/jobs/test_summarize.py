@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,10 @@ import pytest
 
 from tests.core.dataset.checks.sample import CAMERA, Sample, episode, look
 from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.dataset.checks.context import Context, EpisodeDirectory
+from yamsim_cli.core.dataset.checks.facts import EpisodeFacts
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
-from yamsim_cli.core.jobs.summarize import survey_dataset
+from yamsim_cli.core.jobs.summarize import EpisodeChecker, survey_dataset
 from yamsim_cli.core.resources import Locations
 
 
@@ -51,3 +55,34 @@ def test_no_worker_is_started_for_nothing(tmp_path: Path, locations: Locations, 
     (tmp_path / "config.yaml").write_text("{}\n")
     found = survey_dataset(tmp_path, locations, 2, lambda *_: None)
     assert {problem.code for problem in found.problems} == {"config.damaged", "dataset.empty"}
+
+
+class Deadly:
+    """Ends its process on one episode, as a file that crashes a decoder would."""
+
+    def __init__(self, context: Context) -> None:
+        self._checker = EpisodeChecker(context)
+
+    def __enter__(self) -> Deadly:
+        self._checker.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return
+
+    def run(self, job: EpisodeDirectory) -> EpisodeFacts:
+        if job.number == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self._checker.run(job)
+
+
+def test_an_episode_that_ends_every_process_is_told_and_the_rest_is_checked(
+    dataset: Path, locations: Locations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("yamsim_cli.core.jobs.summarize.EpisodeChecker", Deadly)
+    found = survey_dataset(dataset, locations, 2, lambda *_: None)
+    assert [(problem.code, problem.episode) for problem in found.problems][:2] == [
+        ("episode.unchecked", "ep_000001"),
+        ("lowdim.damaged", "ep_000003"),
+    ]
+    assert "killed by SIGKILL" in found.problems[0].value

@@ -11,12 +11,14 @@ from pathlib import Path
 import pytest
 
 from tests.core.jobs.toy_runners import Toy
-from yamsim_cli.core.errors import PartialJobError, SimulationError
-from yamsim_cli.core.jobs.workers import WorkerBugError, WorkerPool
+from yamsim_cli.core.errors import PartialJobError, ResourceError, SimulationError
+from yamsim_cli.core.jobs import workers
+from yamsim_cli.core.jobs.executor import LostJobError, WorkerBugError
+from yamsim_cli.core.jobs.workers import WorkerPool
 
 
-def _pool(workers: int = 1) -> WorkerPool[int | str, object]:
-    return WorkerPool(Toy, workers)
+def _pool(workers: int = 1, job_seconds: float = 60.0) -> WorkerPool[int | str, object]:
+    return WorkerPool(Toy, workers, job_seconds)
 
 
 def _alive(pid: int) -> bool:
@@ -62,11 +64,23 @@ def test_idle_and_in_flight_add_up() -> None:
         assert (pool.idle, pool.in_flight) == (3, 0)
 
 
-def test_an_error_of_the_job_reaches_the_caller_as_it_is() -> None:
+def test_waiting_for_a_result_can_be_bounded() -> None:
     with _pool() as pool:
+        pool.submit("sleep")
+        with pytest.raises(TimeoutError):
+            pool.result(0.1)
+        assert pool.in_flight == 1
+
+
+def test_an_error_of_the_job_reaches_the_caller_as_it_is_and_the_worker_goes_on() -> None:
+    with _pool() as pool:
+        pool.submit("pid")
+        before = pool.result()
         pool.submit("error")
         with pytest.raises(SimulationError, match="the toy is broken"):
             pool.result()
+        pool.submit("pid")
+        assert pool.result() == before
 
 
 def test_a_bug_brings_its_own_traceback() -> None:
@@ -76,12 +90,54 @@ def test_a_bug_brings_its_own_traceback() -> None:
             pool.result()
 
 
-@pytest.mark.parametrize(("job", "how"), [("die", "killed by SIGKILL"), ("exit", "ended with code 7")])
-def test_a_dead_worker_is_reported_with_its_job(job: str, how: str) -> None:
-    with _pool(2) as pool:
+@pytest.mark.parametrize("died_of", ["kill", "resting"])
+def test_a_dead_worker_is_replaced_and_its_job_tried_again(tmp_path: Path, died_of: str) -> None:
+    with _pool() as pool:
+        pool.submit("pid")
+        _, pid = pool.result()
+        assert isinstance(pid, int)
+        if died_of == "kill":
+            pool.submit(f"once:{tmp_path / 'flag'}")
+            assert pool.result()[1] == f"once:{tmp_path / 'flag'} again"
+        else:
+            os.kill(pid, signal.SIGKILL)
+            assert _gone_within(pid, 10)
+        pool.submit("pid")
+        assert pool.result()[1] != pid
+
+
+@pytest.mark.parametrize(
+    ("job", "how"),
+    [
+        ("die", "was killed by SIGKILL, perhaps for want of memory"),
+        ("segfault", "was killed by SIGSEGV"),
+        ("exit", "ended with code 7"),
+        ("sleep", "was ended after 0.2 s without a result"),
+        ("freeze", "was ended after 0.2 s without a result"),
+    ],
+)
+def test_a_job_that_ends_every_worker_is_given_up_and_the_pool_goes_on(job: str, how: str) -> None:
+    with _pool(2, job_seconds=0.2) as pool:
         pool.submit(job)
-        with pytest.raises(PartialJobError, match=f"{how} on {job}"):
+        with pytest.raises(LostJobError, match=rf"^{job} was given up after 3 tries: its worker {how}") as caught:
             pool.result()
+        assert caught.value.job == job
+        pool.submit(7)
+        assert pool.result() == (7, 49)
+
+
+def test_a_worker_that_stops_in_the_middle_of_its_answer_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "_MESSAGE_SECONDS", 0.2)
+    with _pool() as pool:
+        pool.submit("half")
+        with pytest.raises(LostJobError, match="was killed by SIGKILL"):
+            pool.result()
+
+
+def test_a_large_answer_arrives_whole() -> None:
+    with _pool() as pool:
+        pool.submit("large:30000000")
+        assert pool.result()[1] == bytes(30_000_000)
 
 
 def test_leaving_ends_workers_in_the_middle_of_a_job() -> None:
@@ -93,14 +149,45 @@ def test_leaving_ends_workers_in_the_middle_of_a_job() -> None:
     assert not _alive(pid)
 
 
+def test_what_stops_the_parent_does_not_stop_a_worker() -> None:
+    """Ctrl-C reaches the whole process group, SIGTERM a whole cluster job."""
+    with _pool() as pool:
+        pool.submit("pid")
+        _, pid = pool.result()
+        assert isinstance(pid, int)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(pid, number)
+        pool.submit("pid")
+        assert pool.result()[1] == pid
+
+
+def test_a_worker_that_is_only_just_starting_is_deaf_to_ctrl_c() -> None:
+    with _pool() as pool:
+        pid = pool._slots[0].worker._process.pid  # type: ignore[attr-defined]
+        os.kill(pid, signal.SIGINT)
+        pool.submit("pid")
+        assert pool.result()[1] == pid
+
+
 def test_a_runner_that_cannot_be_made_is_reported() -> None:
-    with WorkerPool[int, object](functools.partial(Toy, "no argument", "too many"), 1) as pool:  # type: ignore[arg-type]
+    with WorkerPool[int, object](functools.partial(Toy, "no argument", "too many"), 1) as pool:  # type: ignore[call-arg]
         pool.submit(1)
         with pytest.raises(WorkerBugError, match="TypeError"):
             pool.result()
+    with WorkerPool[int, object](functools.partial(Toy, "refuse"), 2) as pool:
+        pool.submit(1)
+        with pytest.raises(ResourceError, match=r"^no toys here$"):
+            pool.result()
 
 
-def test_workers_end_with_a_parent_that_was_killed(tmp_path: Path) -> None:
+def test_workers_that_die_while_starting_are_not_replaced_for_ever() -> None:
+    with WorkerPool[int, object](functools.partial(Toy, "die"), 2) as pool:
+        pool.submit(1)
+        with pytest.raises(PartialJobError, match="workers do not start: the last of 3 ended with code 9"):
+            pool.result()
+
+
+def _parent(tmp_path: Path, last_words: str) -> subprocess.Popen[str]:
     script = tmp_path / "parent.py"
     script.write_text(
         "from tests.core.jobs.toy_runners import Toy\n"
@@ -109,18 +196,30 @@ def test_workers_end_with_a_parent_that_was_killed(tmp_path: Path) -> None:
         "    pool = WorkerPool(Toy, 1)\n"
         "    pool.submit('pid')\n"
         "    print(pool.result()[1], flush=True)\n"
-        "    input()\n"
+        "    pool.submit('sleep')\n"
+        f"    {last_words}\n"
     )
-    root = Path(__file__).parents[3]
-    with subprocess.Popen(
+    return subprocess.Popen(
         [sys.executable, str(script)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(root)},
-    ) as parent:
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+    )
+
+
+def test_workers_end_with_a_parent_that_was_killed(tmp_path: Path) -> None:
+    with _parent(tmp_path, "input()") as parent:
         assert parent.stdout
         pid = int(parent.stdout.readline())
         parent.send_signal(signal.SIGKILL)
         parent.wait()
         assert _gone_within(pid, 5)
+
+
+def test_a_parent_that_forgets_its_workers_ends_all_the_same(tmp_path: Path) -> None:
+    with _parent(tmp_path, "pass") as parent:
+        assert parent.stdout
+        pid = int(parent.stdout.readline())
+        assert parent.wait(30) == 0
+        assert not _alive(pid)

@@ -7,6 +7,8 @@ ep_000000/episode.json seed, outcome, versions, sha256 of every file
 rgb/<camera>/000000.jpg
 lowdim/000000.pkl
 .staging/              episodes being written; never read
+.lock                  who records into it now; gone when nobody does
+.damaged/              episodes that were not what was recorded, moved out of the way; never read
 """
 
 from __future__ import annotations
@@ -19,11 +21,15 @@ ATTEMPTS = "attempts.jsonl"
 MANIFEST = "manifest.json"
 EPISODE = "episode.json"
 STAGING = ".staging"
+LOCK = ".lock"
+DAMAGED = ".damaged"
 
 EPISODE_FORMAT = "yamsim-episode"
 DATASET_FORMAT = "yamsim-dataset"
 FORMAT_VERSION = 1
 
+# What a crash may leave beside the final names: see `files.write_file`.
+_PART_NAME = re.compile(rf"^\.({re.escape(CONFIG)}|{re.escape(ATTEMPTS)}|{re.escape(MANIFEST)})\.[0-9a-f]{{32}}\.part$")
 _EPISODE_NAME = re.compile(r"^ep_(\d{6,})$")
 
 
@@ -40,6 +46,11 @@ def image_name(camera: str, frame: int) -> str:
 def lowdim_name(frame: int) -> str:
     """Path of a frame's low-dimensional data inside its episode."""
     return f"lowdim/{frame:06d}.pkl"
+
+
+def is_litter(name: str) -> bool:
+    """Whether an entry of a dataset's directory is only left over from writing, and means nothing."""
+    return name in (STAGING, LOCK) or _PART_NAME.match(name) is not None
 
 
 def episode_directories(dataset: Path) -> list[tuple[int, Path]]:

@@ -3,87 +3,81 @@
 from __future__ import annotations
 
 import shutil
-from enum import Enum
+from collections.abc import Mapping
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 from ..config.document import dump_yaml, parse_yaml
-from ..errors import ConfigError, DatasetError, ResourceError, UsageError
-from ..files import append_line, move_aside, publish_directory, sha256_bytes, write_file
-from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_directories, episode_name
+from ..errors import ConfigError, DatasetError, ResourceError
+from ..files import append_line, publish_directory, sha256_bytes, write_file
+from .faults import reason
+from .integrity import Found, find_episodes, set_aside
+from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
+from .opening import OpenMode, claim
 from .records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, from_json, to_json
 
 # A message stays one line that can be read.
 _SHOWN_CHANGES = 5
 
-
-class OpenMode(Enum):
-    """What to do when the dataset's directory already holds something."""
-
-    NEW = "new"
-    RESUME = "resume"
-    OVERWRITE = "overwrite"
+__all__ = ["DatasetWriter", "OpenMode", "read_attempts"]
 
 
 class DatasetWriter:
-    """Publishes episodes and keeps the ledger of attempts and the manifest.
+    """Publishes episodes and keeps the ledger of attempts and the manifest; a context manager that lets go at the end.
 
     Attributes:
         path: the dataset's directory.
         moved_aside: where an earlier dataset went with `OpenMode.OVERWRITE`, if there was one.
+        repairs: what was found damaged on resuming, and where it was moved, a sentence each.
         attempts: the ledger so far, in order of attempt.
+        entries: what the manifest will say of each episode, by its number.
     """
 
-    def __init__(self, path: Path, config: dict[str, Any], mode: OpenMode) -> None:
-        """Open a dataset for writing.
+    def __init__(
+        self, path: Path, config: Mapping[str, Any], mode: OpenMode, *, locks_reach_others: bool = True
+    ) -> None:
+        """Open a dataset for writing; nobody else can until it is closed.
 
         Args:
             config: everything that decides the data, as plain data.
+            locks_reach_others: see `DirectoryLock.take`.
 
         Raises:
             UsageError: the directory is not empty, or is no directory, and the mode does not say what to do.
             ConfigError: resuming with a configuration that would give other data; the message names the keys.
-            DatasetError: resuming something that is no dataset, or is damaged.
-            ResourceError: the directory cannot be made or written.
+            DatasetError: resuming something that is no dataset, or whose ledger is damaged.
+            ResourceError: the directory cannot be made or written, or another recorder is at it.
         """
         self.path = path
-        self.moved_aside: Path | None = None
+        self.repairs: list[str] = []
         self.attempts: list[AttemptRecord] = []
-        self._entries: dict[int, ManifestEntry] = {}
+        self.entries: dict[int, ManifestEntry] = {}
+        self.episodes = 0
         self._task = str(config["task"]["name"])
         self._seed = int(config["seed"])
         try:
-            occupied = path.exists() and (not path.is_dir() or any(path.iterdir()))
-            if occupied and mode is OpenMode.OVERWRITE:
-                self.moved_aside = move_aside(path)
-                occupied = False
-            if occupied and mode is OpenMode.NEW:
-                what = "is not empty" if path.is_dir() else "is not a directory"
-                raise UsageError(
-                    f"{path} {what}; continue it with --resume, move it aside with --overwrite, or choose another --out"
-                )
-            path.mkdir(parents=True, exist_ok=True)
-            if occupied:
-                self._resume(config)
-            else:
-                write_file(path / CONFIG, dump_yaml(config).encode())
-            shutil.rmtree(path / STAGING, ignore_errors=True)
+            held = claim(path, mode, locks_reach_others=locks_reach_others)
+            self._lock, self.moved_aside = held.lock, held.moved_aside
+            try:
+                if held.occupied:
+                    self._resume(config)
+                else:
+                    write_file(path / CONFIG, dump_yaml(config).encode())
+            except BaseException:
+                self.close()
+                raise
         except OSError as error:
-            raise ResourceError(f"{path} cannot be written: {error.strerror or error}; choose another --out") from error
-
-    @property
-    def episodes(self) -> int:
-        """How many episodes are published or in the ledger, the missing ones included."""
-        return sum(attempt.episode is not None for attempt in self.attempts)
+            raise ResourceError(f"{path} cannot be written: {reason(error, path)}; choose another --out") from error
 
     @property
     def missing(self) -> list[AttemptRecord]:
         """Attempts whose episode is in the ledger but not on the disk: it has to be made again."""
         return [
-            attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self._entries
+            attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self.entries
         ]
 
-    def publish(self, record: EpisodeRecord, files: dict[str, bytes]) -> None:
+    def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
         """Make one episode visible, all of it at once.
 
         Raises:
@@ -92,16 +86,16 @@ class DatasetWriter:
         name = episode_name(record.episode)
         text = to_json(record)
         publish_directory(self.path / name, {**files, EPISODE: text}, self.path / STAGING)
-        self._entries[record.episode] = _entry(record, text, sum(map(len, files.values())))
+        self.entries[record.episode] = _entry(record, text, sum(map(len, files.values())))
 
     def log(self, attempt: AttemptRecord) -> None:
-        """Add one attempt to the ledger; attempts come in order."""
+        """Add one attempt to the ledger; attempts come in order, an attempt after its episode."""
         append_line(self.path / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
-        self.attempts.append(attempt)
+        self._count(attempt)
 
     def finish(self) -> Manifest:
         """Write the manifest of what is published, and clean up."""
-        entries = [self._entries[number] for number in sorted(self._entries)]
+        entries = [self.entries[number] for number in sorted(self.entries)]
         manifest = Manifest(
             task=self._task,
             seed=self._seed,
@@ -114,7 +108,39 @@ class DatasetWriter:
         shutil.rmtree(self.path / STAGING, ignore_errors=True)
         return manifest
 
-    def _resume(self, config: dict[str, Any]) -> None:
+    def close(self) -> None:
+        """Let others record into the directory."""
+        self._lock.release()
+
+    def __enter__(self) -> DatasetWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _count(self, attempt: AttemptRecord) -> None:
+        self.attempts.append(attempt)
+        self.episodes += attempt.episode is not None
+
+    def _resume(self, config: Mapping[str, Any]) -> None:
+        self._compare(config)
+        for attempt in read_attempts(self.path):
+            self._count(attempt)
+        ledger = self.path / ATTEMPTS
+        if ledger.is_file() and not ledger.read_bytes().endswith(b"\n"):
+            # Cut off: appending after it would leave the damaged line in the middle, where it counts as damage.
+            write_file(ledger, b"".join(map(to_json, self.attempts)))
+        of_episode = {attempt.episode: attempt for attempt in self.attempts if attempt.episode is not None}
+        for found in find_episodes(self.path):
+            self._take_up(found, of_episode.get(found.number))
+        for attempt in self.missing:
+            place = self.path / episode_name(attempt.episode or 0)
+            if place.exists():
+                self.repairs.append(f"{place.name} is no directory; moved to {set_aside(place)}, and made again")
+
+    def _compare(self, config: Mapping[str, Any]) -> None:
         file = self.path / CONFIG
         if not file.is_file():
             raise DatasetError(
@@ -127,32 +153,32 @@ class DatasetWriter:
                 f"{self.path} was recorded with another configuration: {'; '.join(changed[:_SHOWN_CHANGES])}{more}; "
                 "run with the same values, or record into another --out"
             )
-        self.attempts = read_attempts(self.path)
-        ledger = self.path / ATTEMPTS
-        if ledger.is_file() and not ledger.read_bytes().endswith(b"\n"):
-            # Cut off: appending after it would leave the damaged line in the middle, where it counts as damage.
-            write_file(ledger, b"".join(map(to_json, self.attempts)))
-        known = {attempt.episode: attempt for attempt in self.attempts}
-        for number, directory in episode_directories(self.path):
-            text = (directory / EPISODE).read_bytes() if (directory / EPISODE).is_file() else b""
-            record = from_json(EpisodeRecord, text, directory / EPISODE)
-            if number not in known:
-                # Published just before the crash, but not yet in the ledger.
-                if record.attempt != len(self.attempts):
-                    raise DatasetError(
-                        f"{directory} is attempt {record.attempt}, but {ATTEMPTS} ends before it; it cannot be resumed"
-                    )
-                self.log(
-                    AttemptRecord(
-                        attempt=record.attempt,
-                        seed=record.seed,
-                        episode=number,
-                        outcome=record.outcome,
-                        layout=record.layout,
-                    )
+
+    def _take_up(self, found: Found, attempt: AttemptRecord | None) -> None:
+        """Count an episode that is whole; move one that is not out of the way, to be made again."""
+        record, fault = found.record, found.fault
+        if record is None or fault is not None:
+            self.repairs.append(
+                f"{found.directory.name}: {fault}; moved to {set_aside(found.directory)}, and made again"
+            )
+            return
+        if attempt is None:
+            # Published just before a crash, and not yet in the ledger.
+            if record.attempt != len(self.attempts):
+                raise DatasetError(
+                    f"{found.directory} is attempt {record.attempt}, but {ATTEMPTS} ends before it; "
+                    "it cannot be resumed"
                 )
-            size = sum((directory / name).stat().st_size for name in record.files if (directory / name).is_file())
-            self._entries[number] = _entry(record, text, size)
+            self.log(
+                AttemptRecord(
+                    attempt=record.attempt,
+                    seed=record.seed,
+                    episode=found.number,
+                    outcome=record.outcome,
+                    layout=record.layout,
+                )
+            )
+        self.entries[found.number] = _entry(record, found.text, found.size)
 
 
 def read_attempts(dataset: Path) -> list[AttemptRecord]:
@@ -204,7 +230,7 @@ def _flatten(data: Any, prefix: str = "") -> dict[str, Any]:
     return {prefix: data}
 
 
-def _differences(recorded: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
+def _differences(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
     """`key: recorded value, wanted value` for every value that differs."""
     old, new = _flatten(recorded), _flatten(wanted)
     return [

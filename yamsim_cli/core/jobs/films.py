@@ -20,6 +20,7 @@ from ..vision.jpeg import decode_jpeg, encode_jpeg
 from ..vision.video import VideoWriter, require_encoder
 from ..vision.views import label
 from .episode import EpisodeRunner
+from .executor import Executor
 from .workers import WorkerPool
 
 # Trials that end before anything moves.
@@ -163,7 +164,7 @@ def film_trials(
 
 
 def _drawn(
-    chosen: Sequence[dict[str, Any]], pool: WorkerPool[EpisodeJob, list[bytes]], progress: Progress
+    chosen: Sequence[dict[str, Any]], pool: Executor[EpisodeJob, list[bytes]], progress: Progress
 ) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
     """Trials with their frames, in the order given, whichever is drawn first."""
     jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]

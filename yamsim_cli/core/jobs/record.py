@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from ..config.record import RecordConfig
-from ..dataset.records import AttemptRecord, EpisodeRecord, OutcomeRecord, attempt_record, file_hashes
+from ..dataset.faults import explain
+from ..dataset.records import ManifestEntry
+from ..dataset.space import EpisodeSize, block_size, check_space
 from ..dataset.writer import DatasetWriter, OpenMode
-from ..errors import DatasetError, InterruptedJobError, PartialJobError
+from ..errors import InterruptedJobError, PartialJobError
 from ..resources import Locations
 from ..types import EpisodeJob, EpisodePayload
+from .collect import Collector, EpisodeExecutor, Watch
 from .episode import EpisodeRunner, require_one_arm
+from .executor import Factory
+from .pool import JOB_SECONDS
+from .stop import Stop
 from .workers import WorkerPool
 
-# A task that fails this often will not be finished by trying on.
-_MAX_ATTEMPTS_PER_EPISODE = 20
-
-# How far attempts may run ahead of the oldest unfinished one, per worker: bounds the episodes held in memory.
-_LOOKAHEAD = 4
+# Waypoints of the one kind of task there is; only the estimate of disk space depends on it.
+_WAYPOINTS = 7
 
 
 @dataclass(frozen=True)
@@ -35,162 +41,110 @@ class RecordReport:
     moved_aside: Path | None
 
 
-# Called with episodes done, episodes wanted and attempts made.
-Progress = Callable[[int, int, int], None]
+@dataclass(frozen=True)
+class Output:
+    """Where a recording goes, and what to do with what is there."""
+
+    path: Path
+    mode: OpenMode
+
+
+class Executors(Protocol):
+    """Opens what attempts are made by."""
+
+    def open(self, factory: Factory[EpisodeJob, EpisodePayload], workers: int) -> EpisodeExecutor:
+        """Start `workers` workers."""
+        ...
+
+
+@dataclass(frozen=True)
+class LocalProcesses:
+    """`Executors` on this machine; `job_seconds` is how long an attempt may take before its worker is replaced."""
+
+    job_seconds: float = JOB_SECONDS
+
+    def open(self, factory: Factory[EpisodeJob, EpisodePayload], workers: int) -> EpisodeExecutor:
+        """Start `workers` processes."""
+        return WorkerPool(factory, workers, self.job_seconds)
 
 
 def record(
     config: RecordConfig,
     locations: Locations,
     meshes: Mapping[str, Path | None],
-    out: Path,
-    mode: OpenMode,
-    progress: Progress,
+    output: Output,
+    executors: Executors,
+    watch: Watch,
+    stop: Stop,
 ) -> RecordReport:
-    """Record until the dataset holds `config.episodes` successful episodes.
-
-    Episode k is the k-th attempt that succeeds, in order of attempt and whichever worker finished first: so the data
-    depends on the configuration and the seed alone.
+    """Record until the dataset holds `config.episodes` successful episodes; see `collect` for what each one is.
 
     Raises:
         UsageError, ConfigError, DatasetError, ResourceError: the output cannot be used, see `DatasetWriter`.
+        ResourceError: the disk has no room.
         InterruptedJobError: stopped by the user.
-        PartialJobError: the disk is full, a worker died, or the task fails too often.
+        PartialJobError: the disk refused something, workers do not last, or the task fails too often.
     """
     require_one_arm(config)
     began = time.monotonic()
-    writer = DatasetWriter(out, config.data_config(), mode)
-    session = _Session(config, writer, progress)
+    if output.mode is not OpenMode.RESUME:
+        # Before anything is there that would be in the way of the next try.
+        _check_space(config, output.path, {}, config.episodes, watch)
+    with DatasetWriter(output.path, config.data_config(), output.mode) as writer:
+        for repair in writer.repairs:
+            watch.warn(repair)
+        collector = Collector(config, writer, watch, stop)
+        if output.mode is OpenMode.RESUME:
+            _check_space(config, writer.path, writer.entries, collector.outstanding, watch)
+        with _telling_what_is_left(config, collector, output.path), _manifest_at_the_end(writer):
+            if collector.outstanding:
+                factory = functools.partial(EpisodeRunner, config, locations, dict(meshes), draw=True)
+                with executors.open(factory, min(config.workers, collector.outstanding)) as executor:
+                    collector.run(executor)
+        moved = writer.moved_aside
+    return RecordReport(output.path, writer.episodes, len(writer.attempts), time.monotonic() - began, moved)
+
+
+@contextlib.contextmanager
+def _telling_what_is_left(config: RecordConfig, collector: Collector, place: Path) -> Iterator[None]:
+    """Whatever ends a recording early, the user is told what there is and how to go on."""
+
+    def state() -> str:
+        return (
+            f"{collector.done} of {config.episodes} episodes are whole in {place}, {collector.outstanding} are left; "
+            "continue with --resume"
+        )
+
     try:
-        if not session.complete:
-            factory = functools.partial(EpisodeRunner, config, locations, dict(meshes), draw=True)
-            wanted = min(config.workers, session.outstanding)
-            with WorkerPool(factory, wanted) as pool:
-                session.run(pool)
-    except KeyboardInterrupt:
-        raise InterruptedJobError(f"interrupted: {session.state()}; continue with --resume") from None
+        yield
+    except (KeyboardInterrupt, InterruptedJobError):
+        raise InterruptedJobError(f"interrupted: {state()}") from None
     except OSError as error:
-        what = f"{error.filename or out}: {error.strerror or error}"
-        raise PartialJobError(f"{what}: {session.state()}; mend it and continue with --resume") from error
+        raise PartialJobError(f"{explain(error, place)}: {state()}") from error
     except PartialJobError as error:
-        raise PartialJobError(f"{error}: {session.state()}; continue with --resume") from error
-    finally:
-        session.finish()
-    return RecordReport(out, writer.episodes, len(writer.attempts), time.monotonic() - began, writer.moved_aside)
+        raise PartialJobError(f"{error}: {state()}") from error
 
 
-class _Session:
-    """Puts finished attempts into order, and orders into the dataset."""
+@contextlib.contextmanager
+def _manifest_at_the_end(writer: DatasetWriter) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        # Where the disk refuses even that, the next --resume writes it.
+        with contextlib.suppress(OSError):
+            writer.finish()
+        raise
+    writer.finish()
 
-    def __init__(self, config: RecordConfig, writer: DatasetWriter, progress: Progress) -> None:
-        self._config = config
-        self._writer = writer
-        self._progress = progress
-        # Attempts whose episode was lost are made again first, under their old numbers.
-        self._lost = {attempt.attempt: attempt for attempt in writer.missing}
-        self._queue = sorted(self._lost, reverse=True)
-        self._next = len(writer.attempts)
-        self._finished: dict[int, EpisodePayload] = {}
 
-    @property
-    def outstanding(self) -> int:
-        """Episodes that still have to be made."""
-        return max(0, self._config.episodes - self._writer.episodes) + len(self._lost)
-
-    @property
-    def complete(self) -> bool:
-        return self.outstanding == 0
-
-    def state(self) -> str:
-        """For messages: what the dataset holds."""
-        done = self._writer.episodes - len(self._lost)
-        return f"{done} of {self._config.episodes} episodes are whole in {self._writer.path}"
-
-    def run(self, pool: WorkerPool[EpisodeJob, EpisodePayload]) -> None:
-        self._report()
-        while not self.complete:
-            while pool.idle and self._may_start(pool):
-                pool.submit(EpisodeJob(self._config.seed, self._take()))
-            job, payload = pool.result()
-            if job.attempt in self._lost:
-                self._restore(payload)
-            else:
-                self._finished[job.attempt] = payload
-            while (done := self._finished.pop(len(self._writer.attempts), None)) is not None:
-                self._commit(done)
-            self._report()
-
-    def finish(self) -> None:
-        """Write the manifest; when the disk refuses even that, it is rebuilt by the next `--resume`."""
-        try:
-            self._writer.finish()
-        except OSError:
-            return
-
-    def _may_start(self, pool: WorkerPool[EpisodeJob, EpisodePayload]) -> bool:
-        """Never more attempts than could still be needed, were they all to succeed."""
-        if self._queue:
-            return True
-        promised = pool.in_flight + sum(payload.outcome.success for payload in self._finished.values())
-        ahead = self._next - len(self._writer.attempts)
-        return promised < self.outstanding and ahead < _LOOKAHEAD * self._config.workers
-
-    def _take(self) -> int:
-        if self._queue:
-            return self._queue.pop()
-        if self._next >= _MAX_ATTEMPTS_PER_EPISODE * self._config.episodes:
-            last = self._writer.attempts[-1].outcome
-            raise PartialJobError(
-                f"gave up after {self._next} attempts, the last one failed as {last.cause}: {last.detail}"
-            )
-        self._next += 1
-        return self._next - 1
-
-    def _commit(self, payload: EpisodePayload) -> None:
-        episode = self._writer.episodes if payload.outcome.success else None
-        if episode is not None:
-            self._publish(payload, episode)
-        self._writer.log(attempt_record(payload, episode))
-
-    def _restore(self, payload: EpisodePayload) -> None:
-        """Publish a lost episode again, under its old number."""
-        lost = self._lost[payload.job.attempt]
-        if not payload.outcome.success or lost.episode is None:
-            raise DatasetError(
-                f"{self._writer.path}: attempt {lost.attempt} gave episode {lost.episode} once and fails now "
-                f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
-            )
-        self._publish(payload, lost.episode)
-        del self._lost[lost.attempt]
-
-    def _publish(self, payload: EpisodePayload, episode: int) -> None:
-        config = self._config
-        attempt: AttemptRecord = attempt_record(payload, episode)
-        cameras = dict.fromkeys(
-            (name.split("/")[1] for name in payload.files if name.startswith("rgb/")), config.image.size_px
-        )
-        record = EpisodeRecord(
-            episode=episode,
-            attempt=attempt.attempt,
-            seed=attempt.seed,
-            source="record",
-            rig=config.rig.name,
-            scene=config.scene.name,
-            task=config.task.name,
-            grasp=config.grasp,
-            frames=payload.frames,
-            frame_period_s=config.task.timing.tick * config.task.timing.ticks_per_frame,
-            cameras=cameras,
-            objects=[config.task.object.name, config.task.target.name],
-            outcome=OutcomeRecord.of(payload.outcome),
-            max_height_m=config.task.success.max_height,
-            layout=attempt.layout,
-            versions=dict(payload.versions),
-            renderer=payload.renderer,
-            content_sha256=payload.content_sha256,
-            files=file_hashes(payload.files),
-        )
-        self._writer.publish(record, dict(payload.files))
-
-    def _report(self) -> None:
-        self._progress(self._writer.episodes - len(self._lost), self._config.episodes, len(self._writer.attempts))
+def _check_space(
+    config: RecordConfig, place: Path, entries: Mapping[int, ManifestEntry], episodes: int, watch: Watch
+) -> None:
+    """Refuse what cannot fit, and warn of what may not."""
+    timing, cameras = config.task.timing, 2 if config.wrist else 1
+    frames = math.ceil((_WAYPOINTS * timing.ticks_per_waypoint + timing.settle_ticks) / timing.ticks_per_frame)
+    disk = next(folder for folder in (place, *place.absolute().parents) if folder.is_dir())
+    block = block_size(disk)
+    size = EpisodeSize.expected(frames, cameras, config.image, block).learned(entries.values(), frames, cameras, block)
+    if episodes and (warning := check_space(disk, episodes, size)):
+        watch.warn(warning)

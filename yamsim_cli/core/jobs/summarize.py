@@ -15,6 +15,7 @@ from ..dataset.survey import Survey, survey
 from ..errors import InterruptedJobError
 from ..resources import Locations
 from ..vision.jpeg import JpegReader
+from .executor import LostJobError
 from .workers import WorkerPool
 
 # Called with episodes done and in all.
@@ -51,7 +52,7 @@ def survey_dataset(dataset: Path, locations: Locations, workers: int, progress: 
     Raises:
         DatasetError: there is no dataset at all.
         InterruptedJobError: stopped by the user.
-        PartialJobError: a worker died.
+        PartialJobError: no worker can be kept alive.
     """
     directories, recorded = find_episodes(dataset)
     problems = Problems()
@@ -65,7 +66,10 @@ def survey_dataset(dataset: Path, locations: Locations, workers: int, progress: 
                 while len(found) < len(directories):
                     while pool.idle and (job := next(waiting, None)):
                         pool.submit(job)
-                    done, facts = pool.result()
+                    try:
+                        done, facts = pool.result()
+                    except LostJobError as error:
+                        done, facts = _unchecked(error)
                     found[done] = facts
                     progress(len(found), len(directories))
     except KeyboardInterrupt:
@@ -73,3 +77,12 @@ def survey_dataset(dataset: Path, locations: Locations, workers: int, progress: 
             f"interrupted after {len(found)} of {len(directories)} episodes; nothing was changed"
         ) from None
     return survey(dataset, context, [found[directory] for directory in directories], problems)
+
+
+def _unchecked(error: LostJobError) -> tuple[EpisodeDirectory, EpisodeFacts]:
+    """What there is to say of an episode that ends every process that looks into it."""
+    directory = error.job
+    assert isinstance(directory, EpisodeDirectory)
+    problems = Problems(directory.path.name)
+    problems.add("episode.unchecked", value=f"{error.tries} processes were ended by it, the last one {error.reason}")
+    return directory, EpisodeFacts(directory.path.name, directory.number, problems=problems.list())

@@ -386,7 +386,15 @@ DAMAGES = [
     Damage("camera.view", looks_away, file=PX, text="banana_pose, plate_pose, ee_pose"),
 ]
 # Those that need more than one step, or leave other traces too: each has a test of its own.
-ELSEWHERE = {"dataset.empty", "dataset.plain", "episode.gap", "episode.number", "file.unhashed", "frames.none"}
+ELSEWHERE = {
+    "episode.unchecked",
+    "dataset.empty",
+    "dataset.plain",
+    "episode.gap",
+    "episode.number",
+    "file.unhashed",
+    "frames.none",
+}
 
 
 @pytest.mark.parametrize("damage", DAMAGES, ids=str)

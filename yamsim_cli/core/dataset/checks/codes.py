@@ -50,6 +50,10 @@ _ERRORS = {
     "episode.missing": ("the episode is missing", _RESUME),
     "episode.number": ("the episode bears another number inside", "give the directory its own number back"),
     "episode.duplicate": ("the same data is there twice", "delete one of the two"),
+    "episode.unchecked": (
+        "it ends every process that looks into it",
+        "leave the episode out, and keep it for a bug report",
+    ),
     "episode.outcome": ("the stored outcome is not what the last frame shows", _LEAVE_OUT),
     "record.missing": ("episode.json is missing", _REMAKE),
     "record.damaged": ("episode.json cannot be read", _REMAKE),

@@ -21,8 +21,8 @@ Grey = NDArray[np.uint8]
 _ENLARGE_TO = 1920
 _MAX_ENLARGEMENT = 3
 
-# The detector's thresholds are made for grey levels that use their range: darker photos are stretched to it, their
-# darkest and brightest thousandth left out.
+# The detector's thresholds are made for grey levels that use their range: darker photos are stretched to it, without their
+# darkest and brightest thousandth.
 _ENDS = (0.1, 99.9)
 _WIDEST = 128.0
 
@@ -75,7 +75,8 @@ def _stretched(grey: Grey) -> Grey:
     low, high = np.percentile(grey, _ENDS)
     if high - low >= _WIDEST or high - low < 1:
         return grey
-    return np.clip((grey.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    stretched: Grey = np.clip((grey.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    return stretched
 
 
 def groups(markers: Sequence[Marker], board: Board, camera: CameraModel) -> list[Group]:

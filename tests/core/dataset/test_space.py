@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from tests.core.dataset.making import made
+from yamsim_cli.core.config.record import ImageConfig
+from yamsim_cli.core.dataset.faults import explain, reason
+from yamsim_cli.core.dataset.records import Manifest, from_json
+from yamsim_cli.core.dataset.space import EpisodeSize, check_space
+from yamsim_cli.core.errors import ResourceError
+
+SIZE = EpisodeSize(least=1_000_000, most=4_000_000, inodes=100)
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """A disk of 4 KB blocks, with as much on it as the test says."""
+    state = SimpleNamespace(f_frsize=4096, f_bavail=0, f_files=10_000, f_favail=10_000)
+    monkeypatch.setattr(os, "statvfs", lambda place: state)
+    return state
+
+
+def test_what_fits_is_not_mentioned(disk: SimpleNamespace) -> None:
+    disk.f_bavail = 10**6
+    assert check_space(Path("/d"), 100, SIZE) is None
+
+
+def test_what_cannot_fit_is_refused_with_what_would(disk: SimpleNamespace) -> None:
+    disk.f_bavail = 5000
+    with pytest.raises(
+        ResourceError, match=r"100 episodes take 10000 files and at least 100 MB, but /d has .*: 19 fit"
+    ):
+        check_space(Path("/d"), 100, SIZE)
+
+
+def test_files_run_out_before_bytes(disk: SimpleNamespace) -> None:
+    disk.f_bavail, disk.f_favail = 10**9, 950
+    with pytest.raises(ResourceError, match=r"room for .* in 950 files: 9 fit"):
+        check_space(Path("/d"), 10, SIZE)
+
+
+def test_a_disk_without_a_fixed_number_of_inodes_has_enough(disk: SimpleNamespace) -> None:
+    disk.f_bavail, disk.f_files, disk.f_favail = 10**9, 0, 0
+    assert check_space(Path("/d"), 10_000, SIZE) is None
+
+
+def test_what_may_not_fit_is_a_warning(disk: SimpleNamespace) -> None:
+    disk.f_bavail = 50_000
+    warning = check_space(Path("/d"), 100, SIZE)
+    assert warning is not None
+    assert "at least 100 MB, perhaps 400 MB, and /d has room for 204 MB" in warning
+
+
+def test_every_image_takes_whole_blocks() -> None:
+    tiny = ImageConfig(size_px=(16, 16), jpeg_quality=85)
+    size = EpisodeSize.expected(57, 2, tiny, block=4096)
+    assert size.inodes == 57 * 3 + 6
+    assert size.least >= 57 * 3 * 4096
+    assert size.least < EpisodeSize.expected(57, 2, tiny, block=65536).least
+
+
+def test_episodes_that_are_there_teach_what_the_next_will_take(dataset: Path, disk: SimpleNamespace) -> None:
+    guess = EpisodeSize.expected(57, 1, ImageConfig(size_px=(640, 480), jpeg_quality=85), block=4096)
+    assert guess.learned([], 57, 1, 4096) == guess
+    manifest = from_json(Manifest, (dataset / "manifest.json").read_bytes(), "manifest")
+    known = guess.learned(manifest.episodes, 4, 1, 4096)
+    real = sum(len(data) for data in made(0).files.values())
+    assert real < known.most < real + 20 * 4096
+    assert 0.7 * known.most < known.least < known.most
+
+
+@pytest.mark.parametrize(("inodes", "what"), [(0, "no inodes left on the device"), (7, "no space left on the device")])
+def test_a_full_disk_says_of_what(disk: SimpleNamespace, inodes: int, what: str) -> None:
+    disk.f_favail = inodes
+    assert what in reason(OSError(28, "No space left on device"), Path("/d"))
+
+
+def test_an_error_names_its_file_or_at_least_the_dataset() -> None:
+    assert explain(OSError(5, "Input/output error", "/d/x"), Path("/d")).startswith("/d/x: Input/output error: ")
+    assert explain(OSError(1, "Odd"), Path("/d")) == "/d: Odd"

@@ -1,0 +1,147 @@
+"""Every single call that changes the disk fails once, or is the last one: nothing is lost, and --resume mends it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.core.jobs.fake_episodes import Inline
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.dataset.integrity import find_episodes
+from yamsim_cli.core.dataset.layout import CONFIG
+from yamsim_cli.core.dataset.writer import OpenMode, read_attempts
+from yamsim_cli.core.errors import PartialJobError, ResourceError
+from yamsim_cli.core.jobs.collect import Watch
+from yamsim_cli.core.jobs.record import Output, record
+from yamsim_cli.core.jobs.stop import Stop
+from yamsim_cli.core.resources import Locations
+
+CALLS = ("open", "write", "pwrite", "fsync", "ftruncate", "rename", "replace", "mkdir", "unlink", "rmdir")
+
+
+class Fault(Enum):
+    ONCE = "one call fails, the next ones work again: a server that stumbled"
+    FOR_GOOD = "this call and all after it fail, those that clean up too: a full or dead disk, or a crash"
+    TORN = "the same, and what was being written is half there"
+
+
+class FailingDisk:
+    """Wraps the calls that change the disk, and fails the n-th."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, nth: int = 0, fault: Fault = Fault.ONCE) -> None:
+        self.calls = 0
+        self._nth = nth
+        self._fault = fault
+        for name in CALLS:
+            monkeypatch.setattr(os, name, self._wrapped(name, getattr(os, name)))
+
+    def _wrapped(self, name: str, real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            if name == "open" and not arguments[1] & (os.O_CREAT | os.O_DIRECTORY):
+                return real(*arguments, **options)
+            self.calls += 1
+            if self.calls == self._nth or (self._nth and self.calls > self._nth and self._fault is not Fault.ONCE):
+                if self.calls == self._nth and self._fault is Fault.TORN and name == "write":
+                    real(arguments[0], arguments[1][: len(arguments[1]) // 2])
+                number = errno.ENOSPC if name in ("write", "mkdir") else errno.EIO
+                raise OSError(number, os.strerror(number), "injected")
+            return real(*arguments, **options)
+
+        return call
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def run(config: RecordConfig, path: Path, mode: OpenMode) -> None:
+    watch = Watch(lambda done, wanted, attempts: None, lambda warning: None)
+    record(config, Locations((), Path("/nowhere")), {}, Output(path, mode), Inline(), watch, Stop())
+
+
+@pytest.fixture
+def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
+    return make_config({("episodes",): 3, ("seed",): 1})
+
+
+def assert_whole(path: Path) -> None:
+    """What there is can be read, and nothing half-written has a final name."""
+    if not path.is_dir():
+        return
+    assert all(found.fault is None for found in find_episodes(path))
+    episodes = {found.number for found in find_episodes(path)}
+    logged = {attempt.episode for attempt in read_attempts(path)} - {None}
+    assert logged <= episodes
+    assert len(episodes - logged) <= 1, "the one that was published when the ledger failed"
+    if episodes:
+        assert (path / CONFIG).is_file()
+
+
+@pytest.mark.parametrize("fault", Fault)
+def test_whichever_call_fails_nothing_is_lost(
+    config: RecordConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault
+) -> None:
+    with monkeypatch.context() as patch:
+        disk = FailingDisk(patch)
+        run(config, tmp_path / "undisturbed", OpenMode.NEW)
+    wanted = tree(tmp_path / "undisturbed")
+    assert disk.calls > 60
+
+    for nth in range(1, disk.calls + 1):
+        path = tmp_path / f"{nth}"
+        with monkeypatch.context() as patch:
+            FailingDisk(patch, nth, fault)
+            try:
+                run(config, path, OpenMode.NEW)
+                survived = True
+            except (PartialJobError, ResourceError) as error:
+                survived = False
+                assert "injected" in str(error) or "cannot be written" in str(error), nth
+        assert_whole(path)
+        if survived:
+            # Only what tidies up may fail without a word.
+            assert wanted.items() <= tree(path).items(), nth
+        run(config, path, OpenMode.RESUME)
+        assert tree(path) == wanted, nth
+
+
+@pytest.mark.parametrize("fault", Fault)
+def test_whichever_call_fails_in_resuming_nothing_is_lost(
+    config: RecordConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault
+) -> None:
+    """From the state with the most to mend: a damaged episode, a lost one, a cut-off ledger, no manifest."""
+
+    def damaged(path: Path) -> None:
+        run(config, path, OpenMode.NEW)
+        (path / "ep_000000/lowdim/000000.pkl").write_bytes(b"")
+        (path / "ep_000001/episode.json").unlink()
+        (path / "manifest.json").unlink()
+        ledger = path / "attempts.jsonl"
+        ledger.write_bytes(ledger.read_bytes()[:-10])
+
+    run(config, tmp_path / "undisturbed", OpenMode.NEW)
+    wanted = tree(tmp_path / "undisturbed")
+    damaged(tmp_path / "count")
+    with monkeypatch.context() as patch:
+        disk = FailingDisk(patch)
+        run(config, tmp_path / "count", OpenMode.RESUME)
+
+    for nth in range(1, disk.calls + 1):
+        path = tmp_path / f"{nth}"
+        damaged(path)
+        with monkeypatch.context() as patch:
+            FailingDisk(patch, nth, fault)
+            with contextlib.suppress(PartialJobError, ResourceError):
+                run(config, path, OpenMode.RESUME)
+        run(config, path, OpenMode.RESUME)
+        mended = {name: data for name, data in tree(path).items() if not name.startswith(".damaged/")}
+        assert mended == wanted, nth
+        aside = [p for p in (path / ".damaged").iterdir() if p.is_dir()]
+        assert len(aside) == 2, "both damaged episodes are still there"

@@ -1,0 +1,101 @@
+"""Get hold of a dataset's directory: refuse it, take it as it is, or move what is there aside."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from ..errors import UsageError
+from ..files import move_aside
+from .layout import LOCK, STAGING, is_litter
+from .lock import DirectoryLock
+
+
+class OpenMode(Enum):
+    """What to do when the dataset's directory already holds something."""
+
+    NEW = "new"
+    RESUME = "resume"
+    OVERWRITE = "overwrite"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A directory that is ours to write.
+
+    Attributes:
+        lock: keeps other recorders out until it is released.
+        occupied: whether it holds something, to be resumed.
+        moved_aside: where what was there has gone, if it was moved.
+    """
+
+    lock: DirectoryLock
+    occupied: bool
+    moved_aside: Path | None
+
+
+def claim(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> Claim:
+    """Lock a directory for recording, made when missing.
+
+    Raises:
+        UsageError: it is not empty, or is no directory, and the mode does not say what to do.
+        ResourceError: another recorder is at it.
+        OSError: it cannot be made or written.
+    """
+    moved = None
+    if mode is OpenMode.OVERWRITE and is_occupied(path):
+        moved = _move_aside(path, locks_reach_others)
+    if mode is OpenMode.NEW and is_occupied(path):
+        # Before anything is written. Better than "is not empty" is that somebody is at it, and who.
+        if (path / LOCK).exists():
+            DirectoryLock.take(path, reaches_others=locks_reach_others).release()
+        raise _in_the_way(path)
+    path.mkdir(parents=True, exist_ok=True)
+    lock = DirectoryLock.take(path, reaches_others=locks_reach_others)
+    try:
+        # Once more, now that nobody else can write.
+        occupied = is_occupied(path)
+        if occupied and mode is not OpenMode.RESUME:
+            raise _in_the_way(path)
+        _remove_litter(path)
+        return Claim(lock, occupied, moved)
+    except BaseException:
+        lock.release()
+        raise
+
+
+def is_occupied(path: Path) -> bool:
+    """Whether there is something at `path` but an empty directory and what a crash left of an empty dataset."""
+    return path.exists() and (not path.is_dir() or any(not is_litter(entry.name) for entry in path.iterdir()))
+
+
+def _in_the_way(path: Path) -> UsageError:
+    what = "is not empty" if path.is_dir() else "is not a directory"
+    return UsageError(
+        f"{path} {what}; continue it with --resume, move it aside with --overwrite, or choose another --out"
+    )
+
+
+def _move_aside(path: Path, locks_reach_others: bool) -> Path:
+    """Move what is there, unless somebody records into it."""
+    if not path.is_dir() or not os.access(path, os.W_OK):
+        # Nobody can record into that.
+        return move_aside(path)
+    lock = DirectoryLock.take(path, reaches_others=locks_reach_others)
+    try:
+        moved = move_aside(path)
+        lock.moved(moved)
+        return moved
+    finally:
+        lock.release()
+
+
+def _remove_litter(path: Path) -> None:
+    for entry in path.iterdir():
+        if entry.name == STAGING:
+            shutil.rmtree(entry, ignore_errors=True)
+        elif is_litter(entry.name) and entry.name != LOCK:
+            entry.unlink()

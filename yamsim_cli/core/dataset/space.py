@@ -1,0 +1,97 @@
+"""Whether a disk has room for what is to be recorded, before hours go into it."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..config.record import ImageConfig
+from ..errors import ResourceError
+from .records import ManifestEntry
+
+# Bytes a pixel and beside the pixels of a JPEG: of plain scenes at low quality, and of noisy ones at high quality.
+# Source: measured from quality 50 (0.042 a pixel) to 100 (0.26) at 640x480; noise doubles it.
+_LEAST_PER_PIXEL, _LEAST_PER_IMAGE = 0.03, 600
+_MOST_PER_PIXEL, _MOST_PER_IMAGE = 0.5, 2000
+# Bytes of a frame's lowdim pickle, and of an episode's record for each file; measured 1600 to 2200, and 90.
+_PER_LOWDIM = 2200
+_PER_HASH = 110
+# What is never to be filled: the ledger, the manifest, and the neighbours.
+_RESERVE = 1_000_000
+
+
+@dataclass(frozen=True)
+class EpisodeSize:
+    """What an episode takes on a disk: bytes at least and at most, and inodes."""
+
+    least: int
+    most: int
+    inodes: int
+
+    @classmethod
+    def expected(cls, frames: int, cameras: int, image: ImageConfig, block: int) -> EpisodeSize:
+        """From the settings alone.
+
+        Args:
+            block: bytes that the filesystem hands out at a time.
+        """
+        pixels = image.size_px[0] * image.size_px[1]
+
+        def total(per_pixel: float, per_image: int) -> int:
+            picture = _blocks(per_image + per_pixel * pixels, block)
+            record = _blocks(_PER_HASH * frames * (cameras + 1), block)
+            return frames * (cameras * picture + _blocks(_PER_LOWDIM, block)) + record
+
+        # An episode's directory, `rgb`, `lowdim`, one a camera, and `episode.json`.
+        inodes = frames * (cameras + 1) + cameras + 4
+        return cls(total(_LEAST_PER_PIXEL, _LEAST_PER_IMAGE), total(_MOST_PER_PIXEL, _MOST_PER_IMAGE), inodes)
+
+    def learned(self, entries: Collection[ManifestEntry], frames: int, cameras: int, block: int) -> EpisodeSize:
+        """Better, from episodes that are already there."""
+        if not entries:
+            return self
+        mean = sum(entry.bytes for entry in entries) / len(entries)
+        # Half a block is lost at the end of each file.
+        mean += frames * (cameras + 1) * block / 2
+        return EpisodeSize(int(0.9 * mean), int(1.2 * mean), self.inodes)
+
+
+def block_size(place: Path) -> int:
+    """Bytes that the filesystem at `place`, a directory, hands out at a time."""
+    return os.statvfs(place).f_frsize
+
+
+def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
+    """Compare what is free with what `episodes` more will take.
+
+    Returns:
+        A warning when they may not fit; None when they will.
+
+    Raises:
+        ResourceError: they cannot fit.
+    """
+    state = os.statvfs(place)
+    free = max(0, state.f_bavail * state.f_frsize - _RESERVE)
+    # Filesystems that make inodes as they go say they have none at all.
+    inodes = state.f_favail if state.f_files else math.inf
+    fit = int(min(free / size.least, inodes / size.inodes))
+    takes = f"{episodes} episodes take {size.inodes * episodes} files and at least {_amount(size.least * episodes)}"
+    there = f"{place} has room for {_amount(free)}" + ("" if inodes == math.inf else f" in {inodes} files")
+    if fit < episodes:
+        raise ResourceError(f"{takes}, but {there}: {fit} fit; make room, choose another --out, or a smaller --n")
+    if free < size.most * episodes:
+        return (
+            f"{takes}, perhaps {_amount(size.most * episodes)}, and {there}: watch it. --resume goes on if it fills up."
+        )
+    return None
+
+
+def _blocks(size: float, block: int) -> int:
+    return math.ceil(size / block) * block
+
+
+def _amount(size: float) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"

@@ -1,0 +1,273 @@
+"""Jobs on workers that may die or hang: who gets what, what is tried again, and when to give up.
+
+The rules hold for every kind of worker; `Backend` starts and ends them and listens to them.
+
+- A worker that dies, or takes too long over a job, is replaced, and the job is tried again.
+- The last try is made alone, all other workers resting: so a job is not given up for memory that the others took.
+- Workers that die before they are ready are no job's fault. A few such deaths in a row end everything.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Generic, Protocol, TypeVar
+
+from ..errors import PartialJobError, YamsimError
+from .executor import J, JobIn, LostJobError, R, WorkerBugError
+
+# How long a job may take; several minutes mean a hung driver or a machine that swaps.
+JOB_SECONDS = 600.0
+# How long a worker may take to start: to import, compile its scene and reach the display driver.
+START_SECONDS = 300.0
+_TRIES = 3
+_FAILED_STARTS = 3
+# How often a waiting parent looks at the clock.
+_TICK_SECONDS = 0.5
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The worker has made its runner."""
+
+
+@dataclass(frozen=True)
+class Answer(Generic[R]):
+    """The worker has finished its job."""
+
+    result: R
+
+
+@dataclass(frozen=True)
+class Failed:
+    """The runner, or making it, raised an error that is the user's or the machine's."""
+
+    error: YamsimError
+
+
+@dataclass(frozen=True)
+class Bug:
+    """The runner, or making it, raised anything else; the worker has ended."""
+
+    trace: str
+
+
+@dataclass(frozen=True)
+class Died:
+    """The worker is gone; `how` continues "its worker ..."."""
+
+    how: str
+
+
+Event = Ready | Answer[R] | Failed | Bug | Died
+
+
+class Worker(Protocol[JobIn]):
+    """One worker, as the pool holds it."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        ...
+
+    def send(self, job: JobIn) -> None:
+        """Hand a job over; it may still be starting.
+
+        Raises:
+            OSError: it is gone.
+        """
+        ...
+
+    def kill(self) -> None:
+        """End it at once, and wait until it has ended."""
+        ...
+
+
+W = TypeVar("W")
+
+
+class Backend(Protocol[W, R]):
+    """A kind of worker."""
+
+    def start(self, number: int) -> W:
+        """Start a worker, without waiting for it to be ready."""
+        ...
+
+    def wait(self, workers: Sequence[W], timeout: float) -> Sequence[tuple[W, Event[R]]]:
+        """What workers had to say, at most one event each; empty after `timeout` seconds of silence."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what all workers shared."""
+        ...
+
+
+@dataclass
+class _Task(Generic[J]):
+    job: J
+    losses: int = 0
+
+    @property
+    def last_try(self) -> bool:
+        return self.losses == _TRIES - 1
+
+
+@dataclass
+class _Slot(Generic[J]):
+    worker: Worker[J]
+    task: _Task[J] | None = None
+    ready: bool = False
+    # Seconds spent on starting or on the task.
+    busy: float = 0.0
+
+
+class Pool(Generic[J, R]):
+    """An `Executor` over any kind of worker.
+
+    Args:
+        backend: starts the workers.
+        workers: how many.
+        job_seconds: a worker that takes longer over a job is ended and replaced.
+    """
+
+    def __init__(self, backend: Backend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
+        self._backend = backend
+        self._job_seconds = job_seconds
+        self._slots: list[_Slot[J]] = []
+        self._waiting: deque[_Task[J]] = deque()
+        self._done: deque[tuple[J, R] | Exception] = deque()
+        self._started = 0
+        self._failed_starts = 0
+        try:
+            for _ in range(workers):
+                self._slots.append(_Slot(self._start()))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def idle(self) -> int:
+        """How many jobs can be submitted now: none while a job waits for its last try or makes it."""
+        if self._waiting or any(slot.task and slot.task.last_try for slot in self._slots):
+            return 0
+        return sum(slot.task is None for slot in self._slots)
+
+    @property
+    def in_flight(self) -> int:
+        """How many jobs were submitted and have not come back."""
+        return self._working + len(self._waiting) + len(self._done)
+
+    @property
+    def _working(self) -> int:
+        return sum(slot.task is not None for slot in self._slots)
+
+    def submit(self, job: J) -> None:
+        """Give a job to an idle worker; there has to be one."""
+        assert self.idle
+        self._waiting.append(_Task(job))
+        self._assign()
+
+    def result(self, timeout: float | None = None) -> tuple[J, R]:
+        """Wait for a job to finish; see `Executor.result`."""
+        end = math.inf if timeout is None else time.monotonic() + timeout
+        while not self._done:
+            assert self.in_flight, "nothing was submitted"
+            left = end - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            self._listen(min(_TICK_SECONDS, left))
+        done = self._done.popleft()
+        if isinstance(done, Exception):
+            raise done
+        return done
+
+    def _listen(self, patience: float) -> None:
+        began = time.monotonic()
+        events = self._backend.wait([slot.worker for slot in self._slots], patience)
+        # No more than was asked for counts: when the whole machine or this process slept, so did the workers.
+        passed = min(time.monotonic() - began, patience)
+        heard = []
+        for worker, event in events:
+            slot = next(slot for slot in self._slots if slot.worker is worker)
+            heard.append(slot)
+            self._handle(slot, event)
+        for slot in self._slots:
+            if slot not in heard and (slot.task or not slot.ready):
+                slot.busy += passed
+                self._check(slot)
+        self._assign()
+
+    def _handle(self, slot: _Slot[J], event: Event[R]) -> None:
+        match event:
+            case Ready():
+                slot.ready, slot.busy, self._failed_starts = True, 0.0, 0
+            case Answer(result):
+                assert slot.task is not None
+                self._done.append((slot.task.job, result))
+                slot.task, slot.busy = None, 0.0
+            case Failed(error):
+                slot.task = None
+                self._done.append(error)
+            case Bug(trace):
+                on = f", on {slot.task.job}" if slot.task else ""
+                slot.task = None
+                self._done.append(WorkerBugError(f"in {slot.worker.name}{on}:\n{trace}"))
+            case Died(how):
+                self._replace(slot, how)
+
+    def _check(self, slot: _Slot[J]) -> None:
+        """End a worker that hangs."""
+        limit = self._job_seconds if slot.ready else START_SECONDS
+        if slot.busy > limit:
+            slot.worker.kill()
+            self._replace(slot, f"was ended after {limit:g} s without a result")
+
+    def _replace(self, slot: _Slot[J], how: str) -> None:
+        task, slot.task = slot.task, None
+        if not slot.ready:
+            self._failed_starts += 1
+            if self._failed_starts >= _FAILED_STARTS:
+                raise PartialJobError(f"workers do not start: the last of {_FAILED_STARTS} {how}")
+        elif task:
+            task.losses += 1
+        if task and task.losses >= _TRIES:
+            self._done.append(LostJobError(task.job, _TRIES, how))
+        elif task:
+            self._waiting.append(task)
+        slot.worker, slot.ready, slot.busy = self._start(), False, 0.0
+
+    def _assign(self) -> None:
+        """Hand out what waits, in order; a last try only when nobody else works."""
+        for slot in self._slots:
+            if slot.task is None and self._waiting and not (self._waiting[0].last_try and self._working):
+                slot.task, slot.busy = self._waiting.popleft(), slot.busy if not slot.ready else 0.0
+                try:
+                    slot.worker.send(slot.task.job)
+                except OSError:
+                    # It died while it rested: not this job's fault. Its end is heard of next.
+                    self._waiting.appendleft(slot.task)
+                    slot.task = None
+                    return
+
+    def _start(self) -> Worker[J]:
+        self._started += 1
+        return self._backend.start(self._started - 1)
+
+    def close(self) -> None:
+        """End all workers at once, whatever they are doing: none of them has anything to lose."""
+        for slot in self._slots:
+            slot.worker.kill()
+        self._slots = []
+        self._backend.close()
+
+    def __enter__(self) -> Pool[J, R]:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
