@@ -49,6 +49,8 @@ def overlay(
         raise UsageError("give either --img or --episode")
     if episode_camera and not episode:
         raise UsageError("--episode-camera goes with --episode")
+    if camera and episode:
+        raise UsageError("--camera goes with --img: an episode knows its own")
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
     where = locations()

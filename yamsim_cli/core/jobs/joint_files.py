@@ -78,8 +78,10 @@ def arm_rows(values: Array, rig: RigConfig, source: Path) -> Array:
 def _numbers(path: Path, kind: str) -> Array:
     if kind == ".npy":
         try:
-            return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-        except (ValueError, TypeError, EOFError) as error:
+            # Not `np.load`, which also opens archives.
+            with path.open("rb") as stream:
+                return np.asarray(np.lib.format.read_array(stream, allow_pickle=False), dtype=np.float64)
+        except (ValueError, TypeError, EOFError, MemoryError) as error:
             raise ConfigError(f"--joints {path}: not an array of numbers: {error}") from error
     try:
         frame = load_frame(path.read_bytes())
@@ -129,10 +131,7 @@ def _by_arm(values: Array, rig: RigConfig, path: Path) -> Array:
         padded[:, 0, : rows.shape[1]] = rows
         return padded
     valid = "6, 7 or 14" if len(rig.arms) == 1 else "14 (left 6, left gripper, right 6, right gripper)"
-    raise ConfigError(
-        f"{path}: joints have the shape {values.shape}; rig {rig.name!r} with {len(rig.arms)} arms needs {valid} "
-        "numbers a row"
-    )
+    raise ConfigError(f"{path}: joints have the shape {values.shape}; rig {rig.name!r} needs {valid} numbers a row")
 
 
 def _check_ranges(rows: Array, rig: RigConfig, locations: Locations, path: Path) -> None:

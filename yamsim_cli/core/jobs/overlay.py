@@ -21,7 +21,7 @@ from ..resources import Locations
 from ..scene.compose import Meshes
 from ..vision.image_files import Image, Mask, grey_of
 from ..vision.overlay import blend, draw_board, write_lines
-from .arm_poses import PhotoResult, find_arms
+from .arm_poses import INFERRED, RECORDED, PhotoResult, find_arms
 from .drawn_arms import ArmDrawer
 from .joint_files import home_joints
 from .outline_fit import overlap, refine, score_outlines
@@ -141,7 +141,7 @@ def captions(result: PhotoResult) -> list[str]:
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"
-        if arm.sighting:
+        if arm.sighting and (arm.sighting.markers or arm.status not in (INFERRED, RECORDED)):
             text += f", {len(arm.sighting.markers)}/{len(arm.sighting.board.ids)} markers"
             if arm.sighting.reprojection_rms is not None:
                 text += f", {arm.sighting.reprojection_rms:.2f} px"

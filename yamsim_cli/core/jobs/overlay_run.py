@@ -37,7 +37,7 @@ class OverlayRequest:
         out: folder for the pictures and the report.
         write_masks: also write each photo's segmentation: 0 for none, k for the k-th arm.
         mask_images: the user's own mask of the photos, or a folder with masks of the photos' names.
-        video, frame_period: an MP4 of all pictures, and the seconds from one to the next.
+        video, frame_period: an MP4 of all pictures, and the seconds from one to the next; an older one is moved aside.
         max_reprojection, min_iou: what each photo has to reach, px and 0..1.
     """
 
@@ -82,7 +82,7 @@ def run_overlays(
     cameras = _Cameras(rig, request)
     with ExitStack() as stack:
         overlayer = stack.enter_context(Overlayer(rig, request.options, scene, quality, locations, meshes))
-        video = request.video and stack.enter_context(VideoWriter(request.video, request.frame_period))
+        video = request.video and stack.enter_context(VideoWriter(request.video, request.frame_period, overwrite=True))
         size: tuple[int, ...] = ()
         for k, photo in enumerate(photos):
             progress(k, len(photos))

@@ -61,7 +61,10 @@ def find_photos(paths: Sequence[Path]) -> list[Path]:
             raise ResourceError(f"{path} is no photo; valid: {', '.join(SUFFIXES)}")
         else:
             found.append(path)
-    return list({path.resolve(): path for path in reversed(found)}.values())[::-1]
+    once: dict[Path, Path] = {}
+    for path in found:
+        once.setdefault(path.resolve(), path)
+    return list(once.values())
 
 
 def _may_be_photo(path: Path) -> bool:

@@ -20,6 +20,8 @@ Labels = NDArray[np.uint8]
 ARM_COLOURS = ((255, 176, 0), (0, 170, 255))
 _AXIS_COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+# Smaller letters than this cannot be read anyway.
+_LEAST_SCALE = 0.2
 # Lines are drawn to a sixteenth of a pixel.
 _SHIFT = 4
 
@@ -68,12 +70,14 @@ def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> 
     height, width = image.shape[:2]
     scale = max(0.38, max(height, width) / 1700)
     thickness = max(1, round(1.2 * scale))
-    widest = max(cv2.getTextSize(line, _FONT, scale, thickness)[0][0] for line in lines)
-    # Too long a line, or too many for the image, are made to fit.
-    smaller = min(1.0, 0.96 * width / widest, 0.9 * height / (38 * scale * (len(lines) + 0.6)))
-    scale *= smaller
-    row, pad = round(38 * scale), round(12 * scale)
-    size = (len(lines) * row + 2 * pad, min(width, round(widest * smaller) + 2 * pad))
+    # Too long a line, or too many for the image, are made to fit; letters have whole pixels, so it is tried.
+    while True:
+        widest = max(cv2.getTextSize(line, _FONT, scale, thickness)[0][0] for line in lines)
+        row, pad = round(38 * scale), round(12 * scale)
+        size = (len(lines) * row + 2 * pad, widest + 2 * pad)
+        if scale < _LEAST_SCALE or (size[0] <= height and size[1] <= width):
+            break
+        scale *= 0.9
     top, left = _freest_corner(busy, size)
     plate = image[top : top + size[0], left : left + size[1]]
     plate[:] = (plate * 0.35).astype(np.uint8)
@@ -84,6 +88,6 @@ def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> 
 
 def _freest_corner(busy: NDArray[np.bool_], size: tuple[int, int]) -> tuple[int, int]:
     """Top and left of the corner piece of a size (rows, columns) with the least in it; the top left one where equal."""
-    rows, columns = size
+    rows, columns = min(size[0], busy.shape[0]), min(size[1], busy.shape[1])
     corners = [(top, left) for top in (0, busy.shape[0] - rows) for left in (0, busy.shape[1] - columns)]
     return min(corners, key=lambda at: int(busy[at[0] : at[0] + rows, at[1] : at[1] + columns].sum()))
