@@ -112,7 +112,7 @@ def test_trials_are_filmed_failures_first(tmp_path: Path) -> None:
 def started(*args: str | Path, **env: str) -> tuple[subprocess.Popen[str], dict]:
     """`yamsim replay --json ARGS` in a process of its own, from when it tells where it is shown."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli.main", "replay", "--json", *map(str, args)],
+        [sys.executable, "-m", "yamsim_cli", "replay", "--json", *map(str, args)],
         cwd=Path(__file__).parents[2],
         env={**os.environ, **env},
         stdin=subprocess.DEVNULL,

@@ -217,7 +217,7 @@ def test_a_paused_player_stands_still_and_goes_on_where_it_was(player: EpisodePl
 
 def test_the_page_comes_up_and_a_signal_ends_it(original: Path, repository: Path) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
-    command = [sys.executable, "-m", "yamsim_cli.main", "replay", str(original / "ep_000000"), "--web", "--port", "0"]
+    command = [sys.executable, "-m", "yamsim_cli", "replay", str(original / "ep_000000"), "--web", "--port", "0"]
     with subprocess.Popen(
         [*command, "--json"],
         cwd=repository,

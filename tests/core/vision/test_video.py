@@ -158,7 +158,7 @@ def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -> N
         "from pathlib import Path\n"
         "from tests.core.vision.test_video import film\n"
         "from yamsim_cli.core.errors import ResourceError\n"
-        "for limit in (1, int(sys.argv[2]) // 2, int(sys.argv[2]) - 1):\n"
+        "for limit in (1, int(sys.argv[2]) // 2, int(sys.argv[2]) * 9 // 10):\n"
         "    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))\n"
         "    try:\n"
         "        film(Path(sys.argv[1]) / 'a.mp4', 30)\n"
