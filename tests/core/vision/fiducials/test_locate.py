@@ -234,6 +234,29 @@ def test_boards_that_lie_so_together_pin_each_other() -> None:
     assert joint[0].position_sigma < 0.9 * alone[0].position_sigma
 
 
+@pytest.mark.parametrize("larger", [0.9975, 1.004])
+def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -> None:
+    """Fixed, so small an error would tilt both boards by tenths of a degree: the known distance would pull at them."""
+    apart = pose((0.25, 0.0, 0.0))
+    truth = facing(-0.12, 0.0, 0.8)
+    printed = [replace(board, marker_length=LENGTH * larger, gap=LENGTH / 10 * larger) for board in (ONE, TWO)]
+    photo = photograph(CAMERA, [(printed[0], truth), (printed[1], truth @ apart)])
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    assert errors(alone[0], truth)[0] > 1.5e-3
+    joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
+    assert joint is not None
+    assert_exact(joint[0], truth)
+
+
+def test_together_only_what_lies_together() -> None:
+    """Boards that are 2 % farther apart than they are said to be are not forced onto each other."""
+    truth = facing(-0.12, 0.0, 0.8)
+    photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ pose((0.255, 0.0, 0.0)))])
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.25, 0.0, 0.0))]) is None
+    assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.255, 0.0, 0.0))]) is not None
+
+
 def test_a_pose_from_elsewhere_gets_its_own_reprojection() -> None:
     truth = facing(0, 0, 0.6)
     photo = photograph(CAMERA, [(ONE, truth)])
