@@ -10,7 +10,7 @@ from yamsim_cli.core.dataset.layout import image_name, lowdim_name
 from yamsim_cli.core.jobs.executor import LostJobError
 from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
 
-FRAMES = 2
+FRAMES = 1
 
 
 def payload(job: EpisodeJob) -> EpisodePayload:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -210,7 +211,7 @@ def test_a_task_that_always_fails_is_given_up(recording: Recording) -> None:
 
 
 def test_a_disk_without_room_is_refused_before_anything_is_made(recording: Recording, monkeypatch: Any) -> None:
-    monkeypatch.setattr("os.statvfs", lambda place: type("S", (), {"f_frsize": 4096, "f_bavail": 9, "f_files": 0})())
+    monkeypatch.setattr("os.statvfs", lambda place: SimpleNamespace(f_frsize=4096, f_bavail=9, f_files=0))
     with pytest.raises(ResourceError, match=r"5 episodes take .* 0 fit"):
         recording.run()
     assert not recording.path.exists()
@@ -220,5 +221,5 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(recording: Recor
 
 def test_a_finished_dataset_needs_no_room(recording: Recording, monkeypatch: Any) -> None:
     recording.run()
-    monkeypatch.setattr("os.statvfs", lambda place: type("S", (), {"f_frsize": 4096, "f_bavail": 9, "f_files": 0})())
+    monkeypatch.setattr("os.statvfs", lambda place: SimpleNamespace(f_frsize=4096, f_bavail=9, f_files=0))
     recording.resume()

@@ -21,7 +21,7 @@ Grey = NDArray[np.uint8]
 _ENLARGE_TO = 1920
 _MAX_ENLARGEMENT = 3
 
-# The detector's thresholds are made for grey levels that use their range: darker photos are stretched to it, without
+# The detector's thresholds are made for grey levels that use their range: darker photos are stretched to it, but for
 # their darkest and brightest thousandth.
 _ENDS = (0.1, 99.9)
 _WIDEST = 128.0

@@ -1,0 +1,111 @@
+"""Start `yamsim record` as a user does, look at its processes, and make small filesystems to record into."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SMALL = ("--size", "64x48", "--seed", "3")
+
+
+def command(out: Path, *flags: str) -> list[str]:
+    return [sys.executable, "-m", "yamsim_cli.main", "record", "--out", str(out), *SMALL, *flags]
+
+
+def start(out: Path, *flags: str, env: dict[str, str] | None = None) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command(out, *flags),
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **(env or {})},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def run(out: Path, *flags: str, env: dict[str, str] | None = None) -> tuple[int, str]:
+    """Exit code, and what it wrote to stderr."""
+    with start(out, *flags, env=env) as process:
+        _, err = process.communicate(timeout=300)
+        return process.returncode, err
+
+
+def workers_of(pid: int) -> list[int]:
+    """Processes that the recorder `pid` has spawned."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        return [int(child) for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    except FileNotFoundError:
+        return []
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_until(condition: Callable[[], object], seconds: float = 120) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"not within {seconds} s"
+        time.sleep(0.01)
+
+
+def episodes(dataset: Path) -> list[str]:
+    return sorted(path.name for path in dataset.glob("ep_*"))
+
+
+def digest(dataset: Path) -> dict[str, str]:
+    """Every file of a dataset with its hash."""
+    return {
+        path.relative_to(dataset).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(dataset.rglob("*"))
+        if path.is_file()
+    }
+
+
+@functools.cache
+def _may_mount() -> str | None:
+    """Why this kernel does not let us mount in a namespace of our own; None if it does."""
+    try:
+        probe = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs -o size=64k none /mnt"]
+        done = subprocess.run(probe, capture_output=True, text=True, timeout=20, check=False)
+    except FileNotFoundError:
+        return "no `unshare` here"
+    return None if done.returncode == 0 else done.stderr.strip() or "unshare failed"
+
+
+def in_namespace(script: str, **values: object) -> subprocess.CompletedProcess[str]:
+    """Run a shell script in a user and mount namespace of its own, where it may mount; skip where that is forbidden.
+
+    Args:
+        script: `$record FLAGS` in it records; other `$names` are `values`.
+    """
+    if (why := _may_mount()) is not None:
+        pytest.skip(f"mounting is not allowed here: {why}")
+    lines = [f"{name}={shlex.quote(str(value))}" for name, value in values.items()]
+    record = shlex.join([sys.executable, "-m", "yamsim_cli.main", "record", *SMALL])
+    text = "\n".join(["set -u", *lines, f'record() {{ {record} --out "$out" "$@"; }}', script])
+    return subprocess.run(
+        ["unshare", "-rm", "sh", "-c", text],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )

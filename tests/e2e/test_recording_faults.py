@@ -1,0 +1,208 @@
+"""Faults as they happen: killed processes, full and read-only disks, two recorders at once, a clock that jumps."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run_cli import yamsim
+from tests.e2e.recorder import (
+    ROOT,
+    SMALL,
+    digest,
+    episodes,
+    in_namespace,
+    is_alive,
+    run,
+    start,
+    wait_until,
+    workers_of,
+)
+
+pytestmark = [pytest.mark.render, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    path = tmp_path_factory.mktemp("faults") / "undisturbed"
+    code, err = run(path, "--n", "4", "--workers", "2")
+    assert code == 0, err
+    return digest(path)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+def test_a_killed_worker_is_replaced(undisturbed: dict[str, str], tmp_path: Path, number: signal.Signals) -> None:
+    path = tmp_path / "d"
+    with start(path, "--n", "4", "--workers", "2") as process:
+        wait_until(lambda: episodes(path))
+        before = workers_of(process.pid)
+        os.kill(before[0], number)
+        wait_until(lambda: set(workers_of(process.pid)) - set(before))
+        _, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == (0, "")
+    assert digest(path) == undisturbed
+
+
+def test_a_frozen_worker_is_replaced(undisturbed: dict[str, str], tmp_path: Path) -> None:
+    path = tmp_path / "d"
+    with start(path, "--n", "4", "--workers", "2", "--attempt-timeout", "20") as process:
+        wait_until(lambda: episodes(path))
+        before = workers_of(process.pid)
+        os.kill(before[0], signal.SIGSTOP)
+        _, err = process.communicate(timeout=180)
+    assert (process.returncode, err) == (0, "")
+    assert digest(path) == undisturbed
+    assert not is_alive(before[0])
+
+
+def test_workers_end_with_a_killed_recorder(undisturbed: dict[str, str], tmp_path: Path) -> None:
+    path = tmp_path / "d"
+    with start(path, "--n", "4", "--workers", "2") as process:
+        wait_until(lambda: episodes(path))
+        workers = workers_of(process.pid)
+        assert len(workers) == 2
+        process.kill()
+        wait_until(lambda: not any(map(is_alive, workers)), seconds=2)
+    assert run(path, "--n", "4", "--resume") == (0, "")
+    assert digest(path) == undisturbed
+
+
+def test_a_second_recorder_is_refused(undisturbed: dict[str, str], tmp_path: Path) -> None:
+    path = tmp_path / "d"
+    with start(path, "--n", "4", "--workers", "1") as first:
+        wait_until(lambda: (path / ".lock").exists() and (path / "config.yaml").exists())
+        for flag in ("--resume", "--overwrite", "--no-wrist"):
+            code, err = run(path, "--n", "4", flag)
+            assert code == 4
+            assert f"is being recorded into by process {first.pid} on {socket.gethostname()}" in err
+        _, err = first.communicate(timeout=120)
+    assert (first.returncode, err) == (0, "")
+    assert digest(path) == undisturbed
+
+
+# Records in the background; `spoil` is done once an episode is there, and undone before the rest is recorded.
+SPOILED = """
+mkdir -p "$disk"
+mount -t tmpfs -o "$options" none "$disk"
+out=$disk/d
+record --n 4 --workers 1 2> "$log" &
+while ! [ -e "$out/ep_000000" ]; do sleep 0.02; done
+eval "$spoil" 2> /dev/null
+wait $!
+echo "exit $?"
+cp -r "$out" "$copy"
+eval "$mend"
+record --n 4 --workers 2 --resume 2>> "$log"
+echo "exit $?"
+cp -r "$out" "$result"
+"""
+# Not the directory itself, but a view of it that does not allow writing: what is open stays open, as on a failing disk.
+READ_ONLY = 'mount --bind "$out" "$out" && mount -o remount,bind,ro "$out"'
+
+
+@pytest.mark.parametrize(
+    ("options", "spoil", "mend", "message"),
+    [
+        (
+            "size=4m,nr_inodes=1000",
+            'dd if=/dev/zero of="$disk/filler"',
+            'rm "$disk/filler"',
+            "no space left on the device",
+        ),
+        (
+            "size=20m,nr_inodes=700",
+            'mkdir "$disk/filler"; cd "$disk/filler"; touch $(seq 1000); cd "$OLDPWD"',
+            'rm -r "$disk/filler"',
+            "no inodes left on the device",
+        ),
+        ("size=20m", READ_ONLY, 'umount "$out"', "Read-only file system"),
+    ],
+    ids=["full", "out of inodes", "read-only"],
+)
+def test_a_disk_that_turns_bad_loses_nothing(
+    undisturbed: dict[str, str], tmp_path: Path, options: str, spoil: str, mend: str, message: str
+) -> None:
+    files = {name: tmp_path / name for name in ("disk", "log", "copy", "result")}
+    done = in_namespace(SPOILED, options=options, spoil=spoil, mend=mend, **files)
+    log = files["log"].read_text()
+    assert [line for line in done.stdout.splitlines() if line.startswith("exit")] == ["exit 6", "exit 0"], log
+    assert message in log
+    assert "of 4 episodes are whole" in log
+    assert "continue with --resume" in log
+    assert len(log.splitlines()) == 1, log
+    assert episodes(files["copy"])
+    broken = [p for p in yamsim("summarize", files["copy"], "--json").json["problems"] if p["file"] != "manifest.json"]
+    assert broken == []
+    assert digest(files["result"]) == undisturbed
+
+
+def test_a_disk_that_is_read_only_from_the_start_is_refused(tmp_path: Path) -> None:
+    script = """
+        mkdir -p "$out"
+        mount --bind "$out" "$out"
+        mount -o remount,bind,ro "$out"
+        record --n 1
+    """
+    done = in_namespace(script, out=tmp_path / "d")
+    assert done.returncode == 4
+    assert done.stderr.startswith(f"yamsim: {tmp_path / 'd'} cannot be written: Read-only file system")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "what"), [("size=2m", "room for 1 MB in"), ("size=40m,nr_inodes=100", "files: 0 fit")]
+)
+def test_a_disk_that_is_too_small_is_refused_before_anything_is_made(tmp_path: Path, options: str, what: str) -> None:
+    script = 'mount -t tmpfs -o "$options" none "$disk"; record --n 4; code=$?; ls -A "$disk"; exit $code'
+    done = in_namespace(script, options=options, disk=tmp_path, out=tmp_path / "d")
+    assert (done.returncode, done.stdout) == (4, "")
+    assert done.stderr.startswith("yamsim: 4 episodes take 476 files and at least 2 MB")
+    assert what in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_limit_on_file_sizes_loses_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "limited"
+    script = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000))\n"
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"import sys; sys.argv = ['yamsim', 'record', '--n', '1', '--out', {str(path)!r}, *{SMALL!r}]\n"
+        "from yamsim_cli.main import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 6, done.stderr
+    assert "File too large: a limit on file sizes is in force: see ulimit -f: 0 of 1 episodes are whole" in done.stderr
+    assert episodes(path) == []
+    assert not (path / ".staging").exists()
+
+
+def faketime_library() -> Path | None:
+    return next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)
+
+
+def test_a_clock_that_is_set_back_changes_nothing(undisturbed: dict[str, str], tmp_path: Path) -> None:
+    library = faketime_library()
+    if library is None:
+        pytest.skip("libfaketime is not installed")
+    path, clock = tmp_path / "d", tmp_path / "clock"
+    clock.write_text("+0")
+    environment = {
+        "LD_PRELOAD": str(library),
+        "FAKETIME_TIMESTAMP_FILE": str(clock),
+        "FAKETIME_NO_CACHE": "1",
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+    }
+    with start(path, "--n", "4", "--workers", "2", env=environment) as process:
+        wait_until(lambda: episodes(path))
+        clock.write_text("-400d")
+        _, err = process.communicate(timeout=180)
+    assert (process.returncode, err) == (0, "")
+    assert digest(path) == undisturbed
