@@ -16,7 +16,7 @@ from yamsim_cli.core.vision.lens import ray_field
 
 Photo = NDArray[np.uint8]
 
-_FINER = 4
+_FINER = 3
 # Gaps of a tenth of a marker are whole pixels at this scale.
 _CELL_PX = 20
 _QUIET_CELLS = 1

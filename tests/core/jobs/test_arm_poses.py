@@ -90,6 +90,9 @@ def test_a_wrong_margin_in_the_rig_is_told(russet: RigConfig, clean: np.ndarray,
             note = next(note for note in result.notes if "mend" in note)
             assert f"the arms are {result.margin:.4f} m apart here (+- 0." in note
             assert f"and {0.591 + off:.4f} m in rig 'russet'" in note
+        # So wrong a margin is not followed, whatever was asked for.
+        assert max(shift_mm(result, russet, k) for k in (0, 1)) < (4.0 if off == 0.001 else 0.5)
+        assert any("its margin is not trusted" in note for note in result.notes) == (told and trust)
 
 
 def test_together_the_arms_stand_as_the_rig_says(russet: RigConfig, clean: np.ndarray) -> None:

@@ -165,7 +165,10 @@ def test_refining_keeps_a_good_pose_and_what_the_margin_promises(
         assert degrees < 0.3
         sighting = report.results[0].arms[k].sighting
         assert sighting is not None
-        # Of the pose as it now is.
+        # The board moved with its arm, and the figure is that of the pose as it now is.
+        board = russet_shot.rig.arms[k].board
+        assert board is not None
+        assert sighting.T_board_in_cam == pytest.approx(T[k] @ board.T_board_in_arm, abs=1e-9)
         assert sighting.reprojection_rms is not None
         assert 0.0 < sighting.reprojection_rms < 0.5
     apart = inverse(russet_shot.T_base_in_cam(0)) @ russet_shot.T_base_in_cam(1)

@@ -100,6 +100,20 @@ def test_a_cut_off_file_is_refused(
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_png_with_a_flipped_bit_is_refused_without_a_word_of_the_decoders(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = saved(tmp_path / "a.png", bgr())
+    data = bytearray(path.read_bytes())
+    for place in (20, len(data) // 2, len(data) - 20):
+        damaged = data.copy()
+        damaged[place] ^= 4
+        path.write_bytes(damaged)
+        with pytest.raises(ResourceError, match="no whole PNG"):
+            read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_phones_photo_with_a_preview_inside_is_refused_when_cut_off(tmp_path: Path) -> None:
     """The preview has an end marker of its own, near the file's beginning."""
     big = cv2.resize(bgr(), (640, 480))

@@ -133,7 +133,7 @@ def find_arms(
     result = PhotoResult(photo.path, camera, source, photo.joints_source, tuple(arms), ids, notes=_misfits(arms))
     result = _with_margin(rig, result)
     if trust_margin and len(arms) > 1 and result.bases:
-        result = replace(result, arms=_trusting(rig, result, grey, camera))
+        result = _trusting(rig, result, grey, camera)
     first = result.arms[0]
     if first.T_base_in_cam is None and photo.T_base_in_cam is not None:
         recorded = replace(first, status=RECORDED, T_base_in_cam=photo.T_base_in_cam)
@@ -186,7 +186,7 @@ def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
     return math.sqrt(max(0.0, variance) + float(apart @ apart))
 
 
-def _trusting(rig: RigConfig, result: PhotoResult, grey: NDArray[np.uint8], camera: CameraModel) -> tuple[ArmPose, ...]:
+def _trusting(rig: RigConfig, result: PhotoResult, grey: NDArray[np.uint8], camera: CameraModel) -> PhotoResult:
     """All arms from one pose of the whole rig, which all boards that were found give together."""
     seen = [k for k, arm in enumerate(result.arms) if arm.sighting and arm.sighting.status is Status.OK]
     sightings, T_boards = [], []
@@ -197,7 +197,10 @@ def _trusting(rig: RigConfig, result: PhotoResult, grey: NDArray[np.uint8], came
         T_boards.append(rig.T_base_in_world(k) @ config.T_board_in_arm)
     joint = locate_together(grey, camera, sightings, T_boards)
     if joint is None or joint[0].T_board_in_cam is None:
-        return result.arms
+        refused = (
+            f"the boards do not lie as rig {rig.name!r} says: its margin is not trusted, each arm has its own pose"
+        )
+        return replace(result, notes=(*result.notes, refused))
     T_world_in_cam = joint[0].T_board_in_cam @ inverse(T_boards[0])
     arms = []
     for k, arm in enumerate(result.arms):
@@ -206,4 +209,4 @@ def _trusting(rig: RigConfig, result: PhotoResult, grey: NDArray[np.uint8], came
             arms.append(replace(arm, sighting=joint[seen.index(k)], T_base_in_cam=T))
         else:
             arms.append(replace(arm, status=INFERRED, T_base_in_cam=T))
-    return tuple(arms)
+    return replace(result, arms=tuple(arms))

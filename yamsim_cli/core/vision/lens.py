@@ -41,7 +41,12 @@ def rays(camera: CameraModel, pixels: ArrayLike) -> Array:
         (fx, skew, cx), (_, fy, cy), _ = camera.K
         y = (points[:, 0, 1] - cy) / fy
         return np.column_stack([(points[:, 0, 0] - cx - skew * y) / fx, y])
-    found = cv2.undistortPoints(points, np.array(camera.K), np.array(camera.distortion), criteria=_UNDISTORT)
+    K, distortion = np.array(camera.K), np.array(camera.distortion)
+    # OpenCV 4 takes criteria under another name.
+    if older := getattr(cv2, "undistortPointsIter", None):
+        found = older(points, K, distortion, np.eye(3), np.eye(3), _UNDISTORT)
+    else:
+        found = cv2.undistortPoints(points, K, distortion, criteria=_UNDISTORT)
     return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
 

@@ -200,12 +200,12 @@ def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
 
 
 def test_the_uncertainty_is_that_of_many_photos() -> None:
-    """Poses of forty photos with other noise lie as the covariance, less what all photos share, says or closer."""
+    """Poses of 24 photos with other noise lie as the covariance, less what all photos share, says or closer."""
     truth = facing(0.05, 0.02, 0.7)
     clean = picture(CAMERA, [(ONE, truth)])
-    found = [seen(with_noise(clean, 4.0, seed)) for seed in range(40)]
+    found = [seen(with_noise(clean, 4.0, seed)) for seed in range(24)]
     shifts = np.array([one.T_board_in_cam[:3, 3] - truth[:3, 3] for one in found if one.T_board_in_cam is not None])
-    assert len(shifts) == 40
+    assert len(shifts) == 24
     first = found[0]
     assert first.covariance is not None
     assert first.shared is not None
@@ -232,6 +232,29 @@ def test_boards_that_lie_so_together_pin_each_other() -> None:
     assert alone[0].rotation_sigma is not None
     # What the print's size leaves open of the distance, the known distance between the boards settles.
     assert joint[0].position_sigma < 0.9 * alone[0].position_sigma
+
+
+@pytest.mark.parametrize("larger", [0.9975, 1.004])
+def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -> None:
+    """Fixed, so small an error would tilt both boards by tenths of a degree: the known distance would pull at them."""
+    apart = pose((0.25, 0.0, 0.0))
+    truth = facing(-0.12, 0.0, 0.8)
+    printed = [replace(board, marker_length=LENGTH * larger, gap=LENGTH / 10 * larger) for board in (ONE, TWO)]
+    photo = photograph(CAMERA, [(printed[0], truth), (printed[1], truth @ apart)])
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    assert errors(alone[0], truth)[0] > 1.5e-3
+    joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
+    assert joint is not None
+    assert_exact(joint[0], truth)
+
+
+def test_together_only_what_lies_together() -> None:
+    """Boards that are 2 % farther apart than they are said to be are not forced onto each other."""
+    truth = facing(-0.12, 0.0, 0.8)
+    photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ pose((0.255, 0.0, 0.0)))])
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.25, 0.0, 0.0))]) is None
+    assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.255, 0.0, 0.0))]) is not None
 
 
 def test_a_pose_from_elsewhere_gets_its_own_reprojection() -> None:

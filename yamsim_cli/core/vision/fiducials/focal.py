@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
-from .align import Zoom, align
+from .align import Guess, align
 from .locate import INFLATION, Sighting, Status, locate
 from .print_view import Piece
 
@@ -80,7 +80,7 @@ def _refined(photo: NDArray[np.float32], camera: CameraModel, seen: Sighting, us
     T, blur, fit = seen.T_board_in_cam, seen.blur or 0.9, None
     # Focal length and tilt lie in a long valley: the second walk starts where the first one along it ended.
     for _ in range(2):
-        prior = Zoom(math.log(usual / camera.focal), _USUAL_SPREAD / INFLATION)
+        prior = Guess(math.log(usual / camera.focal), _USUAL_SPREAD / INFLATION)
         fit = align(photo, camera, pieces, T, blur, prior)
         if fit is None:
             return None

@@ -7,38 +7,28 @@ better than guessing.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
-from ...geometry.se3 import Array, inverse, pose, rotation_vector
-from ..lens import project_points, rays
-from .align import Alignment, Tile, agreement, align
-from .markers import Group, Marker, find_markers, groups
+from ...geometry.se3 import Array, inverse
+from .align import Alignment, Guess, agreement, align
+from .fits import Fit, angle_between, fit_pose, rival_of, starts
+from .linearize import Tile
+from .markers import Marker, find_markers, groups
 from .print_view import Piece
 
 Grey = NDArray[np.uint8]
 
 # Sigma, px, where nothing is known yet.
 _USUAL_BLUR = 0.9
-# A marker whose print and photo correlate less than this is hidden, moved or something else.
-_SAME_PRINT = 0.75
-# How much more likely the photo has to be under the pose than under its rival (difference of log-likelihoods), with
-# neighbouring pixels counted as `_CORRELATED` times fewer independent ones.
-_MIN_EVIDENCE = 12.0
-_CORRELATED = 4.0
-# Poses closer than this are the same one.
-_SAME_POSE = math.radians(4.0)
-# A rival this much worse before it is fitted (mean squared residual) cannot win.
-_HOPELESS = 4.0
-
 # Accepted poses are known at least this well.
 _MAX_TURN_SIGMA = math.radians(3.0)
 _MAX_SHIFT_SIGMA = 0.03  # of the distance
@@ -48,6 +38,8 @@ _MAX_SHIFT_SIGMA = 0.03  # of the distance
 INFLATION = 2.0
 # What a printed board's scale is known to where nobody measured it. A printer stretches by a few tenths of a percent.
 _PRINT_SIGMA = 0.0025
+# A print that would have to be so much larger or smaller is none: the boards do not lie where they are said to.
+_MOST_GROWTH = 3 * _PRINT_SIGMA
 
 
 class Status(StrEnum):
@@ -122,11 +114,11 @@ def _sighting(
     if len(found) > 1 and 2 * len(found[1].places) > len(best.places):
         reason = f"its markers are in {len(found)} places: hide or remove the other prints"
         return Sighting(board, ids, Status.AMBIGUOUS, reason)
-    fits: list[_Fit] = []
-    for T in _starts(best, board, camera):
-        if fit := _fit(photo, camera, board, best.places, T):
+    fits: list[Fit] = []
+    for T in starts(best, board, camera):
+        if fit := fit_pose(photo, camera, board, best.places, T):
             fits.append(fit)
-            # Where the whole print agrees, the other start could at most be its rival, which `_rival` looks for.
+            # Where the whole print agrees, the other start could at most be its rival, which `rival_of` looks for.
             if fit.contradicting == 0:
                 break
     if not fits:
@@ -147,19 +139,24 @@ def locate_together(
         T_boards_in_ref: pose (4, 4) of each of their boards in the frame that they share.
 
     Returns:
-        The sightings with their poses and figures made anew; None where the fit breaks down.
+        The sightings with their poses and figures made anew; None where they do not lie so, whatever the print's size.
     """
     pieces = [
         Piece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
         for seen, T in zip(sightings, T_boards_in_ref, strict=True)
     ]
     # The board known best says where the shared frame is to begin with.
-    start = min(range(len(pieces)), key=lambda k: sightings[k].position_sigma or math.inf)
-    T_board_in_cam = sightings[start].T_board_in_cam
+    best = min(range(len(pieces)), key=lambda k: sightings[k].position_sigma or math.inf)
+    T_board_in_cam, blur = sightings[best].T_board_in_cam, sightings[best].blur or _USUAL_BLUR
     assert T_board_in_cam is not None
-    T_start = T_board_in_cam @ inverse(T_boards_in_ref[start])
-    alignment = align(grey.astype(np.float32), camera, pieces, T_start, sightings[start].blur or _USUAL_BLUR)
-    if alignment is None:
+    # How the boards lie is trusted, the print's size is not: fixed, an error of a quarter of a percent would tilt them
+    # by 0.2 degrees.
+    growth = Guess(0.0, _PRINT_SIGMA / INFLATION, _growth(sightings, T_boards_in_ref))
+    T_start = T_board_in_cam.copy()
+    T_start[:3, 3] *= math.exp(growth.start)
+    T_start = T_start @ inverse(T_boards_in_ref[best])
+    alignment = align(grey.astype(np.float32), camera, pieces, T_start, blur, growth=growth)
+    if alignment is None or abs(alignment.growth) > _MOST_GROWTH:
         return None
     T_ref, joint = alignment.T_ref_in_cam, []
     for k, (seen, T) in enumerate(zip(sightings, T_boards_in_ref, strict=True)):
@@ -171,6 +168,16 @@ def locate_together(
     return joint
 
 
+def _growth(sightings: Sequence[Sighting], T_boards_in_ref: Sequence[Array]) -> float:
+    """How much larger (logarithm) the prints have to be for the boards to lie as far apart as they are known to."""
+    logs = []
+    for (one, T_one), (two, T_two) in itertools.combinations(zip(sightings, T_boards_in_ref, strict=True), 2):
+        assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
+        seen = float(np.linalg.norm(two.T_board_in_cam[:3, 3] - one.T_board_in_cam[:3, 3]))
+        logs.append(math.log(float(np.linalg.norm(T_two[:3, 3] - T_one[:3, 3])) / seen))
+    return float(np.clip(np.mean(logs), -2 * _MOST_GROWTH, 2 * _MOST_GROWTH)) if logs else 0.0
+
+
 def at_pose(grey: Grey, camera: CameraModel, seen: Sighting, T_board_in_cam: Array) -> Sighting:
     """A sighting with a pose from elsewhere, and how far the photo (height, width) has its markers from there."""
     piece = Piece(seen.board, np.eye(4), tuple(seen.board.ids.index(number) for number in seen.markers))
@@ -179,79 +186,15 @@ def at_pose(grey: Grey, camera: CameraModel, seen: Sighting, T_board_in_cam: Arr
     return replace(seen, T_board_in_cam=T_board_in_cam, reprojection_rms=rms)
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """A pose fitted to a board's print: the markers that agree with it, and how many seen ones do not."""
-
-    alignment: Alignment
-    agreeing: tuple[int, ...]
-    contradicting: int
-
-    @property
-    def T(self) -> Array:
-        return self.alignment.T_ref_in_cam
-
-    @property
-    def mean_square(self) -> float:
-        return self.alignment.cost / self.alignment.pixels
-
-
-def _starts(group: Group, board: Board, camera: CameraModel) -> list[Array]:
-    """Poses (4, 4) that a planar board's corners allow, the likelier one first. Unlikely ones are left out."""
-    points = board.corners()[list(group.places)].reshape(-1, 3)
-    pixels = group.corners.reshape(-1, 2)
-    # IPPE knows no distortion, so it is given viewing rays.
-    count, turns, shifts, _ = cv2.solvePnPGeneric(
-        points, rays(camera, pixels), np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-    )
-    K, distortion = np.array(camera.K), np.array(camera.distortion)
-    starts = []
-    for k in range(count):
-        turn, shift = cv2.solvePnPRefineLM(points, pixels, K, distortion, turns[k], shifts[k])
-        T = pose(shift.ravel(), cv2.Rodrigues(turn)[0])
-        if not np.isfinite(T).all() or not _faces_camera(T):
-            continue
-        off = project_points(camera, points @ T[:3, :3].T + T[:3, 3]) - pixels
-        starts.append((float(np.sqrt((off**2).sum(axis=1).mean())), T))
-    starts.sort(key=lambda start: start[0])
-    return [T for _, T in starts]
-
-
-def _faces_camera(T_board_in_cam: Array) -> bool:
-    """Whether the board is in front of the camera with its printed side towards it."""
-    return bool(T_board_in_cam[2, 3] > 0 and T_board_in_cam[:3, 2] @ T_board_in_cam[:3, 3] < 0)
-
-
-def _fit(photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], T: Array) -> _Fit | None:
-    """Fit a pose to the markers that were read, then to all whose print shows where it predicts it."""
-    first = align(photo, camera, [Piece(board, np.eye(4), tuple(places))], T)
-    if first is None or not _faces_camera(first.T_ref_in_cam):
-        return None
-    everything = Piece(board, np.eye(4), tuple(range(len(board.ids))))
-    check = agreement(photo, camera, [everything], first.T_ref_in_cam, first.blur, first.noise)
-    if check is None:
-        return None
-    tiles = check.tiles[0]
-    agreeing = tuple(k for k, tile in tiles.items() if tile.correlation >= _SAME_PRINT)
-    if not agreeing:
-        return None
-    if set(agreeing) != set(places):
-        piece = Piece(board, np.eye(4), agreeing)
-        again = align(photo, camera, [piece], first.T_ref_in_cam, first.blur)
-        if again is None or not _faces_camera(again.T_ref_in_cam):
-            return None
-        first = again
-    return _Fit(first, agreeing, len(tiles) - len(agreeing))
-
-
-def _judge(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: _Fit, fits: Sequence[_Fit]) -> Sighting:
+def _judge(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: Fit, fits: Sequence[Fit]) -> Sighting:
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = _shift_rms(fit.alignment.tiles[0])
     covariance, shared = _uncertainty(fit.alignment, camera, np.zeros(3))
-    if rival := _rival(photo, camera, board, fit, fits):
+    if rival := rival_of(photo, camera, board, fit, fits):
+        apart = math.degrees(angle_between(fit.T, rival.T))
         reason = (
-            f"two poses, {math.degrees(_angle(fit.T, rival.T)):.0f} degrees apart, explain the {len(ids)} markers "
-            "about equally well: take the photo from nearer by or from a slant"
+            f"two poses, {apart:.0f} degrees apart, explain the {len(ids)} markers about equally well: take the photo "
+            "from nearer by or from a slant"
         )
         return Sighting(board, ids, Status.AMBIGUOUS, reason, reprojection_rms=rms, blur=fit.alignment.blur)
     sighting = Sighting(board, ids, Status.OK, "", fit.T, covariance, shared, rms, fit.alignment.blur)
@@ -265,39 +208,6 @@ def _judge(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: _
         )
         return Sighting(board, ids, Status.POOR_FIT, reason, reprojection_rms=rms, blur=fit.alignment.blur)
     return sighting
-
-
-def _rival(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: _Fit, fits: Sequence[_Fit]
-) -> _Fit | None:
-    """Another pose that explains the same markers nearly as well; None where there is none."""
-    piece = Piece(board, np.eye(4), fit.agreeing)
-    corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
-    exact = corners @ fit.T[:3, :3].T + fit.T[:3, 3]
-    count, turns, shifts, _ = cv2.solvePnPGeneric(
-        corners, exact[:, :2] / exact[:, 2:], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-    )
-    others = [pose(shifts[k].ravel(), cv2.Rodrigues(turns[k])[0]) for k in range(count)]
-    others += [other.T for other in fits]
-    for T in others:
-        if _angle(T, fit.T) < _SAME_POSE or not _faces_camera(T):
-            continue
-        alignment = fit.alignment
-        before = agreement(photo, camera, [piece], T, alignment.blur, alignment.noise)
-        if before is None or before.cost / before.pixels > _HOPELESS * fit.mean_square:
-            continue
-        after = align(photo, camera, [piece], T, alignment.blur)
-        if after is None or _angle(after.T_ref_in_cam, fit.T) < _SAME_POSE or not _faces_camera(after.T_ref_in_cam):
-            continue
-        rival = _Fit(after, fit.agreeing, 0)
-        evidence = 0.5 * fit.alignment.pixels / _CORRELATED * math.log(rival.mean_square / fit.mean_square)
-        if evidence < _MIN_EVIDENCE:
-            return rival
-    return None
-
-
-def _angle(T_a: Array, T_b: Array) -> float:
-    return float(np.linalg.norm(rotation_vector(T_a[:3, :3].T @ T_b[:3, :3])))
 
 
 def _shift_rms(tiles: Mapping[int, Tile]) -> float:

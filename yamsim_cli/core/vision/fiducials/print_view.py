@@ -72,7 +72,7 @@ class Drawing:
 
     Attributes:
         grey: (rows, columns), 0 black to 1 white.
-        at: where on the board (n, 2) each pixel lies, m.
+        at: where on the board (n, 2) each pixel lies, in m of the board's own measures.
         marker: which marker's surroundings (n,) the pixel shows and nothing else; -1 for none.
     """
 
@@ -165,11 +165,17 @@ def _reduced(board: Board, coarser: int) -> Grey:
     return np.asarray(cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def draw_print(view: PrintView, T_ref_in_cam: Array, blur: float, lengthened: float) -> Drawing:
-    """Draw a piece at a pose, `blur` (sigma) in the view's pixels, the focal length `lengthened` times the camera's."""
+def draw_print(view: PrintView, T_ref_in_cam: Array, blur: float, lengthened: float, larger: float) -> Drawing:
+    """Draw a piece at a pose.
+
+    Args:
+        blur: sigma in the view's pixels.
+        lengthened: how many times the camera's the focal length is.
+        larger: how many times the board's the print's size is.
+    """
     T_board_in_cam = T_ref_in_cam @ view.piece.T_board_in_ref
     shorter = 1 / lengthened
-    onto_board = np.linalg.inv(T_board_in_cam[:3, [0, 1, 3]]) @ np.diag([shorter, shorter, 1.0])
+    onto_board = np.linalg.inv(T_board_in_cam[:3, [0, 1, 3]] * (larger, larger, 1.0)) @ np.diag([shorter, shorter, 1.0])
     board = view.piece.board
     field = view.field
     A = onto_board.astype(np.float32)
