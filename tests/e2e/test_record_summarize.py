@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
+from yamsim_cli.core.config.record import ImageConfig
+from yamsim_cli.core.dataset.space import EpisodeSize
 
 pytestmark = pytest.mark.render
 
@@ -54,6 +56,8 @@ def test_layout_on_the_disk(dataset: Path) -> None:
         frames = sorted(path.name for path in (dataset / "ep_000001" / "rgb" / camera).iterdir())
         assert frames == [f"{k:06d}.jpg" for k in range(57)]
     assert len(list((dataset / "ep_000001" / "lowdim").iterdir())) == 57
+    image = ImageConfig(size_px=(96, 72), jpeg_quality=85)
+    assert EpisodeSize.expected(57, 2, image, 4096).inodes == 1 + len(list((dataset / "ep_000001").rglob("*")))
 
 
 def test_lowdim_reads_without_yamsim(dataset: Path) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -206,3 +208,41 @@ def test_a_clock_that_is_set_back_changes_nothing(undisturbed: dict[str, str], t
         _, err = process.communicate(timeout=180)
     assert (process.returncode, err) == (0, "")
     assert digest(path) == undisturbed
+
+
+@pytest.fixture
+def fuse(tmp_path: Path) -> Iterator[Path]:
+    """A directory on a FUSE mount."""
+    if shutil.which("bindfs") is None:
+        pytest.skip("bindfs is not installed")
+    source, point = tmp_path / "behind", tmp_path / "remote"
+    source.mkdir()
+    point.mkdir()
+    with subprocess.Popen(["bindfs", "-f", str(source), str(point)], stderr=subprocess.PIPE, text=True) as server:
+        try:
+            while not os.path.ismount(point):
+                if server.poll() is not None:
+                    assert server.stderr
+                    pytest.skip(f"FUSE is not allowed here: {server.stderr.read().strip()}")
+            yield point
+        finally:
+            subprocess.run(["umount", "-l", str(point)], check=False, capture_output=True)
+            server.kill()
+
+
+def test_a_network_mount_is_mentioned_and_a_stage_bears_kills(
+    undisturbed: dict[str, str], tmp_path: Path, fuse: Path
+) -> None:
+    path, stage = fuse / "d", tmp_path / "stage"
+    with start(path, "--n", "4", "--workers", "2", "--stage", str(stage)) as process:
+        wait_until(lambda: episodes(path) or list(stage.glob("*/ep_*")))
+        process.kill()
+    code, err = run(path, "--n", "4", "--workers", "2", "--stage", str(stage), "--resume")
+    assert code == 0, err
+    assert digest(path) == undisturbed
+    assert list(stage.iterdir()) == []
+
+    code, err = run(path, "--n", "4", "--resume")
+    assert code == 0
+    assert f"{path} is on {fuse}, which is fuse" in err
+    assert "With --stage DIR" in err

@@ -46,6 +46,9 @@ def record(
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    stage: Annotated[
+        Path | None, typer.Option(help="A local directory; episodes are moved from there to a slow --out.")
+    ] = None,
     attempt_timeout: Annotated[
         float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
     ] = 600.0,
@@ -66,14 +69,16 @@ def record(
     settings = record_config(config, where, flags)
     use_gl()
 
-    from yamsim_cli.core.jobs.record import LocalProcesses, Output, Watch
+    from yamsim_cli.core.jobs.collect import Watch
+    from yamsim_cli.core.jobs.destination import Output
+    from yamsim_cli.core.jobs.record import LocalProcesses
     from yamsim_cli.core.jobs.record import record as run
     from yamsim_cli.core.scene.compose import mesh_sets
 
     meshes = resolve_meshes(mesh_sets(settings.rig, (settings.task.object, settings.task.target)), where)
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
         watch = Watch(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
-        report = run(settings, where, meshes, Output(out, mode), LocalProcesses(attempt_timeout), watch, stop)
+        report = run(settings, where, meshes, Output(out, mode, stage), LocalProcesses(attempt_timeout), watch, stop)
     _show(report, json)
 
 

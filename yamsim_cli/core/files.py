@@ -7,6 +7,7 @@ crash at any moment leaves the old state or the new one under the final name, ne
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import os
@@ -29,23 +30,30 @@ def sha256_file(path: Path) -> str:
 
 def fsync_directory(path: Path) -> None:
     """Flush a directory's entries, so that a rename in it survives a power cut."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
+    with _opened(path, os.O_RDONLY | os.O_DIRECTORY) as descriptor:
         os.fsync(descriptor)
+
+
+@contextlib.contextmanager
+def _opened(path: Path, flags: int) -> Iterator[int]:
+    """A descriptor for the block; its errors name the file, which the system's own do not."""
+    descriptor = os.open(path, flags, 0o666)
+    try:
+        yield descriptor
+    except OSError as error:
+        error.filename = error.filename or str(path)
+        raise
     finally:
         os.close(descriptor)
 
 
 def _write_and_fsync(path: Path, data: bytes) -> None:
     """Create a file that must not exist."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-    try:
+    with _opened(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL) as descriptor:
         rest = memoryview(data)
         while rest:
             rest = rest[os.write(descriptor, rest) :]
         os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def write_file(path: Path, data: bytes) -> None:
@@ -85,17 +93,14 @@ def append_line(path: Path, line: str) -> None:
 
     A cut-off last line, as a power cut can leave, is closed first, so that it never swallows the new one.
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-    try:
+    with _opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND) as descriptor:
         size = os.fstat(descriptor).st_size
         cut_off = size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
         data = (("\n" if cut_off else "") + line + "\n").encode()
         if os.write(descriptor, data) != len(data):
             os.ftruncate(descriptor, size)
-            raise OSError(f"short write to {path}: the disk may be full")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) -> None:

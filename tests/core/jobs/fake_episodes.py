@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 
+from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.layout import image_name, lowdim_name
+from yamsim_cli.core.dataset.writer import OpenMode, read_attempts
+from yamsim_cli.core.jobs.collect import Watch
+from yamsim_cli.core.jobs.destination import Output
 from yamsim_cli.core.jobs.executor import LostJobError
+from yamsim_cli.core.jobs.record import RecordReport, record
+from yamsim_cli.core.jobs.stop import Stop
+from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
 
 FRAMES = 1
@@ -71,3 +79,35 @@ class Inline:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+class Recording:
+    """Records with fake attempts."""
+
+    def __init__(self, config: RecordConfig, path: Path, stage: Path | None = None) -> None:
+        self.config = config
+        self.path = path
+        self.stage = stage
+        self.warnings: list[str] = []
+        self.stop = Stop()
+
+    def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
+        return record(
+            self.config.model_copy(update={"workers": workers}),
+            Locations((), Path("/nowhere")),
+            {},
+            Output(self.path, mode, self.stage),
+            executor or Inline(),
+            Watch(lambda done, wanted, attempts: None, self.warnings.append),
+            self.stop,
+        )
+
+    def resume(self, executor: Inline | None = None) -> RecordReport:
+        return self.run(executor, OpenMode.RESUME)
+
+    def causes(self) -> list[str | None]:
+        return [attempt.outcome.cause for attempt in read_attempts(self.path)]

@@ -3,54 +3,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from tests.core.jobs.fake_episodes import Inline, payload
+from tests.core.jobs.fake_episodes import Inline, Recording, payload, tree
 from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.dataset.writer import OpenMode, read_attempts
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
-from yamsim_cli.core.jobs.collect import Watch
-from yamsim_cli.core.jobs.record import Output, RecordReport, record
 from yamsim_cli.core.jobs.stop import Stop
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.mounts import Mount
 from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
 
 Make = Callable[..., RecordConfig]
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
-class Recording:
-    """Records with fake attempts."""
-
-    def __init__(self, config: RecordConfig, path: Path) -> None:
-        self.config = config
-        self.path = path
-        self.warnings: list[str] = []
-        self.stop = Stop()
-
-    def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
-        return record(
-            self.config.model_copy(update={"workers": workers}),
-            Locations((), Path("/nowhere")),
-            {},
-            Output(self.path, mode),
-            executor or Inline(),
-            Watch(lambda done, wanted, attempts: None, self.warnings.append),
-            self.stop,
-        )
-
-    def resume(self, executor: Inline | None = None) -> RecordReport:
-        return self.run(executor, OpenMode.RESUME)
-
-    def causes(self) -> list[str | None]:
-        return [attempt.outcome.cause for attempt in read_attempts(self.path)]
 
 
 @pytest.fixture
@@ -223,3 +189,28 @@ def test_a_finished_dataset_needs_no_room(recording: Recording, monkeypatch: Any
     recording.run()
     monkeypatch.setattr("os.statvfs", lambda place: SimpleNamespace(f_frsize=4096, f_bavail=9, f_files=0))
     recording.resume()
+
+
+@pytest.mark.parametrize("wrist", [False, True])
+def test_a_network_mount_costs_what_is_said(recording: Recording, monkeypatch: pytest.MonkeyPatch, wrist: bool) -> None:
+    mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
+    monkeypatch.setattr("yamsim_cli.core.jobs.destination.network_mount", lambda path, mounts: mount)
+    recording.config = recording.config.model_copy(update={"wrist": wrist})
+    recording.run()
+    (warning,) = recording.warnings
+    files = 57 * (3 if wrist else 2)
+    assert f"is on /far, which is fuse.sshfs (host:/x): an episode is {files} files" in warning
+    recording.warnings.clear()
+    recording.resume()
+    assert "Every file in" in recording.warnings[1]
+
+
+def test_locks_that_do_not_reach_others_are_told_apart(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
+    recording.path.mkdir()
+    (recording.path / ".lock").write_text('{"pid": 1, "host": "elsewhere"}')
+    monkeypatch.setattr("yamsim_cli.core.jobs.destination.network_mount", lambda path, mounts: mount)
+    with pytest.raises(ResourceError, match="by process 1 on elsewhere"):
+        recording.run()
+    monkeypatch.undo()
+    recording.run()

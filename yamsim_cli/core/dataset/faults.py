@@ -17,7 +17,9 @@ _MEANING = {
 
 def explain(error: OSError, place: Path) -> str:
     """One clause on an error met while writing below `place`: which file, why, and what to do."""
-    return f"{error.filename or place}: {reason(error, place)}"
+    file = Path(error.filename) if isinstance(error.filename, str) else place
+    disk = next((folder for folder in file.parents if folder.is_dir()), place)
+    return f"{file}: {reason(error, disk)}"
 
 
 def reason(error: OSError, place: Path) -> str:

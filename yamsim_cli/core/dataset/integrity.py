@@ -12,7 +12,7 @@ from .layout import DAMAGED, EPISODE, episode_directories
 from .records import EpisodeRecord, from_json
 
 # Reading waits for the disk or the network, and hashing does not hold the interpreter.
-_READERS = 8
+_READERS = 32
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def find_episodes(dataset: Path) -> list[Found]:
         OSError: the disk failed; that a file is missing or altered is a fault of the episode and no error.
     """
     with ThreadPoolExecutor(_READERS) as readers:
-        return list(readers.map(lambda found: _inspect(*found), episode_directories(dataset)))
+        return list(readers.map(lambda found: inspect_episode(*found), episode_directories(dataset)))
 
 
 def set_aside(episode: Path) -> Path:
@@ -54,7 +54,9 @@ def set_aside(episode: Path) -> Path:
     return episode.rename(target)
 
 
-def _inspect(number: int, directory: Path) -> Found:
+def inspect_episode(number: int, directory: Path) -> Found:
+    """One episode, all its files read and hashed; see `find_episodes`."""
+
     def found(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> Found:
         return Found(number, directory, record, text, size, fault)
 

@@ -1,0 +1,244 @@
+"""Record onto a local disk, and move finished episodes to a slow or remote dataset in the background.
+
+The dataset itself is written by one thread alone, episode by episode in the order of recording, by the same
+`DatasetWriter` as otherwise. So at every moment it is a whole dataset that can be resumed, and the stage holds nothing
+but what is still on its way. A stage that is lost costs the time to make its episodes again, and no byte of the result.
+
+<stage>/<name>-<hash of the dataset's path>/config.yaml
+attempts.jsonl         attempts since the dataset was last opened
+ep_000007/             episodes on their way
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import shutil
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..config.document import dump_yaml
+from ..errors import DatasetError, ResourceError
+from ..files import append_line, move_aside, publish_directory, sha256_bytes, write_file
+from .faults import reason
+from .integrity import inspect_episode
+from .layout import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
+from .lock import DirectoryLock
+from .records import AttemptRecord, EpisodeRecord, from_json, to_json
+from .writer import DatasetWriter
+
+# How many attempts may be on their way: bounds the local disk that a target which is too slow takes up.
+MAX_WAITING = 100
+# How long the episode being moved may take once the recording is given up.
+_HALT_SECONDS = 10.0
+
+
+@dataclass(frozen=True)
+class _Item:
+    """An episode to move, an attempt to log after it, or both."""
+
+    episode: int | None
+    attempt: AttemptRecord | None
+
+
+class StagedWriter:
+    """Takes a recording like a `DatasetWriter`, and hands it on to one.
+
+    Attributes:
+        path: the dataset's directory, as the user knows it.
+        attempts: all that were taken, in order; those on their way included.
+        episodes: how many of them are episodes.
+        repairs: what in the stage was in the way, and where it is now, a sentence each.
+        folder: where in the stage this dataset's episodes wait.
+    """
+
+    def __init__(self, target: DatasetWriter, stage: Path, config: Mapping[str, Any]) -> None:
+        """Take up what is still on its way from an earlier recording.
+
+        Args:
+            target: the dataset, opened for writing; from here on only this object uses it.
+            stage: a directory on a local disk; made when missing. Several datasets can share one.
+
+        Raises:
+            ResourceError: the stage cannot be made or written, or another recorder uses it.
+        """
+        self.path = target.path
+        self.attempts = list(target.attempts)
+        self.episodes = target.episodes
+        self.missing = target.missing
+        self.repairs: list[str] = []
+        self._target = target
+        self._error: BaseException | None = None
+        self._halt = threading.Event()
+        self.folder = stage / f"{target.path.name}-{sha256_bytes(str(target.path.absolute()).encode())[:12]}"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = DirectoryLock.take(self.folder)
+            try:
+                waiting = self._take_up(dump_yaml(config).encode())
+            except BaseException:
+                self._lock.release()
+                raise
+        except OSError as error:
+            raise ResourceError(
+                f"the stage {self.folder} cannot be used: {reason(error, stage)}; choose another --stage"
+            ) from error
+        self._queue: queue.Queue[_Item] = queue.Queue(max(MAX_WAITING, len(waiting)))
+        for attempt in waiting:
+            self._queue.put(_Item(attempt.episode, attempt))
+        self._mover = threading.Thread(target=self._move_all, name="yamsim-mover", daemon=True)
+        self._mover.start()
+
+    @property
+    def on_their_way(self) -> int:
+        """How many episodes are in the stage and not yet in the dataset."""
+        return len(episode_directories(self.folder)) if self.folder.is_dir() else 0
+
+    def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
+        """Put one episode into the stage; see `DatasetWriter.publish`."""
+        self._raise_error()
+        publish_directory(
+            self.folder / episode_name(record.episode), {**files, EPISODE: to_json(record)}, self.folder / STAGING
+        )
+        if record.attempt < len(self.attempts):
+            # Made again for an attempt that is long in the ledger: nothing will be logged.
+            self._put(_Item(record.episode, None))
+
+    def log(self, attempt: AttemptRecord) -> None:
+        """Add one attempt; waits while too many are on their way. See `DatasetWriter.log`."""
+        self._raise_error()
+        append_line(self.folder / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
+        self._count(attempt)
+        self._put(_Item(attempt.episode, attempt))
+
+    def drain(self, seconds: float) -> bool:
+        """Wait for everything to arrive in the dataset; False if it has not after that time.
+
+        Raises:
+            OSError, DatasetError: something cannot be moved.
+        """
+        end = time.monotonic() + seconds
+        with self._queue.all_tasks_done:
+            while self._queue.unfinished_tasks and self._error is None and time.monotonic() < end:
+                self._queue.all_tasks_done.wait(max(0.0, end - time.monotonic()))
+            done = not self._queue.unfinished_tasks
+        self._raise_error()
+        return done
+
+    def finish(self) -> None:
+        """End the moving, and write the dataset's manifest; a stage that is empty is removed."""
+        arrived = not self._queue.unfinished_tasks
+        if not self._end_moving():
+            # The target does not answer. To touch it from here as well would only hang this thread too.
+            return
+        self._target.finish()
+        if arrived and self._error is None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def close(self) -> None:
+        """End the moving, and let others use the stage."""
+        self._end_moving()
+        self._lock.release()
+
+    def _end_moving(self) -> bool:
+        """Let the mover finish what it is at; False if it does not within bounds."""
+        self._halt.set()
+        with contextlib.suppress(queue.Full):
+            # Only to wake it; from a full queue it takes something anyway.
+            self._queue.put_nowait(_Item(None, None))
+        self._mover.join(_HALT_SECONDS)
+        return not self._mover.is_alive()
+
+    def _put(self, item: _Item) -> None:
+        # A full queue is waited for in small steps, to notice that nobody empties it any more.
+        while True:
+            self._raise_error()
+            with contextlib.suppress(queue.Full):
+                self._queue.put(item, timeout=0.5)
+                return
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _count(self, attempt: AttemptRecord) -> None:
+        self.attempts.append(attempt)
+        self.episodes += attempt.episode is not None
+
+    def _move_all(self) -> None:
+        while True:
+            item = self._queue.get()
+            if self._halt.is_set():
+                return
+            try:
+                self._move(item)
+            # Whatever it is, it is raised where the recording notices it; what was not moved stays in the stage.
+            except BaseException as error:  # noqa: BLE001
+                with self._queue.all_tasks_done:
+                    self._error = error
+                    self._queue.all_tasks_done.notify_all()
+                return
+            self._queue.task_done()
+
+    def _move(self, item: _Item) -> None:
+        if item.episode is not None:
+            directory = self.folder / episode_name(item.episode)
+            found = inspect_episode(item.episode, directory)
+            if found.record is None or found.fault:
+                raise DatasetError(f"{directory} was damaged on its way: {found.fault}; --resume makes it again")
+            self._target.publish(found.record, {name: (directory / name).read_bytes() for name in found.record.files})
+        if item.attempt is not None:
+            self._target.log(item.attempt)
+        if item.episode is not None:
+            shutil.rmtree(directory)
+
+    def _take_up(self, config: bytes) -> list[AttemptRecord]:
+        """Attempts that an earlier recording left here; everything else in the stage is put out of the way."""
+        file = self.folder / CONFIG
+        if not file.is_file() or file.read_bytes() != config:
+            # Not of this dataset as it is now, so not ours to throw away.
+            self._start_afresh(config)
+        waiting = []
+        for attempt in self._logged():
+            if attempt.attempt == len(self.attempts) and self._is_here(attempt):
+                self._count(attempt)
+                waiting.append(attempt)
+        kept = {attempt.episode for attempt in waiting}
+        write_file(self.folder / ATTEMPTS, b"".join(map(to_json, waiting)))
+        for number, directory in episode_directories(self.folder):
+            if number not in kept:
+                # Arrived already, or not yet in the stage's own ledger: then it is made again.
+                shutil.rmtree(directory)
+        shutil.rmtree(self.folder / STAGING, ignore_errors=True)
+        return waiting
+
+    def _start_afresh(self, config: bytes) -> None:
+        if episode_directories(self.folder):
+            moved = move_aside(self.folder)
+            self._lock.moved(moved)
+            self._lock.release()
+            self.repairs.append(f"The stage held episodes of another recording: they are now in {moved}.")
+            self.folder.mkdir()
+            self._lock = DirectoryLock.take(self.folder)
+        write_file(self.folder / CONFIG, config)
+
+    def _logged(self) -> list[AttemptRecord]:
+        """The stage's ledger, up to what a crash left of its end."""
+        file = self.folder / ATTEMPTS
+        attempts: list[AttemptRecord] = []
+        for line in file.read_bytes().splitlines() if file.is_file() else []:
+            try:
+                attempts.append(from_json(AttemptRecord, line, file))
+            except DatasetError:
+                break
+        return attempts
+
+    def _is_here(self, attempt: AttemptRecord) -> bool:
+        if attempt.episode is None:
+            return True
+        found = inspect_episode(attempt.episode, self.folder / episode_name(attempt.episode))
+        return found.record is not None and found.fault is None and found.record.attempt == attempt.attempt

@@ -1,0 +1,168 @@
+"""Which filesystem a path is on, from the kernel's mount table alone.
+
+Nothing on a network mount is touched to find out: a stat on a server that does not answer cannot even be killed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+_TABLE = Path("/proc/self/mountinfo")
+
+# Filesystems whose files lie on another machine. Any `fuse.*` counts too, but for those that are local.
+_NETWORK = frozenset(
+    [
+        "9p",
+        "afs",
+        "autofs",
+        "beegfs",
+        "ceph",
+        "cifs",
+        "coda",
+        "davfs",
+        "fuse",
+        "gfs2",
+        "glusterfs",
+        "gpfs",
+        "lustre",
+        "ncpfs",
+        "nfs",
+        "nfs4",
+        "ocfs2",
+        "orangefs",
+        "prl_fs",
+        "pvfs2",
+        "smb3",
+        "smbfs",
+        "vboxsf",
+        "wekafs",
+    ]
+)
+_LOCAL_FUSE = frozenset(["fuse.fuse-overlayfs", "fuse.lxcfs", "fuse.portal", "fuse.snapfuse", "fuse.squashfuse"])
+
+# Those whose locks (flock) hold between machines. Source: flock(2) on NFS and CIFS; the others' manuals.
+_SHARED_LOCKS = frozenset(
+    ["ceph", "cifs", "gfs2", "glusterfs", "fuse.glusterfs", "gpfs", "nfs", "nfs4", "ocfs2", "smb3"]
+)
+_UNSHARED_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
+
+# As the kernel gives up: a chain of links this long is a loop.
+_MAX_LINKS = 40
+
+
+@dataclass(frozen=True)
+class Mount:
+    """One line of the mount table.
+
+    Attributes:
+        number, parent: of the mount and of the one it is mounted on.
+        point: where it is mounted.
+        kind: type of filesystem, such as `ext4` or `fuse.sshfs`.
+        source: what is mounted, such as `server:/export`.
+        options: of the mount and of the filesystem.
+    """
+
+    number: int
+    parent: int
+    point: PurePosixPath
+    kind: str
+    source: str
+    options: frozenset[str]
+
+    @property
+    def is_network(self) -> bool:
+        """Whether its files lie on another machine, or may: behind FUSE and automounters nobody can tell."""
+        return self.kind in _NETWORK or (self.kind.startswith("fuse.") and self.kind not in _LOCAL_FUSE)
+
+    @property
+    def locks_reach_others(self) -> bool:
+        """Whether a lock on one machine is seen on the others that can write here."""
+        if not self.is_network:
+            return True
+        return self.kind in _SHARED_LOCKS and not self.options & _UNSHARED_OPTIONS
+
+
+def read_mounts() -> list[Mount]:
+    """The mount table as it is now; empty where the system has none, as on macOS."""
+    try:
+        return parse_mounts(_TABLE.read_text(errors="surrogateescape"))
+    except OSError:
+        return []
+
+
+def parse_mounts(text: str) -> list[Mount]:
+    """Read a mount table in the format of `/proc/self/mountinfo`. Source: proc(5)."""
+    mounts = []
+    for line in text.splitlines():
+        before, dash, after = line.partition(" - ")
+        fields, rest = before.split(" "), after.split(" ")
+        if dash and len(fields) >= 6 and len(rest) >= 3:
+            options = frozenset([*fields[5].split(","), *rest[2].split(",")])
+            point = PurePosixPath(_unescaped(fields[4]))
+            mounts.append(Mount(int(fields[0]), int(fields[1]), point, rest[0], _unescaped(rest[1]), options))
+    return mounts
+
+
+def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
+    """The mount that an absolute path without links lies on; None when the table has none for it.
+
+    Walks down from the root, so that a mount hidden by a later one above it does not count.
+    """
+    numbers = {mount.number for mount in mounts}
+    current = next((mount for mount in mounts if mount.parent not in numbers or mount.parent == mount.number), None)
+    while current is not None:
+        below = [
+            mount
+            for mount in mounts
+            if mount.parent == current.number and mount is not current and path.is_relative_to(mount.point)
+        ]
+        if not below:
+            return current
+        current = min(below, key=lambda mount: len(mount.point.parts))
+    return None
+
+
+def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str], str] = os.readlink) -> Mount | None:
+    """The network mount that a path leads to, if it does.
+
+    Links on the way are followed as long as they lie on local filesystems; the first step onto a network mount ends it.
+
+    Args:
+        path: need not exist; relative to the current directory, or absolute.
+        readlink: reads a link, or raises OSError for what is none.
+    """
+    rest = list(Path.cwd().joinpath(path).parts[1:])
+    here = PurePosixPath("/")
+    links = 0
+    while rest:
+        part = rest.pop(0)
+        if part == "..":
+            here = here.parent
+            continue
+        step = here / part
+        mount = mount_at(step, mounts)
+        if mount is not None and mount.is_network:
+            # From here on only what is written: a local filesystem may be mounted further down.
+            mount = mount_at(PurePosixPath(os.path.normpath(step.joinpath(*rest))), mounts)
+            return mount if mount is not None and mount.is_network else None
+        try:
+            target = PurePosixPath(readlink(str(step)))
+        except OSError:
+            here = step
+            continue
+        links += 1
+        if links > _MAX_LINKS:
+            return None
+        if target.is_absolute():
+            here = PurePosixPath("/")
+        rest = [*(part for part in target.parts if part != "/"), *rest]
+    return None
+
+
+def _unescaped(text: str) -> str:
+    """The table writes blanks, tabs, newlines and backslashes as three octal digits."""
+    return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match.group(1), 8)), text)
