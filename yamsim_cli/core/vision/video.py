@@ -9,7 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ResourceError, SimulationError, UsageError
 from ..files import move_aside, publish_file
@@ -31,6 +33,34 @@ _SECONDS_BETWEEN_KEY_FRAMES = 1
 
 # A period such as 1/30 s has no exact float; any that a person writes is a fraction of this size.
 _FINEST_PERIOD = 1_000_000
+
+
+# RGB in 0..1 to BT.709's Y, Cb, Cr in limited range. Source: ITU-R BT.709, 3.2 to 3.5.
+_KR, _KB = 0.2126, 0.0722
+_LUMA = np.array([_KR, 1 - _KR - _KB, _KB])
+_TO_YUV = np.array(
+    [
+        219 * _LUMA,
+        224 / 2 * (np.array([0, 0, 1]) - _LUMA) / (1 - _KB),
+        224 / 2 * (np.array([1, 0, 0]) - _LUMA) / (1 - _KR),
+    ]
+)
+_OFFSET = np.array([16.0, 128.0, 128.0])
+
+
+def _yuv420(image: Image) -> NDArray[np.uint8]:
+    """An RGB image as planes Y, Cb, Cr, (3 / 2 height, width); an odd side gets its last row or column twice.
+
+    Not FFmpeg's own conversion: its result depends on how the memory happens to be aligned.
+    """
+    height, width = image.shape[:2]
+    # Colours have half the resolution in both directions, so both sides have to be even.
+    even = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    full = cv2.transform(even.astype(np.float32), np.column_stack([_TO_YUV / 255, _OFFSET]))
+    half = cv2.resize(full, (even.shape[1] // 2, even.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    planes = [full[..., 0].ravel(), half[..., 1].ravel(), half[..., 2].ravel()]
+    rounded: NDArray[np.uint8] = np.round(np.concatenate(planes)).astype(np.uint8).reshape(-1, even.shape[1])
+    return rounded
 
 
 class VideoWriter:
@@ -85,7 +115,6 @@ class VideoWriter:
 
     def _encode(self, image: Image) -> None:
         from av import VideoFrame
-        from av.video.reformatter import Interpolation
 
         height, width = image.shape[:2]
         if self._container is None or self._stream is None:
@@ -94,11 +123,8 @@ class VideoWriter:
         if self._size != (width, height):
             expected = "x".join(map(str, self._size))
             raise ValueError(f"{self.path}: frame {self.frames} is {width}x{height}, the ones before it {expected}")
-        # Colours have half the resolution in both directions, so both sides have to be even.
-        even = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-        frame = VideoFrame.from_ndarray(even, format="rgb24").reformat(
-            format="yuv420p", interpolation=Interpolation.AREA, dst_colorspace=_BT709, dst_color_range=_LIMITED
-        )
+        frame = VideoFrame.from_ndarray(_yuv420(image), format="yuv420p")
+        frame.colorspace, frame.color_range = _BT709, _LIMITED
         frame.pts, frame.time_base = self.frames, self._period
         self._container.mux(self._stream.encode(frame))
         self.frames += 1
