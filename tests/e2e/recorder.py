@@ -35,10 +35,14 @@ def start(out: Path, *flags: str, env: dict[str, str] | None = None) -> subproce
 
 
 def run(out: Path, *flags: str, env: dict[str, str] | None = None) -> tuple[int, str]:
-    """Exit code, and what it wrote to stderr."""
+    """Exit code, and what it wrote to stderr but for the lines of progress that a slow machine gets."""
     with start(out, *flags, env=env) as process:
         _, err = process.communicate(timeout=300)
-        return process.returncode, err
+        return process.returncode, without_progress(err)
+
+
+def without_progress(err: str) -> str:
+    return "".join(line for line in err.splitlines(keepends=True) if not line.startswith("recording: "))
 
 
 def workers_of(pid: int) -> list[int]:
