@@ -13,10 +13,10 @@ READY := $(VENV)/.ready
 DEMO := out/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup gl meshes demo test test-all golden-update lint type bench build lock clean
+.PHONY: help setup gl meshes test-programs demo test test-slow test-all golden-update lint type bench bench-fiducials build lock clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(READY) ## make .venv with the locked versions and this checkout in it (needs Python 3.11+)
 
@@ -37,6 +37,10 @@ meshes: setup
 	    *) exit 1 ;; \
 	esac
 
+# A test whose program is not to be had says so and is skipped.
+test-programs:
+	@tools/ensure_test_programs.sh || test $$? -eq 4
+
 demo: gl meshes ## record four episodes into out/demo and summarize them
 	$(YAMSIM) record --n 4 --workers 2 --out $(DEMO) --seed 0 $(if $(wildcard $(DEMO)),--resume)
 	$(YAMSIM) summarize $(DEMO)
@@ -45,7 +49,10 @@ demo: gl meshes ## record four episodes into out/demo and summarize them
 test: gl meshes ## run the tests, without the slow ones and those that need the internet
 	$(PYTHON_BIN) -m pytest -n auto -m "not slow and not network" $(PYTEST_ARGS)
 
-test-all: gl meshes ## run all tests
+test-slow: gl meshes test-programs ## run the rest: the slow ones, and those that need the internet or other programs
+	$(PYTHON_BIN) -m pytest -n auto -m "slow or network" $(PYTEST_ARGS)
+
+test-all: gl meshes test-programs ## run all tests
 	$(PYTHON_BIN) -m pytest -n auto $(PYTEST_ARGS)
 
 golden-update: gl ## make today's pictures the golden ones: look at each before committing
@@ -60,6 +67,9 @@ type: setup ## check types
 
 bench: gl meshes ## measure speed
 	$(PYTHON_BIN) -m tests.bench
+
+bench-fiducials: gl ## measure how well boards are located, in photos whose truth is known
+	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.fiducials
 
 build: setup ## build wheel and sdist into dist/
 	rm -rf dist

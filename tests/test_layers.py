@@ -29,9 +29,11 @@ FLOORS: dict[str, int] = {
     "core.vision": 5,
     "core.planning": 5,
     "core.viewers": 5,
+    "core.report": 5,
     "core.jobs": 6,
     "commands": 7,
     "main": 8,
+    "__main__": 9,
 }
 
 # Libraries that only some packages may know.
@@ -43,6 +45,7 @@ CONFINED = {
     "rich": {"commands"},
     "reportlab": {"core.boards"},
     "viser": {"core.viewers"},
+    "av": {"core.vision.video"},
 }
 
 

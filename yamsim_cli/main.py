@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from types import FrameType
+from collections.abc import Callable
 from typing import Annotated, NoReturn
 
 import typer
@@ -14,9 +13,13 @@ from . import __version__
 from .commands import assets, config, pickplace
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
+from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
+from .commands.replay import replay
+from .commands.signals import raise_signals
 from .commands.summarize import summarize
+from .commands.verify import verify
 from .commands.view import view
 from .core.errors import YamsimError
 
@@ -29,8 +32,11 @@ app = typer.Typer(
 )
 app.command()(record)
 app.command()(summarize)
+app.command()(verify)
+app.command()(replay)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
+app.command()(overlay)
 app.command()(boards)
 app.command()(view)
 app.add_typer(pickplace.app, name="pickplace")
@@ -53,16 +59,25 @@ def _root(
     """Simulation toolkit for the I2RT YAM arm: recorded demonstrations on MuJoCo."""
 
 
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    # A cluster's stop is the same wish as Ctrl-C: end cleanly, keep what is done.
-    raise KeyboardInterrupt
+_INTERRUPTED = 130
+# Commands with no other end than a signal: for them it is no failure.
+_ENDED_BY_SIGNAL = ("view",)
 
 
-def main() -> NoReturn:
-    """Run the command line; a `YamsimError` is one line and its exit code, anything else a traceback and 1."""
-    signal.signal(signal.SIGTERM, _interrupt)
+def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
+    """Run the command line; a `YamsimError` is one line and its exit code, anything else a traceback and 1.
+
+    Args:
+        interrupted: whether a signal to end came before this call.
+    """
+    raise_signals()
     try:
+        if interrupted():
+            raise KeyboardInterrupt
         code = app(standalone_mode=False)
+        if code == _INTERRUPTED:
+            # What Typer makes of a KeyboardInterrupt.
+            raise KeyboardInterrupt
     except YamsimError as error:
         _fail(str(error), error.exit_code)
     except TyperException as error:
@@ -70,7 +85,9 @@ def main() -> NoReturn:
             _fail(f"{message.rstrip('.')}; see yamsim --help", error.exit_code)
         sys.exit(error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
-        _fail("interrupted", 130)
+        if len(sys.argv) > 1 and sys.argv[1] in _ENDED_BY_SIGNAL:
+            sys.exit(0)
+        _fail("interrupted", _INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -34,7 +34,7 @@ class Run:
 def yamsim(*args: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None, timeout: float = 300) -> Run:
     """Run `yamsim ARGS`; everything it printed, and its exit code."""
     done = subprocess.run(
-        [sys.executable, "-m", "yamsim_cli.main", *map(str, args)],
+        [sys.executable, "-m", "yamsim_cli", *map(str, args)],
         cwd=cwd or Path(__file__).parents[2],
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **(env or {})},
         stdin=subprocess.DEVNULL,

@@ -24,6 +24,7 @@ from tests.e2e.recorder import (
     run,
     start,
     wait_until,
+    without_progress,
     workers_of,
 )
 
@@ -46,7 +47,7 @@ def test_a_killed_worker_is_replaced(undisturbed: dict[str, str], tmp_path: Path
         before = workers_of(process.pid)
         os.kill(before[0], number)
         wait_until(lambda: set(workers_of(process.pid)) - set(before))
-        _, err = process.communicate(timeout=120)
+        err = without_progress(process.communicate(timeout=120)[1])
     assert (process.returncode, err) == (0, "")
     assert digest(path) == undisturbed
 
@@ -57,7 +58,7 @@ def test_a_frozen_worker_is_replaced(undisturbed: dict[str, str], tmp_path: Path
         wait_until(lambda: episodes(path))
         before = workers_of(process.pid)
         os.kill(before[0], signal.SIGSTOP)
-        _, err = process.communicate(timeout=180)
+        err = without_progress(process.communicate(timeout=180)[1])
     assert (process.returncode, err) == (0, "")
     assert digest(path) == undisturbed
     assert not is_alive(before[0])
@@ -83,7 +84,7 @@ def test_a_second_recorder_is_refused(undisturbed: dict[str, str], tmp_path: Pat
             code, err = run(path, "--n", "4", flag)
             assert code == 4
             assert f"is being recorded into by process {first.pid} on {socket.gethostname()}" in err
-        _, err = first.communicate(timeout=120)
+        err = without_progress(first.communicate(timeout=120)[1])
     assert (first.returncode, err) == (0, "")
     assert digest(path) == undisturbed
 
@@ -205,7 +206,7 @@ def test_a_clock_that_is_set_back_changes_nothing(undisturbed: dict[str, str], t
     with start(path, "--n", "4", "--workers", "2", env=environment) as process:
         wait_until(lambda: episodes(path))
         clock.write_text("-400d")
-        _, err = process.communicate(timeout=180)
+        err = without_progress(process.communicate(timeout=180)[1])
     assert (process.returncode, err) == (0, "")
     assert digest(path) == undisturbed
 

@@ -93,7 +93,7 @@ class Browser:
 @pytest.fixture
 def browser(tmp_path: Path) -> Iterator[Browser]:
     if not (CHROMIUM.exists() and CHROMEDRIVER.exists()):
-        pytest.skip("needs chromium and chromium-driver")
+        pytest.skip("chromium and chromium-driver are not here: tools/ensure_test_programs.sh")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -208,7 +208,7 @@ def test_the_boards_on_the_page_are_the_rigs_own(
 def screen() -> Iterator[str]:
     """A virtual screen's name."""
     if shutil.which("Xvfb") is None:
-        pytest.skip("needs Xvfb")
+        pytest.skip("Xvfb is not here: tools/ensure_test_programs.sh")
     read, write = os.pipe()
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
@@ -227,7 +227,7 @@ def screen() -> Iterator[str]:
 
 def test_the_window_opens_on_a_display_and_a_signal_ends_it(screen: str, repository: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli.main", "view", "--rig", "russet", "--json"],
+        [sys.executable, "-m", "yamsim_cli", "view", "--rig", "russet", "--json"],
         cwd=repository,
         env={**os.environ, "DISPLAY": screen, "LIBGL_ALWAYS_SOFTWARE": "1"},
         stdin=subprocess.DEVNULL,

@@ -26,7 +26,7 @@ FAILED = Path(__file__).with_name("failed")
 
 SIZE = (320, 240)
 RIGS = ("single", "bimanual", "russet")
-VIEWS = ("front", "near_top")
+VIEWS = ("front", "near_top", "low_close_up")
 
 # Parts of a mask, and the body that each part's bodies hang from.
 PARTS = ("arm", "arm2_arm", "base_board", "arm2_base_board", "base_mount", "arm2_base_mount")

@@ -16,7 +16,9 @@ def compose_xml(
     out: Annotated[Path, typer.Option(help="Folder to create, or file with --zip.")] = Path("scene"),
     margin: Margin = None,
     boards: Annotated[bool, typer.Option("--boards/--no-boards", help="Base boards and their mounts.")] = True,
-    background: Annotated[bool, typer.Option("--background/--no-background", help="Sky and floor.")] = True,
+    background: Annotated[
+        bool, typer.Option("--background/--no-background", help="Sky, floor and lights; a task's table stays.")
+    ] = True,
     task: Annotated[str | None, typer.Option(help="Also the task's table and objects: pickplace.")] = None,
     seed: Annotated[int, typer.Option(help="Where the task's objects stand.")] = 0,
     as_zip: Annotated[bool, typer.Option("--zip", help="One zip file instead of a folder.")] = False,

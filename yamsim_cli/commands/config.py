@@ -14,7 +14,9 @@ from .session import Json, locations
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 
-Kind = Annotated[str, typer.Argument(help="rigs, scenes, tasks, objects, quality or record.", show_default=False)]
+Kind = Annotated[
+    str, typer.Argument(help="rigs, scenes, tasks, objects, cameras, quality or record.", show_default=False)
+]
 
 
 @app.command("list")

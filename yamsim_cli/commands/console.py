@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -18,6 +20,10 @@ console = Console(stderr=True)
 # Without a terminal there is no width to fit: a table in a log must not be cut at 80 columns.
 _PIPED_WIDTH = 160
 
+# Between two lines of progress in a log, s: a job of minutes stays silent, one of a night can be followed.
+_LOG_SECONDS = 30.0
+
+# Called with the number done, the total and a remark.
 Advance = Callable[[int, int, str], None]
 
 
@@ -42,8 +48,23 @@ def note(text: str) -> None:
 
 
 @contextmanager
-def progress_bar(label: str, unit: str) -> Iterator[Advance]:
-    """A bar with rate and time left, on a terminal alone; it is called with the number done, the total and a remark."""
+def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Iterator[Advance]:
+    """How far a job is, with rate and time left, on stderr: a bar on a terminal, else a plain line now and then.
+
+    Args:
+        label: what is going on.
+        unit: what is counted, in the plural.
+        log_seconds: between two lines, and before the first; half a minute unless given.
+    """
+    if console.is_terminal:
+        with _bar(label, unit) as advance:
+            yield advance
+    else:
+        yield _Log(label, unit, _LOG_SECONDS if log_seconds is None else log_seconds)
+
+
+@contextmanager
+def _bar(label: str, unit: str) -> Iterator[Advance]:
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -62,7 +83,7 @@ def progress_bar(label: str, unit: str) -> Iterator[Advance]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[remark]}"),
     )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(label, total=None, rate="", remark="")
 
         def advance(done: int, total: int, remark: str = "") -> None:
@@ -71,3 +92,30 @@ def progress_bar(label: str, unit: str) -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, rate=rate, remark=remark)
 
         yield advance
+
+
+class _Log:
+    """Writes how far a job is as a line, when it is told and enough time has passed."""
+
+    def __init__(self, label: str, unit: str, seconds: float) -> None:
+        self._label, self._unit, self._seconds = label, unit, seconds
+        self._written = time.monotonic()
+        # What a resumed job found done was not done at this rate.
+        self._first: tuple[float, int] | None = None
+
+    def __call__(self, done: int, total: int, remark: str = "") -> None:
+        now = time.monotonic()
+        self._first = self._first or (now, done)
+        if now - self._written < self._seconds:
+            return
+        self._written = now
+        parts = [f"{self._label}: {done} of {total} {self._unit}", *self._pace(now, done, total), remark]
+        note(", ".join(part for part in parts if part))
+
+    def _pace(self, now: float, done: int, total: int) -> tuple[str, ...]:
+        assert self._first is not None
+        began, before = self._first
+        if done <= before or now <= began:
+            return ()
+        rate = (done - before) / (now - began)
+        return f"{rate * 60:.1f} {self._unit}/min", f"{timedelta(seconds=round((total - done) / rate))} left"

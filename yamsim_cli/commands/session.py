@@ -114,3 +114,10 @@ def resolve_meshes(names: Iterable[str], where: Locations) -> dict[str, Path | N
     if missing := [name for name, folder in meshes.items() if folder is None]:
         note(f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`.")
     return meshes
+
+
+def scene_meshes(config: RecordConfig, where: Locations) -> dict[str, Path | None]:
+    """The meshes of everything that a recording shows, see `resolve_meshes`."""
+    from yamsim_cli.core.scene.compose import mesh_sets
+
+    return resolve_meshes(mesh_sets(config.rig, (config.task.object, config.task.target)), where)

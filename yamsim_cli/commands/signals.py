@@ -1,10 +1,10 @@
-"""What Ctrl-C, SIGTERM and a closed terminal mean to a command that can end in good order."""
+"""Ctrl-C and SIGTERM, which are one wish: to end. Noted where nothing may be broken off, else raised."""
 
 from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -12,13 +12,31 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from yamsim_cli.core.jobs.stop import Stop
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ENDING = (signal.SIGINT, signal.SIGTERM)
 _STDERR = 2
+_RETRY_SECONDS = 0.02
+
+
+@contextmanager
+def noted_signals() -> Iterator[Callable[[], bool]]:
+    """Inside, a signal to end raises nothing; the function tells whether one has come."""
+    came = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        came = True
+
+    before = {number: signal.signal(number, note) for number in _ENDING}
+    try:
+        yield lambda: came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
 def stoppable(message: str) -> Iterator[Stop]:
-    """For the block, the first signal asks it to stop, and a second one ends it at once with KeyboardInterrupt.
+    """For the block, the first signal (or closed terminal) asks it to stop; a second one ends it at once.
 
     Args:
         message: shown on the first signal.
@@ -29,17 +47,39 @@ def stoppable(message: str) -> Iterator[Stop]:
 
     def ask(number: int, frame: FrameType | None) -> None:
         if stop.asked:
-            raise KeyboardInterrupt
+            _interrupt(number, frame)
         stop.ask()
         # The handler may have interrupted a write to sys.stderr, which must not be entered twice.
         with suppress(OSError):
             os.write(_STDERR, f"{message}\n".encode())
 
     # nohup has the hang-up ignored: that is to stay so.
-    wanted = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    wanted = [number for number in (*_ENDING, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, ask) for number in wanted}
     try:
         yield stop
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def raise_signals() -> None:
+    """From now on, a signal to end raises KeyboardInterrupt: at once, or when the import that is going on is done."""
+    for number in (*_ENDING, signal.SIGALRM):
+        signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    # Broken off, an extension module reports that it cannot be loaded, and a library may do without it from then on.
+    if _importing(frame):
+        signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
+        return
+    raise KeyboardInterrupt
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False

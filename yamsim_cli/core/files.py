@@ -73,6 +73,21 @@ def write_file(path: Path, data: bytes) -> None:
     fsync_directory(path.parent)
 
 
+def publish_file(part: Path, final: Path) -> None:
+    """Give a finished file its name, replacing what had it; `part` lies in the same directory.
+
+    Raises:
+        OSError: as for `write_file`; `part` is left to the caller.
+    """
+    descriptor = os.open(part, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    os.replace(part, final)
+    fsync_directory(final.parent)
+
+
 def append_line(path: Path, line: str) -> None:
     """Append one line and flush it to the disk; a single write, so that a crash leaves a whole line or none.
 

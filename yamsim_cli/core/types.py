@@ -88,14 +88,34 @@ class JointPath:
 
 
 @dataclass(frozen=True)
+class Actions:
+    """All that acts on the scene during n control ticks: from the same start, the same actions give the same states.
+
+    Attributes:
+        ctrl: what the drives are told during each tick (n, nu), rad and m.
+        magnet: whether the weld holds during each tick, (n,) of bool.
+        joints: the six joints and the finger opening (n, 7) that the plan asks for at the end of each tick, rad and m.
+            Nothing in physics depends on them.
+    """
+
+    ctrl: Array
+    magnet: tuple[bool, ...]
+    joints: Array
+
+
+@dataclass(frozen=True)
 class StepState:
-    """The simulation at the start of a recorded tick and the command given there: all that rendering needs."""
+    """The simulation at a recorded frame, and what acts from there until the next one.
+
+    Attributes:
+        time: simulated time, s.
+        qpos: MuJoCo's positions (nq,), before the frame's first command acts.
+        actions: of the ticks until the next frame.
+    """
 
     time: float
     qpos: Array
-    ctrl: Array
-    action_joints: Array
-    magnet: bool
+    actions: Actions
 
 
 class Cause(StrEnum):

@@ -134,8 +134,9 @@ def test_the_pdf_draws_in_true_millimetres(paper):
     assert high - low == pytest.approx([BOARD.width * 1000, BOARD.height * 1000], abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("reportlab")
-@pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="pdftoppm (poppler-utils) is not here")
+@pytest.mark.skipif(shutil.which("pdftoppm") is None, reason="poppler-utils is not here: tools/ensure_test_programs.sh")
 @papers
 def test_a_rendered_pdf_has_every_marker_at_true_size(paper, tmp_path):
     boards = [BOARD, SECOND]

@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tests.core.dataset.making import CAMERA, frame
-from yamsim_cli.core.dataset.lowdim import SHAPES, content_hash, dump_frame, frame_data, frame_faults, load_frame
+from yamsim_cli.core.dataset.lowdim import SHAPES, content_hash, dump_frame, flat, frame_data, load_frame
 from yamsim_cli.core.errors import DatasetError
-
-OBJECTS = ("banana", "plate")
 
 
 def call(module: str, name: str, *arguments) -> bytes:
@@ -290,58 +288,7 @@ def test_the_content_hash_knows_the_order_of_frames():
     assert content_hash([frame(0), frame(1)]) != content_hash([frame(1), frame(0)])
 
 
-def test_a_whole_frame_has_no_faults():
-    assert frame_faults(frame(), OBJECTS, [CAMERA]) == []
-
-
-@pytest.mark.parametrize("key", [*SHAPES, "banana_pose", "plate_pose"])
-@pytest.mark.parametrize(
-    ("damage", "fault"),
-    [
-        (lambda array: None, "{} is missing"),
-        (lambda array: array.astype(np.float64), "{} is float64 {shape}, not float32 {shape}"),
-        (lambda array: array[:-1], "{} is float32 {shorter}, not float32 {shape}"),
-        (lambda array: array.tolist(), "{} is list, not float32 {shape}"),
-        (lambda array: array * np.float32(np.nan), "{} has values that are not finite"),
-        (lambda array: array + np.float32(np.inf), "{} has values that are not finite"),
-    ],
-)
-def test_each_fault_of_an_array_is_named(key, damage, fault):
-    array = frame()[key]
-    shorter = (array.shape[0] - 1, *array.shape[1:])
-    expected = fault.format(key, shape=array.shape, shorter=shorter)
-    assert frame_faults(frame() | {key: damage(array)}, OBJECTS, [CAMERA]) == [expected]
-
-
-@pytest.mark.parametrize(("group", "side"), [("intrinsics", 3), ("extrinsics", 4)])
-def test_each_fault_of_a_cameras_matrices_is_named(group, side):
-    def faults(value) -> list[str]:
-        return frame_faults(frame() | {group: value}, OBJECTS, [CAMERA])
-
-    assert faults({}) == faults(None) == faults([1]) == [f"{group}[{CAMERA}] is missing"]
-    assert faults({CAMERA: np.eye(2, dtype=np.float32)}) == [
-        f"{group}[{CAMERA}] is float32 (2, 2), not float32 ({side}, {side})"
-    ]
-    assert faults({CAMERA: np.full((side, side), np.nan, np.float32)}) == [
-        f"{group}[{CAMERA}] has values that are not finite"
-    ]
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "fault"),
-    [
-        ("timestamp", 1, "timestamp is int, not float"),
-        ("timestamp", None, "timestamp is NoneType, not float"),
-        ("timestamp", float("nan"), "timestamp is not finite"),
-        ("timestamp", float("inf"), "timestamp is not finite"),
-        ("magnet", 1, "magnet is int, not bool"),
-        ("language_task", b"x", "language_task is bytes, not str"),
-        ("language_prompt", None, "language_prompt is NoneType, not str"),
-    ],
-)
-def test_each_fault_of_a_plain_value_is_named(key, value, fault):
-    assert frame_faults(frame() | {key: value}, OBJECTS, [CAMERA]) == [fault]
-
-
-def test_every_fault_of_a_frame_is_listed():
-    assert len(frame_faults({}, OBJECTS, [CAMERA])) == len(SHAPES) + 2 + 2 + 4
+def test_a_flat_frame_names_what_its_dictionaries_hold():
+    entries = flat(frame())
+    assert list(entries)[:4] == ["joints", "timestamp", f"intrinsics[{CAMERA}]", f"extrinsics[{CAMERA}]"]
+    assert entries[f"intrinsics[{CAMERA}]"] is not None

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.dataset.statistics import spread, wilson95
+from yamsim_cli.core.dataset.statistics import coverage, histogram, spread, wilson95
 
 # Source: the formula of Wilson (1927) as in R's prop.test(correct=FALSE) and Newcombe (1998), table I, method 3.
 PUBLISHED = [
@@ -87,3 +88,43 @@ def test_the_spread_is_ordered_and_of_plain_floats(values):
     assert result["median"] <= result["p95"] <= result["max"] == max(values)
     assert result["median"] == pytest.approx(np.sort(values)[[(len(values) - 1) // 2, len(values) // 2]].mean())
     assert {type(value) for value in result.values()} == {float}
+
+
+def test_a_histogram_counts_every_value_in_round_bins():
+    values = [0.0012, 0.0013, 0.0029, 0.0031, 0.0070]
+    found = histogram(values)
+    edges, counts = found["edges"], found["counts"]
+    assert sum(counts) == len(values)
+    assert len(edges) == len(counts) + 1
+    assert edges[0] <= min(values)
+    assert edges[-1] >= max(values)
+    width = edges[1] - edges[0]
+    assert width == pytest.approx(0.0002)
+    assert edges[0] / width == pytest.approx(round(edges[0] / width))
+
+
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=50))
+def test_a_histogram_of_anything_is_small_and_complete(values):
+    found = histogram(values)
+    assert sum(found["counts"]) == len(values)
+    assert len(found["counts"]) <= 45
+    assert all(low < high for low, high in itertools.pairwise(found["edges"]))
+
+
+def test_a_histogram_of_nothing():
+    assert histogram([]) is None
+
+
+def test_cells_of_a_box_are_counted():
+    grid = coverage(
+        [(0.30, -0.18), (0.55, 0.18), (0.31, -0.17), (0.2, 0.0), (0.4, 0.19)], (0.30, 0.55), (-0.18, 0.18), 0.05
+    )
+    assert grid.shape == (5, 8)
+    assert (grid.cells, grid.cells_hit, grid.outside) == (40, 2, 2)
+    assert grid.hits[0][0] == 2
+    assert grid.hits[4][7] == 1
+
+
+def test_a_box_without_extent_has_one_cell():
+    grid = coverage([(0.3, 0.0)], (0.3, 0.3), (0.0, 0.0), 0.05)
+    assert (grid.cells, grid.cells_hit, grid.outside) == (1, 1, 0)

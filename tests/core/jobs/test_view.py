@@ -73,7 +73,7 @@ def listeners(port: int) -> list[str]:
 def viewing(*args: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """`yamsim view --web --json ARGS` in a process of its own, from when it says its URL."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli.main", "view", "--web", "--json", *args],
+        [sys.executable, "-m", "yamsim_cli", "view", "--web", "--json", *args],
         cwd=REPOSITORY,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

@@ -190,12 +190,37 @@ def test_the_mount_does_not_cover_the_board(name: str, locations: Locations, stu
                 assert distance == pytest.approx(0.5, abs=1e-6), "something lies above the board"
 
 
-def test_contents_can_be_left_out(locations: Locations, studio: SceneConfig) -> None:
-    rig = _rig("bimanual", locations)
-    _, bare = rig_spec(rig, studio, Contents(boards=False, background=False), locations, {})
+def test_boards_can_be_left_out(locations: Locations, studio: SceneConfig) -> None:
+    _, bare = rig_spec(_rig("bimanual", locations), studio, Contents(boards=False), locations, {})
     bodies = {bare.body(k).name for k in range(bare.nbody)}
     assert not any("board" in name or "mount" in name for name in bodies)
-    assert mujoco.mj_name2id(bare, mujoco.mjtObj.mjOBJ_GEOM, "safety_plane") == -1
+
+
+def _geoms(model: mujoco.MjModel) -> set[str]:
+    return {model.geom(k).name for k in range(model.ngeom)}
+
+
+def _surroundings(model: mujoco.MjModel) -> dict[str, bool]:
+    return {
+        "floor": "safety_plane" in _geoms(model),
+        "sky": mujoco.mjtTexture.mjTEXTURE_SKYBOX in model.tex_type,
+        "lights": model.nlight > 0,
+        "dimmed headlight": not np.array_equal(model.vis.headlight.diffuse, mujoco.MjSpec().visual.headlight.diffuse),
+    }
+
+
+@pytest.mark.parametrize("background", [True, False])
+def test_the_background_can_be_left_out_and_a_tasks_table_stays(
+    background: bool, config: RecordConfig, locations: Locations, studio: SceneConfig, tmp_path: Path
+) -> None:
+    objects = (config.task.object, config.task.target)
+    _, rig = rig_spec(_rig("bimanual", locations), studio, Contents(background=background), locations, {})
+    spec, task = task_spec(config, Contents(background=background, objects=objects), locations, {})
+    for model in (rig, task):
+        assert set(_surroundings(model).values()) == {background}, _surroundings(model)
+    assert {"table", "post_0", "post_4"} <= _geoms(task)
+    write_scene(spec, task, tmp_path / "scene", as_zip=False, overwrite=False)
+    assert _in_plain_mujoco(tmp_path / "scene" / "scene.xml") == "22 7"
 
 
 def test_a_users_rig_from_any_file(locations: Locations, studio: SceneConfig, tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.replica import Replica
 from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
-from yamsim_cli.core.types import StepState
 from yamsim_cli.core.vision.jpeg import decode_jpeg, encode_jpeg
 from yamsim_cli.core.vision.renderer import SceneRenderer
 
@@ -42,7 +41,7 @@ def replica(scene: CompiledScene, config: RecordConfig) -> Replica:
     data = mujoco.MjData(scene.model)
     scene.start(data, layout, np.array(config.task.start_joints), OPEN)
     replica = Replica(scene)
-    replica.show(StepState(0.0, data.qpos.copy(), data.ctrl.copy(), data.ctrl.copy(), magnet=False))
+    replica.show(data.qpos)
     return replica
 
 

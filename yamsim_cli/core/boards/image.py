@@ -17,6 +17,18 @@ Image = NDArray[np.uint8]
 WHITE = 255
 
 
+def dictionary_of(name: str) -> cv2.aruco.Dictionary:
+    """OpenCV's predefined dictionary of a name such as "DICT_6X6_250".
+
+    Raises:
+        ConfigError: there is none.
+    """
+    names = {known: value for known, value in vars(cv2.aruco).items() if known.startswith("DICT_")}
+    if name not in names:
+        raise ConfigError(f"unknown dictionary {name!r}; {suggest(name, names)}")
+    return cv2.aruco.getPredefinedDictionary(int(names[name]))
+
+
 def marker_cells(board: Board) -> Image:
     """The cells (n, k, k) of a board's markers, 0 black and 255 white, in the order of its ids.
 
@@ -25,7 +37,10 @@ def marker_cells(board: Board) -> Image:
     Raises:
         ConfigError: OpenCV has no such dictionary, or the dictionary has no such ids.
     """
-    dictionary = cv2.aruco.getPredefinedDictionary(_dictionary_number(board))
+    try:
+        dictionary = dictionary_of(board.dictionary)
+    except ConfigError as error:
+        raise ConfigError(f"board {board.name!r}: {error}") from error
     known = len(dictionary.bytesList)
     if board.ids[-1] >= known:
         raise ConfigError(
@@ -108,12 +123,3 @@ def _with_scale(png: bytes, px_per_metre: int) -> bytes:
     body = b"pHYs" + struct.pack(">IIB", px_per_metre, px_per_metre, _UNIT_METRE)
     chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
     return png[:_AFTER_HEADER] + chunk + png[_AFTER_HEADER:]
-
-
-def _dictionary_number(board: Board) -> int:
-    names = {name: value for name, value in vars(cv2.aruco).items() if name.startswith("DICT_")}
-    if board.dictionary not in names:
-        raise ConfigError(
-            f"board {board.name!r}: unknown dictionary {board.dictionary!r}; {suggest(board.dictionary, names)}"
-        )
-    return int(names[board.dictionary])

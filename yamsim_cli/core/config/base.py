@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
+
+if TYPE_CHECKING:
+    from .document import Document
 
 
 class Config(BaseModel):
     """Base of all configs: immutable, numbers finite, and an unknown key is an error rather than a silent default."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
+
+    @classmethod
+    def adopt(cls, document: Document) -> None:
+        """Rewrite the keys of other programs' files as this config's own, in place; as a rule there are none."""
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,12 @@ def _plain_float(loader: _Loader, node: yaml.ScalarNode) -> float:
     return float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan"))
 
 
+def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    # OpenCV's FileStorage tags its matrices, which are mappings of rows, cols, dt and data.
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
 _Loader.add_constructor("tag:yaml.org,2002:int", _decimal_int)
 _Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
 
@@ -137,7 +143,7 @@ def parse_yaml(text: str | bytes, source: str) -> Document:
     """Read YAML text; `source` names it in messages. Raises as `load_yaml`."""
     document = Document({}, source)
     try:
-        loader = _Loader(text)
+        loader = _Loader(_without_opencv_header(text))
         try:
             root = loader.get_single_node()
             if not isinstance(root, yaml.MappingNode) or root.tag != "tag:yaml.org,2002:map":
@@ -153,6 +159,13 @@ def parse_yaml(text: str | bytes, source: str) -> Document:
     except (yaml.YAMLError, RecursionError, ValueError, KeyError, AttributeError) as error:
         raise ConfigError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
     return document
+
+
+def _without_opencv_header(text: str | bytes) -> str | bytes:
+    """OpenCV's FileStorage begins with `%YAML:1.0`, which is no YAML: as a comment it keeps the lines' numbers."""
+    if isinstance(text, bytes):
+        return b"#" + text if text.startswith(b"%YAML:") else text
+    return "#" + text if text.startswith("%YAML:") else text
 
 
 def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:

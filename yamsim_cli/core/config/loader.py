@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
 from .base import Config, Reference
+from .camera import CameraConfig
 from .document import Document, KeyPath, load_yaml, parse_yaml
 from .record import RecordConfig, RenderConfig
 from .rig import RigConfig
@@ -24,6 +25,7 @@ KINDS: Mapping[str, type[Config]] = {
     "scenes": SceneConfig,
     "tasks": TaskConfig,
     "objects": ObjectConfig,
+    "cameras": CameraConfig,
     "quality": RenderConfig,
     "record": RecordConfig,
 }
@@ -88,6 +90,7 @@ def _read(model: type[Config], path: Path) -> Document:
     document = load_yaml(path)
     if "name" in model.model_fields:
         document.data.setdefault("name", path.stem)
+    model.adopt(document)
     return document
 
 

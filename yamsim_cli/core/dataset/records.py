@@ -18,9 +18,9 @@ Pose2D = tuple[float, float, float, float]
 
 
 class Record(BaseModel):
-    """Base of what is read back from a dataset. Unknown keys are kept out of the way: a later version may add some."""
+    """Base of what is read back from a dataset: finite numbers; unknown keys, of later versions, are left out."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 class OutcomeRecord(Record):

@@ -1,14 +1,19 @@
-"""Small statistics that batch and summary share."""
+"""Small statistics of samples, for batch and summary."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 # Two-sided 95 % of the normal distribution.
 _Z95 = 1.959963984540054
+
+# At most so many bins; values closer than the span (m) are one.
+_BINS = 40
+_LEAST_SPAN = 1e-4
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
@@ -32,3 +37,71 @@ def spread(values: Sequence[float]) -> dict[str, float] | None:
     if not values:
         return None
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(np.max(values))}
+
+
+def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
+    """Counts in bins of a round width, with edges at multiples of it, around all values; None without any.
+
+    Returns:
+        `edges`, one more than there are bins, and `counts`.
+    """
+    if not values:
+        return None
+    span = max(max(values) - min(values), _LEAST_SPAN)
+    power = 10.0 ** math.floor(math.log10(span / _BINS))
+    width = next(power * k for k in (1, 2, 5, 10) if span / (power * k) <= _BINS)
+    low = math.floor(min(values) / width)
+    high = max(low + 1, math.ceil(max(values) / width))
+    edges = [round(k * width, 12) for k in range(low, high + 1)]
+    counts, _ = np.histogram(values, edges)
+    return {"edges": edges, "counts": [int(count) for count in counts]}
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Which cells of a grid over a box were hit.
+
+    Attributes:
+        shape: cells along x and y.
+        hits: [ix][iy] -> how many points.
+        outside: points beyond the box.
+    """
+
+    shape: tuple[int, int]
+    hits: list[list[int]]
+    outside: int
+
+    @property
+    def cells_hit(self) -> int:
+        """How many cells hold a point."""
+        return sum(count > 0 for column in self.hits for count in column)
+
+    @property
+    def cells(self) -> int:
+        """How many there are."""
+        return self.shape[0] * self.shape[1]
+
+
+def coverage(
+    points: Sequence[tuple[float, float]], x: tuple[float, float], y: tuple[float, float], cell: float
+) -> Coverage:
+    """Count points (x, y) in a grid over the box `x` times `y` whose cells are at most `cell` wide; all in m."""
+    shape = (_cells(x, cell), _cells(y, cell))
+    hits = [[0] * shape[1] for _ in range(shape[0])]
+    outside = 0
+    for px, py in points:
+        if x[0] <= px <= x[1] and y[0] <= py <= y[1]:
+            hits[_cell(px, x, shape[0])][_cell(py, y, shape[1])] += 1
+        else:
+            outside += 1
+    return Coverage(shape, hits, outside)
+
+
+def _cells(span: tuple[float, float], cell: float) -> int:
+    # A hair less, so that 0.25 m are five cells of 0.05 m whatever rounding says.
+    return max(1, math.ceil((span[1] - span[0]) / cell - 1e-9))
+
+
+def _cell(value: float, span: tuple[float, float], n: int) -> int:
+    width = span[1] - span[0]
+    return min(n - 1, int((value - span[0]) / width * n)) if width else 0

@@ -1,126 +1,118 @@
-"""A dataset's statistics and checks, from its files alone."""
+"""A dataset in numbers, from what was found in it: nothing is simulated."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
-from ..errors import DatasetError
-from .check import Decoder, Problem, check_episode
-from .layout import CONFIG, MANIFEST, episode_directories
-from .records import AttemptRecord, EpisodeRecord, Manifest, from_json
-from .statistics import spread, wilson95
-from .writer import read_attempts
+import numpy as np
 
-Progress = Callable[[int, int], None]
+from .checks.facts import EpisodeFacts
+from .checks.problem import errors, printable
+from .records import AttemptRecord
+from .statistics import Coverage, coverage, histogram, spread, wilson95
+from .survey import Survey
+
+# The workspace is divided into cells of at most this, m: about a banana's width.
+CELL_M = 0.05
 
 
-def summarize(dataset: Path, thresholds: Sequence[float], decode_image: Decoder, progress: Progress) -> dict[str, Any]:
-    """Check and count a dataset.
+def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
+    """Count.
 
     Args:
-        thresholds: in metres, by which stored outcomes are scored.
-        decode_image: see `check.Decoder`.
-        progress: called with episodes done and in all.
+        thresholds: in metres, by which the outcomes are scored.
 
     Returns:
-        JSON-ready: episodes, frames, bytes, success_rate and wilson95 per threshold, attempts, dxy_m, dz_m, workspace,
-        cameras, versions, problems.
-
-    Raises:
-        DatasetError: there is no dataset at all.
+        JSON-ready; see README.
     """
-    if not dataset.is_dir():
-        raise DatasetError(f"{dataset} is not a directory; give the directory that `yamsim record` wrote")
-    directories = episode_directories(dataset)
-    if not directories and not (dataset / CONFIG).is_file():
-        raise DatasetError(
-            f"{dataset} holds no episodes (ep_NNNNNN) and no {CONFIG}; give the directory that `yamsim record` wrote"
-        )
-
-    records: list[EpisodeRecord] = []
-    problems: list[Problem] = []
-    size = 0
-    for done, (number, directory) in enumerate(directories, start=1):
-        record, found, episode_size = check_episode(directory, number, decode_image)
-        problems += found
-        size += episode_size
-        if record:
-            records.append(record)
-        progress(done, len(directories))
-    try:
-        attempts = read_attempts(dataset)
-    except DatasetError as error:
-        problems.append(Problem("", str(error), "the ledger is damaged"))
-        attempts = []
-    problems += _gaps([number for number, _ in directories], attempts)
-    problems += _manifest_problems(dataset, records)
-
-    outcomes = [(record.outcome, record.max_height_m) for record in records]
-    hits = {f"{t:g}": sum(outcome.within(t, height) for outcome, height in outcomes) for t in thresholds}
+    episodes, problems = survey.episodes, list(survey.problems)
+    outcomes = [episode.outcome for episode in episodes if episode.outcome]
+    dxy = [outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]
+    dz = [outcome.dz_m for outcome in outcomes if outcome.dz_m is not None]
+    hits = {f"{t:g}": sum(within(episode, t, survey) for episode in episodes) for t in thresholds}
+    records = [episode.record for episode in episodes if episode.record]
+    n_errors = errors(problems)
     return {
-        "path": str(dataset),
-        "episodes": len(directories),
-        "frames": sum(record.frames for record in records),
-        "bytes": size,
-        "success_rate": {t: hit / len(records) if records else None for t, hit in hits.items()},
-        "wilson95": {t: wilson95(hit, len(records)) for t, hit in hits.items()},
-        "attempts": _attempts(attempts),
-        "dxy_m": spread([outcome.dxy_m for outcome, _ in outcomes if outcome.dxy_m is not None]),
-        "dz_m": spread([outcome.dz_m for outcome, _ in outcomes if outcome.dz_m is not None]),
-        "workspace": _workspace(records),
-        "cameras": {name: list(wh) for record in records[:1] for name, wh in record.cameras.items()},
+        "path": printable(survey.path),
+        "recorded_by_yamsim": survey.context.recorded,
+        "episodes": len(episodes),
+        "frames": sum(episode.frames for episode in episodes),
+        "bytes": sum(episode.bytes for episode in episodes),
+        "seconds": sum(episode.seconds or 0.0 for episode in episodes),
+        "frames_per_episode": _range([episode.frames for episode in episodes]),
+        "bytes_per_episode": _range([episode.bytes for episode in episodes]),
+        "success_rate": {t: hit / len(outcomes) if outcomes else None for t, hit in hits.items()},
+        "wilson95": {t: wilson95(hit, len(outcomes)) for t, hit in hits.items()},
+        "attempts": _attempts(survey.attempts, thresholds, survey.context.max_height),
+        "dxy_m": _distribution(dxy),
+        "dz_m": _distribution(dz),
+        "workspace": _workspace(survey),
+        "cameras": {printable(name): list(size) for episode in episodes for name, size in episode.cameras.items()},
         "tasks": sorted({record.task for record in records}),
         "grasps": sorted({record.grasp for record in records}),
-        "versions": sorted({tuple(sorted(record.versions.items())) for record in records}),
-        "problems": [asdict(problem) for problem in problems],
+        "versions": [dict(found) for found in sorted({tuple(sorted(record.versions.items())) for record in records})],
+        "errors": n_errors,
+        "warnings": len(problems) - n_errors,
+        "problems": [problem.plain() for problem in problems],
     }
 
 
-def _attempts(attempts: Sequence[AttemptRecord]) -> dict[str, Any]:
-    succeeded = sum(attempt.outcome.success for attempt in attempts)
+def within(episode: EpisodeFacts, threshold: float, survey: Survey) -> bool:
+    """Whether an episode's object lay within `threshold` m of the target's centre, and on it, at the end."""
+    height = episode.record.max_height_m if episode.record else survey.context.max_height
+    return episode.outcome is not None and episode.outcome.within(threshold, height)
+
+
+def workspace_coverage(survey: Survey, points: Sequence[tuple[float, float]]) -> Coverage | None:
+    """Cells of the sampling box that points (x, y) lie in; None where the box is not known."""
+    box = survey.context.sampling
+    return coverage(points, box.x, box.y, CELL_M) if box else None
+
+
+def _attempts(attempts: Sequence[AttemptRecord], thresholds: Sequence[float], max_height: float) -> dict[str, Any]:
+    n, succeeded = len(attempts), sum(attempt.outcome.success for attempt in attempts)
+    hits = {f"{t:g}": sum(attempt.outcome.within(t, max_height) for attempt in attempts) for t in thresholds}
+    causes = Counter(attempt.outcome.cause for attempt in attempts if attempt.outcome.cause)
     return {
-        "n": len(attempts),
+        "n": n,
         "n_success": succeeded,
-        "success_rate": succeeded / len(attempts) if attempts else None,
-        "wilson95": wilson95(succeeded, len(attempts)),
-        "causes": dict(Counter(attempt.outcome.cause for attempt in attempts if attempt.outcome.cause)),
+        "success_rate": succeeded / n if n else None,
+        "wilson95": wilson95(succeeded, n),
+        "rates": {t: hit / n if n else None for t, hit in hits.items()},
+        "rates_wilson95": {t: wilson95(hit, n) for t, hit in hits.items()},
+        "causes": dict(causes.most_common()),
     }
 
 
-def _workspace(records: Sequence[EpisodeRecord]) -> dict[str, dict[str, list[float]]]:
-    """Object -> range of its start positions, x and y in `world`, m."""
-    ranges: dict[str, dict[str, list[float]]] = {}
-    for name in dict.fromkeys(name for record in records for name in record.layout):
-        starts = [record.layout[name] for record in records if name in record.layout]
-        ranges[name] = {axis: [min(s[k] for s in starts), max(s[k] for s in starts)] for k, axis in enumerate("xy")}
-    return ranges
+def _distribution(values: Sequence[float]) -> dict[str, Any] | None:
+    found = spread(values)
+    return found and {**found, "histogram": histogram(values)}
 
 
-def _gaps(numbers: Sequence[int], attempts: Sequence[AttemptRecord]) -> list[Problem]:
-    """Episodes that should be there: numbers run from 0 without a gap, and the ledger's are all published."""
-    expected = set(range(max(numbers, default=-1) + 1)) | {a.episode for a in attempts if a.episode is not None}
-    return [Problem(f"ep_{number:06d}", "", "missing") for number in sorted(expected - set(numbers))]
+def _range(values: Sequence[int]) -> dict[str, float] | None:
+    return {"min": min(values), "median": float(np.median(values)), "max": max(values)} if values else None
 
 
-def _manifest_problems(dataset: Path, records: Sequence[EpisodeRecord]) -> list[Problem]:
-    file = dataset / MANIFEST
-    if not file.is_file():
-        return [Problem("", MANIFEST, "missing; `yamsim record --resume` writes it again")]
-    try:
-        manifest = from_json(Manifest, file.read_bytes(), MANIFEST)
-    except DatasetError as error:
-        return [Problem("", MANIFEST, str(error).removeprefix(f"{MANIFEST}: "))]
-    listed, found = {entry.episode for entry in manifest.episodes}, {record.episode for record in records}
-    if listed != found:
-        return [
-            Problem(
-                "",
-                MANIFEST,
-                f"lists {len(listed)} episodes, {len(found)} are readable; `yamsim record --resume` writes it again",
-            )
-        ]
-    return []
+def _workspace(survey: Survey) -> dict[str, Any]:
+    """The sampling box; and object -> where it lay at start and end: extents (m, `world`), cells of the box hit."""
+    box = survey.context.sampling
+    names = dict.fromkeys(name for episode in survey.episodes for name in (*episode.starts, *episode.ends))
+    objects = {}
+    for name in names:
+        starts = [episode.starts[name] for episode in survey.episodes if name in episode.starts]
+        ends = [episode.ends[name] for episode in survey.episodes if name in episode.ends]
+        objects[printable(name)] = {"start": _extent(survey, starts), "end": _extent(survey, ends)}
+    return {"box": {"x": list(box.x), "y": list(box.y), "cell_m": CELL_M} if box else None, "objects": objects}
+
+
+def _extent(survey: Survey, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    if not points:
+        return {}
+    extent: dict[str, Any] = {
+        axis: [min(point[k] for point in points), max(point[k] for point in points)] for k, axis in enumerate("xy")
+    }
+    if grid := workspace_coverage(survey, points):
+        extent |= {"cells": grid.cells, "cells_hit": grid.cells_hit, "outside": grid.outside}
+    return extent

@@ -41,6 +41,43 @@ class Intrinsics:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
 
+@dataclass(frozen=True)
+class CameraModel:
+    """A real camera as OpenCV calibrates it: pinhole with lens distortion.
+
+    Attributes:
+        width, height: of its images, px.
+        K: the camera matrix, row by row.
+        distortion: coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; none for none.
+        focal_sigma: standard deviation of the focal length as a share of it: 0.003 is what a careful calibration gives.
+    """
+
+    width: int
+    height: int
+    K: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    distortion: tuple[float, ...] = ()
+    focal_sigma: float = 0.003
+
+    @classmethod
+    def pinhole(cls, width: int, height: int, focal: float, focal_sigma: float = 0.003) -> CameraModel:
+        """A camera without distortion, with square pixels and the principal point in the image's middle."""
+        K = ((focal, 0.0, (width - 1) / 2), (0.0, focal, (height - 1) / 2), (0.0, 0.0, 1.0))
+        return cls(width, height, K, focal_sigma=focal_sigma)
+
+    @property
+    def focal(self) -> float:
+        """The geometric mean of the two focal lengths, px."""
+        return math.sqrt(self.K[0][0] * self.K[1][1])
+
+    def scaled(self, factor: float) -> CameraModel:
+        """The camera of this one's images resized by `factor`; pixel centres at whole numbers before and after."""
+        (fx, skew, cx), (_, fy, cy), last = self.K
+        shift = (factor - 1) / 2
+        K = ((fx * factor, skew * factor, cx * factor + shift), (0.0, fy * factor, cy * factor + shift), last)
+        size = (round(self.width * factor), round(self.height * factor))
+        return CameraModel(*size, K, self.distortion, self.focal_sigma)
+
+
 def opencv_from_mujoco(rotation: ArrayLike) -> Array:
     """The rotation (3, 3) of a camera's OpenCV frame, from that of its MuJoCo frame; the way back is the same."""
     return np.asarray(rotation, dtype=np.float64).reshape(3, 3) @ _FLIP_YZ

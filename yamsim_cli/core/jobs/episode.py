@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
 from ... import __version__
 from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
-from ..dataset.lowdim import content_hash, dump_frame, frame_data
+from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..errors import ConfigError
 from ..geometry.se3 import Array, yaw
 from ..planning.dynamics import ArmDynamics
@@ -21,14 +22,15 @@ from ..planning.ik import IkSolver
 from ..planning.path import best_plan, plan_path
 from ..resources import Locations
 from ..scene.build import build_scene
+from ..scene.compiled import CompiledScene
 from ..scene.robot import arm_spec, bare_arm
 from ..sim.replica import Replica
-from ..sim.rollout import Rollout, roll_out
+from ..sim.rollout import Rollout, object_pose, roll_out, simulate
 from ..tasks.pickplace import candidate_plans, judge, knocked, sample_layout
 from ..tasks.randomness import Stream, generator
-from ..types import Cause, EpisodeJob, EpisodePayload, Layout, Outcome
+from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, StepState
 from ..vision.jpeg import encode_jpeg
-from ..vision.renderer import SceneRenderer
+from ..vision.renderer import Image, SceneRenderer
 
 # A plan that misses a waypoint by more than this is out of the arm's reach.
 _REACH_TOLERANCE = 0.005
@@ -36,7 +38,7 @@ _REACH_TOLERANCE = 0.005
 
 def versions() -> dict[str, str]:
     """Versions of what an episode's bytes depend on."""
-    packages = {"mujoco": "mujoco", "mink": "mink", "numpy": "numpy", "opencv": "opencv-python-headless"}
+    packages = {name: name for name in ("mujoco", "mink", "daqp", "numpy")} | {"opencv": "opencv-python-headless"}
     return {"yamsim": __version__, "python": platform.python_version()} | {
         key: version(name) for key, name in packages.items()
     }
@@ -78,20 +80,37 @@ class EpisodeRunner:
         self._replica = Replica(self._scene)
         self._renderer: SceneRenderer | None = None
 
+    @property
+    def scene(self) -> CompiledScene:
+        """What the attempts are made in."""
+        return self._scene
+
+    @property
+    def renderer(self) -> SceneRenderer:
+        """The process's one renderer, made when first asked for.
+
+        Raises:
+            ResourceError: no OpenGL context could be made.
+        """
+        if self._renderer is None:
+            self._renderer = SceneRenderer(self._scene.model, self._config.image.size_px)
+        return self._renderer
+
     def run(self, job: EpisodeJob) -> EpisodePayload:
         """Make one attempt; draw it if it succeeded."""
-        layout, outcome, rollout = self._simulate(job)
-        starts = {name: _start(T) for name, T in layout.T_in_world.items()} if layout else {}
+        layout, outcome, rollout = self.simulate(job)
+        starts = start_poses(layout)
         if not outcome.success or rollout is None or not self._draw:
             return EpisodePayload(job, outcome, starts)
-        renderer = self._renderer or SceneRenderer(self._scene.model, self._config.image.size_px)
-        self._renderer = renderer
-        files, content = self._render(rollout, renderer)
+        frames = self.frames(rollout.states)
+        files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(frames)}
+        files |= self.images([state.qpos for state in rollout.states])
         return EpisodePayload(
-            job, outcome, starts, files, len(rollout.states), content, versions(), renderer.description
+            job, outcome, starts, files, len(frames), content_hash(frames), versions(), self.renderer.description
         )
 
-    def _simulate(self, job: EpisodeJob) -> tuple[Layout | None, Outcome, Rollout | None]:
+    def simulate(self, job: EpisodeJob) -> tuple[Layout | None, Outcome, Rollout | None]:
+        """One attempt in physics alone: where things stood, how it ended, and what happened, if anything moved."""
         task = self._config.task
         T_base = self._scene.T_base_in_world
         layout = sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
@@ -110,48 +129,73 @@ class EpisodeRunner:
             return layout, outcome, None
 
         rollout = roll_out(self._scene, layout, path, plan.object, task.timing)
-        outcome = knocked(
-            layout.T_in_world[plan.object], rollout.T_object_before_grasp, path.position_error, path.tilt
-        ) or judge(
+        outcome = self._judge(rollout, layout.T_in_world[plan.object], path.position_error, path.tilt)
+        return layout, outcome, rollout
+
+    def repeat(self, start: Array, actions: Actions, plan_error: float, tilt: float) -> tuple[Outcome, Rollout]:
+        """Let recorded actions act again, in physics alone, without any plan.
+
+        Args:
+            start: MuJoCo's positions (nq,) of the first frame.
+            plan_error, tilt: of the plan that the actions came from, m and rad; they are passed on to the outcome.
+        """
+        task = self._config.task
+        rollout = simulate(self._scene, start, actions, task.object.name, task.timing)
+        self._replica.show(start)
+        T_at_start = object_pose(self._replica.data, task.object.name)
+        return self._judge(rollout, T_at_start, plan_error, tilt), rollout
+
+    def _judge(self, rollout: Rollout, T_at_start: Array, plan_error: float, tilt: float) -> Outcome:
+        task = self._config.task
+        return knocked(T_at_start, rollout.T_object_before_grasp, plan_error, tilt) or judge(
             task,
             rollout.T_in_world[task.object.name],
             rollout.T_in_world[task.target.name],
             rollout.object_speed,
-            path.position_error,
-            path.tilt,
+            plan_error,
+            tilt,
         )
-        return layout, outcome, rollout
 
-    def _render(self, rollout: Rollout, renderer: SceneRenderer) -> tuple[dict[str, bytes], str]:
-        """The files of an episode, and the hash of their low-dimensional content."""
-        config, task = self._config, self._config.task
-        intrinsics = {camera: renderer.intrinsics(camera).K for camera in self._scene.cameras}
-        files: dict[str, bytes] = {}
-        frames = []
-        for k, state in enumerate(rollout.states):
-            self._replica.show(state)
-            frame = frame_data(
-                joints=self._replica.joints(),
-                timestamp=state.time,
-                intrinsics=intrinsics,
-                extrinsics={camera: self._replica.T_cam_in_base(camera) for camera in self._scene.cameras},
-                object_poses={
-                    item.name: self._replica.T_object_in_base(item.name) for item in (task.object, task.target)
-                },
-                ee_pose=self._replica.T_grasp_in_base(),
-                ctrl=state.ctrl,
-                action_joints=state.action_joints,
-                magnet=state.magnet,
-                language_task=task.language_task,
-                language_prompt=task.language_prompt,
-                wrist_camera=config.rig.arms[0].wrist_camera_name if config.wrist else None,
-            )
-            frames.append(frame)
-            files[lowdim_name(k)] = dump_frame(frame)
-            for camera in self._scene.cameras:
-                image = renderer.draw(self._replica.data, camera)
-                files[image_name(camera, k)] = encode_jpeg(image, config.image.jpeg_quality)
-        return files, content_hash(frames)
+    def frames(self, states: Sequence[StepState]) -> list[dict[str, Any]]:
+        """The low-dimensional data of recorded states, see `dataset.lowdim`; nothing is drawn for it."""
+        return [self._frame(state) for state in states]
+
+    def _frame(self, state: StepState) -> dict[str, Any]:
+        config, task, replica = self._config, self._config.task, self._replica
+        replica.show(state.qpos)
+        acting = state.actions
+        return frame_data(
+            joints=replica.joints(),
+            timestamp=state.time,
+            intrinsics={name: replica.intrinsics(name, config.image.size_px).K for name in self._scene.cameras},
+            extrinsics={name: replica.T_cam_in_base(name) for name in self._scene.cameras},
+            object_poses={item.name: replica.T_object_in_base(item.name) for item in (task.object, task.target)},
+            ee_pose=replica.T_grasp_in_base(),
+            ctrl=acting.ctrl[0],
+            action_joints=acting.joints[0],
+            magnet=acting.magnet[0],
+            language_task=task.language_task,
+            language_prompt=task.language_prompt,
+            wrist_camera=config.rig.arms[0].wrist_camera_name if config.wrist else None,
+            simulation=SimulationData(state.qpos, acting.ctrl, acting.magnet),
+        )
+
+    def images(self, positions: Iterable[Array]) -> dict[str, bytes]:
+        """Path inside the episode -> JPEG, of every camera for each of MuJoCo's positions (nq,).
+
+        Raises:
+            ResourceError: no OpenGL context could be made.
+        """
+        return {
+            image_name(camera, k): encode_jpeg(image, self._config.image.jpeg_quality)
+            for k, qpos in enumerate(positions)
+            for camera, image in self.draw(qpos, self._scene.cameras).items()
+        }
+
+    def draw(self, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
+        """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,). Raises as `images`."""
+        self._replica.show(qpos)
+        return {camera: self.renderer.draw(self._replica.data, camera) for camera in cameras}
 
     def close(self) -> None:
         """Free the renderer."""
@@ -168,5 +212,8 @@ class EpisodeRunner:
         self.close()
 
 
-def _start(T: Array) -> tuple[float, float, float, float]:
-    return float(T[0, 3]), float(T[1, 3]), float(T[2, 3]), yaw(T)
+def start_poses(layout: Layout | None) -> dict[str, tuple[float, float, float, float]]:
+    """Object -> start pose `[x, y, z, yaw]` in `world`, m and rad; empty without a layout."""
+    if layout is None:
+        return {}
+    return {name: (float(T[0, 3]), float(T[1, 3]), float(T[2, 3]), yaw(T)) for name, T in layout.T_in_world.items()}

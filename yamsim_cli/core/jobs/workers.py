@@ -26,6 +26,10 @@ from .serving import STOP_SIGNALS, serve
 _END_SECONDS = 5.0
 _MESSAGE_SECONDS = 60.0
 
+# Nothing may break off the start of a process half way: neither a stop, nor the alarm by which one that fell into an
+# import is raised later.
+_HELD = (*STOP_SIGNALS, signal.SIGALRM)
+
 
 class WorkerPool(Pool[J, R]):
     """An `Executor` over processes of this machine; a context manager that ends them all.
@@ -125,7 +129,7 @@ def _stop_signals_held() -> Iterator[None]:
     """A process started here is born deaf to Ctrl-C, until it says itself that it ignores it."""
     # Starting the tracker would lift the block; once it runs it is left alone.
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
     try:
         yield
     finally:

@@ -50,13 +50,23 @@ class CompiledScene:
 
     def start(self, data: mujoco.MjData, layout: Layout, joints: Array, gripper: float) -> None:
         """Reset `data` wholly and put arm and objects in place: bit for bit the same however `data` was used before."""
-        mujoco.mj_resetData(self.model, data)
-        data.qpos[self.joint_qpos] = joints
-        data.qpos[self.gripper_qpos] = gripper, -gripper
-        data.ctrl[self.arm_ctrl] = joints
-        data.ctrl[self.gripper_ctrl] = gripper
+        self.reset(data, self.start_qpos(layout, joints, gripper))
+
+    def start_qpos(self, layout: Layout, joints: Array, gripper: float) -> Array:
+        """MuJoCo's positions (nq,) with the arm at `joints` (6,), both fingers at `gripper`, and the objects placed."""
+        qpos: Array = self.model.qpos0.copy()
+        qpos[self.joint_qpos] = joints
+        qpos[self.gripper_qpos] = gripper, -gripper
         for name, T in layout.T_in_world.items():
             address = self.object_qpos[name]
-            data.qpos[address : address + 3] = T[:3, 3]
-            data.qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+            qpos[address : address + 3] = T[:3, 3]
+            qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+        return qpos
+
+    def reset(self, data: mujoco.MjData, qpos: Array) -> None:
+        """Reset `data` wholly and put everything at rest at `qpos` (nq,), every drive told to hold its place."""
+        mujoco.mj_resetData(self.model, data)
+        data.qpos[:] = qpos
+        data.ctrl[self.arm_ctrl] = qpos[self.joint_qpos]
+        data.ctrl[self.gripper_ctrl] = qpos[self.gripper_qpos[0]]
         mujoco.mj_forward(self.model, data)

@@ -28,7 +28,8 @@ class Contents:
 
     Attributes:
         boards: base boards and mounts.
-        background: sky and floor.
+        background: sky, floor and lights; without it, MuJoCo's headlight is left as it is. A table belongs to the
+            task and stays.
         objects: free bodies to be added, for a task.
     """
 
@@ -67,16 +68,13 @@ def compose(
             add_base_board(spec, arm, T)
     for item in contents.objects:
         add_object(spec, item, meshes.get(item.mesh.set))
-    if contents.background or scene.table:
+    middle = scene.table.position if scene.table else np.mean([T[:3, 3] for T in bases], axis=0)
+    if contents.background:
         add_background(spec, scene)
+        add_lights(spec, scene, middle)
     if scene.table:
         add_table(spec, scene.table, scene.safety_plane, bases)
-    middle = scene.table.position if scene.table else np.mean([T[:3, 3] for T in bases], axis=0)
-    add_lights(spec, scene, middle)
     visual = spec.visual
-    visual.headlight.ambient = scene.ambient
-    visual.headlight.diffuse = (0.15, 0.15, 0.15)
-    visual.headlight.specular = (0, 0, 0)
     # Fixed rather than fitted to the model, so that no object changes the clip planes or the shadow map's resolution.
     spec.stat.extent = 1.0
     spec.stat.center = middle

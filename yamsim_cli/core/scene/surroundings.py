@@ -46,7 +46,15 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
 
 
 def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] | Array) -> None:
-    """The scene's directional lights; their shadows are sharpest around `centre` (3,), in `world`."""
+    """The scene's directional lights and what the camera itself sheds.
+
+    Args:
+        centre: (3,) in `world`, around which shadows are sharpest.
+    """
+    headlight = spec.visual.headlight
+    headlight.ambient = scene.ambient
+    headlight.diffuse = (0.15, 0.15, 0.15)
+    headlight.specular = (0, 0, 0)
     for k, light in enumerate(scene.lights):
         direction = np.asarray(light.direction) / np.linalg.norm(light.direction)
         spec.worldbody.add_light(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 
-from ..geometry.camera import opencv_from_mujoco
+from ..geometry.camera import Intrinsics, opencv_from_mujoco
 from ..geometry.se3 import Array, inverse, pose
 from ..scene.compiled import CompiledScene
-from ..types import StepState
 
 
 class Replica:
@@ -19,9 +20,9 @@ class Replica:
         self.data = mujoco.MjData(scene.model)
         self._T_world_in_base = inverse(scene.T_base_in_world)
 
-    def show(self, state: StepState) -> None:
-        """Take on a state: positions of all bodies, cameras and lights."""
-        self.data.qpos[:] = state.qpos
+    def show(self, qpos: Array) -> None:
+        """Take on a state (nq,): positions of all bodies, cameras and lights."""
+        self.data.qpos[:] = qpos
         mujoco.mj_kinematics(self.scene.model, self.data)
         mujoco.mj_comPos(self.scene.model, self.data)
         mujoco.mj_camlight(self.scene.model, self.data)
@@ -39,6 +40,10 @@ class Replica:
         """Pose (4, 4) of `grasp_site`."""
         site = self.data.site("grasp_site")
         return self._T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3))
+
+    def intrinsics(self, camera: str, size: tuple[int, int]) -> Intrinsics:
+        """The pinhole camera that images of `size` (width, height) pixels are rendered with."""
+        return Intrinsics.from_fovy(*size, math.radians(float(self.scene.model.cam(camera).fovy[0])))
 
     def T_cam_in_base(self, camera: str) -> Array:
         """Pose (4, 4) of a camera, in OpenCV's convention."""

@@ -1,4 +1,4 @@
-"""Run a joint path in physics, without drawing anything, and keep the states that will be drawn."""
+"""Run a joint path, or recorded actions, in physics, without drawing, and keep the states that will be drawn."""
 
 from __future__ import annotations
 
@@ -10,26 +10,24 @@ import numpy as np
 from ..config.task import Timing
 from ..geometry.se3 import Array, pose
 from ..scene.compiled import CompiledScene
-from ..types import JointPath, Layout, StepState
+from ..types import Actions, JointPath, Layout, StepState
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """What physics made of a path.
+    """What physics made of a path, or of recorded actions.
 
     Attributes:
-        states: one a recorded tick, taken before its command acts.
+        states: one a recorded frame, taken before its command acts.
         T_object_before_grasp: pose (4, 4) of the object in `world` when it was attached.
         T_in_world: object name -> pose (4, 4) at the end.
         object_speed: of the carried object at the end, m/s.
-        tracking_error: largest distance of a joint from its reference at the end of a tick, rad.
     """
 
     states: tuple[StepState, ...]
     T_object_before_grasp: Array
     T_in_world: dict[str, Array]
     object_speed: float
-    tracking_error: float
 
 
 def object_pose(data: mujoco.MjData, name: str) -> Array:
@@ -51,48 +49,56 @@ def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
     return clipped
 
 
+def path_actions(scene: CompiledScene, path: JointPath) -> Actions:
+    """What makes the arm follow a path."""
+    ctrl = np.zeros((len(path.gripper), scene.model.nu))
+    ctrl[:, scene.arm_ctrl] = [drive_command(scene, path, tick) for tick in range(len(ctrl))]
+    ctrl[:, scene.gripper_ctrl] = path.gripper
+    return Actions(ctrl, path.magnet, np.column_stack([path.joints[1:], path.gripper]))
+
+
 def roll_out(scene: CompiledScene, layout: Layout, path: JointPath, carried: str, timing: Timing) -> Rollout:
     """Simulate one attempt from a full reset; the same inputs give the same bits on one machine.
 
     Args:
         carried: name of the object the weld takes.
     """
+    start = scene.start_qpos(layout, path.joints[0], float(path.gripper[0]))
+    return simulate(scene, start, path_actions(scene, path), carried, timing)
+
+
+def simulate(scene: CompiledScene, start: Array, actions: Actions, carried: str, timing: Timing) -> Rollout:
+    """Let actions act from a full reset at `start` (nq,), everything at rest; the same inputs give the same bits.
+
+    Args:
+        carried: name of the object the weld takes.
+    """
     model = scene.model
     data = mujoco.MjData(model)
-    scene.start(data, layout, path.joints[0], float(path.gripper[0]))
+    scene.reset(data, start)
     states: list[StepState] = []
     T_before_grasp = object_pose(data, carried)
-    tracking = 0.0
-    for tick, reference in enumerate(path.joints[1:]):
-        if path.magnet[tick] != bool(data.eq_active[scene.weld]):
-            if path.magnet[tick]:
+    for tick, ctrl in enumerate(actions.ctrl):
+        if actions.magnet[tick] != bool(data.eq_active[scene.weld]):
+            if actions.magnet[tick]:
                 # mj_step leaves the poses of the step before.
                 mujoco.mj_kinematics(model, data)
                 T_before_grasp = object_pose(data, carried)
                 attach(scene, data, carried)
-            data.eq_active[scene.weld] = path.magnet[tick]
-        data.ctrl[scene.arm_ctrl] = drive_command(scene, path, tick)
-        data.ctrl[scene.gripper_ctrl] = path.gripper[tick]
+            data.eq_active[scene.weld] = actions.magnet[tick]
+        data.ctrl[:] = ctrl
         if tick % timing.ticks_per_frame == 0:
-            states.append(
-                StepState(
-                    data.time,
-                    data.qpos.copy(),
-                    data.ctrl.copy(),
-                    np.append(reference, path.gripper[tick]),
-                    path.magnet[tick],
-                )
-            )
+            until = slice(tick, tick + timing.ticks_per_frame)
+            acting = Actions(actions.ctrl[until], actions.magnet[until], actions.joints[until])
+            states.append(StepState(data.time, data.qpos.copy(), acting))
         mujoco.mj_step(model, data, timing.physics_steps_per_tick)
-        tracking = max(tracking, float(np.abs(data.qpos[scene.joint_qpos] - reference).max()))
     mujoco.mj_kinematics(model, data)
     dof = scene.object_dof[carried]
     return Rollout(
         states=tuple(states),
         T_object_before_grasp=T_before_grasp,
-        T_in_world={name: object_pose(data, name) for name in layout.T_in_world},
+        T_in_world={name: object_pose(data, name) for name in scene.object_qpos},
         object_speed=float(np.linalg.norm(data.qvel[dof : dof + 3])),
-        tracking_error=tracking,
     )
 
 

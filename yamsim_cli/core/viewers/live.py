@@ -45,6 +45,7 @@ class LiveRig:
 
     def __init__(self, rig: RigConfig, model: mujoco.MjModel) -> None:
         self.rig = rig
+        self.title = rig.name
         self.model = model
         self.data = mujoco.MjData(model)
         self.drives = tuple(_drive(model, arm.name, arm.prefix, name) for arm in rig.arms for name in ACTUATORS)

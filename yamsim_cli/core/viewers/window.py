@@ -1,4 +1,4 @@
-"""MuJoCo's own window on a live rig."""
+"""MuJoCo's own window on whatever moves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..errors import ResourceError
-from .live import LiveRig
+from .shown import Shown
 from .viewpoint import Viewpoint
 
 _KEY_SPACE = 32
@@ -20,48 +20,49 @@ _CLOSE_SECONDS = 5.0
 
 
 def run_window(
-    live: LiveRig, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
+    shown: Shown, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
 ) -> None:
-    """Show the rig until the window is closed or `stopped` says so.
+    """Show it until the window is closed or `stopped` says so.
 
-    The window's Control sliders drive the joints; space pauses, and its reset, or backspace, goes home.
+    The window's Control sliders drive a live rig's joints; space pauses, and its reset, or backspace, goes home.
 
     Args:
         period: between two pictures, s.
-        ready: called once, when the window is open.
+        ready: called when the window is open, unless it is no longer wanted.
 
     Raises:
         ResourceError: no window can be opened here.
     """
     _check_display()
-    with _window(live) as viewer:
+    with _window(shown) as viewer:
         with viewer.lock():
             viewer.cam.lookat[:] = viewpoint.look_at
             viewer.cam.distance = viewpoint.distance
             viewer.cam.azimuth, viewer.cam.elevation = viewpoint.azimuth_deg, viewpoint.elevation_deg
-        ready()
+        if not stopped():
+            ready()
         while viewer.is_running() and not stopped():
             began = time.monotonic()
-            live.advance(began)
-            then = live.time
+            shown.advance(began)
+            then = shown.time
             viewer.sync()
-            if live.time < then:
+            if shown.time < then:
                 # The window's own reset puts every joint at zero, where the arms are folded into themselves.
-                live.reset()
+                shown.reset()
             time.sleep(max(0.0, began + period - time.monotonic()))
 
 
 @contextlib.contextmanager
-def _window(live: LiveRig) -> Iterator[Any]:
+def _window(shown: Shown) -> Iterator[Any]:
     import mujoco.viewer
 
     def press(key: int) -> None:
         if key == _KEY_SPACE:
-            live.paused = not live.paused
+            shown.paused = not shown.paused
 
     others = set(threading.enumerate())
     try:
-        viewer = mujoco.viewer.launch_passive(live.model, live.data, key_callback=press)
+        viewer = mujoco.viewer.launch_passive(shown.model, shown.data, key_callback=press)
     except RuntimeError as error:
         raise ResourceError(f"MuJoCo's window cannot be opened ({error}): use --web") from error
     try:

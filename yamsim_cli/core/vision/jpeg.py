@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
+import zlib
+from types import TracebackType
+from typing import IO
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..dataset.checks.images import ImageHeader, ImageLook
 from ..errors import SimulationError
 
 Image = NDArray[np.uint8]
+
+# As many pixels on the short side as are left when an image is made smaller to be judged, and at most this many times
+# smaller: it averages noise away.
+_SMALL_SIDE = 16
+_MOST_REDUCTION = 8
+
+_SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
+# Start-of-frame markers, C0 to CF without those that define tables (C4, CC) and the reserved C8.
+_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
@@ -28,9 +44,93 @@ def decode_jpeg(data: bytes) -> Image | None:
 
     Decoders fill in what a cut file lacks with grey, so the end-of-image marker is checked first.
     """
-    if not data.startswith(b"\xff\xd8") or not data.endswith(b"\xff\xd9"):
+    if not data.startswith(_SOI) or not data.endswith(_EOI):
         return None
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         return None
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def jpeg_header(data: bytes) -> ImageHeader | None:
+    """Size and channels from the header alone; None when the data is no JPEG, or lacks its end.
+
+    Source: ITU-T T.81, B.1.1.4 and B.2.2: marker segments, and the frame header's fields.
+    """
+    # Some cameras fill up with zeros behind the end.
+    if not data.startswith(_SOI) or not data.rstrip(b"\0").endswith(_EOI):
+        return None
+    position = 2
+    while position + 9 < len(data) and data[position] == 0xFF:
+        marker = data[position + 1]
+        if marker in _FRAME_MARKERS:
+            height, width = (int.from_bytes(data[position + k : position + k + 2], "big") for k in (5, 7))
+            return ImageHeader(width, height, data[position + 9]) if width and height else None
+        # A marker may be preceded by any number of fill bytes.
+        position += 1 if marker == 0xFF else 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+    return None
+
+
+class JpegReader:
+    """Looks at JPEGs; as a context manager it also hears the decoder's complaints.
+
+    A damaged JPEG decodes: libjpeg makes up what is missing, and its only word on that goes to the process's stderr. So
+    while the context is open stderr is a file, for the whole process: use it in a process of its own.
+    """
+
+    def __init__(self) -> None:
+        self._spoken: IO[bytes] | None = None
+        self._stderr = -1
+
+    def header(self, data: bytes) -> ImageHeader | None:
+        """See `jpeg_header`."""
+        return jpeg_header(data)
+
+    def look(self, data: bytes) -> ImageLook | None:
+        """Decode it in grey, and see how bright and how varied it is."""
+        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+        grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        complaint = self._heard()
+        if grey is None:
+            return None
+        reduction = max(1, min(_MOST_REDUCTION, min(grey.shape) // _SMALL_SIDE))
+        size = (max(1, grey.shape[1] // reduction), max(1, grey.shape[0] // reduction))
+        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+        mean, deviation = cv2.meanStdDev(small)
+        return ImageLook(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), complaint)
+
+    def _heard(self) -> str:
+        # The two descriptors share one position: it has moved if something was written.
+        if self._spoken is None or not self._spoken.tell():
+            return ""
+        self._spoken.seek(0)
+        text = self._spoken.read().decode(errors="replace").strip()
+        self._spoken.seek(0)
+        self._spoken.truncate()
+        return text.splitlines()[0] if text else ""
+
+    def __enter__(self) -> JpegReader:
+        self._stderr = os.dup(2)
+        self._spoken = tempfile.TemporaryFile(buffering=0)
+        os.dup2(self._spoken.fileno(), 2)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.dup2(self._stderr, 2)
+        os.close(self._stderr)
+        if self._spoken is not None:
+            self._spoken.close()
+            self._spoken = None
+
+
+def thumbnail(data: bytes, width: int, quality: int = 80) -> bytes | None:
+    """A JPEG made smaller to `width` pixels; None when it cannot be decoded."""
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_COLOR_2)
+    if image is None:
+        return None
+    if image.shape[1] > width:
+        height = max(1, round(image.shape[0] * width / image.shape[1]))
+        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return encode_jpeg(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8), quality)

@@ -15,6 +15,9 @@ from ..geometry.camera import Intrinsics
 Image = NDArray[np.uint8]
 GeomIds = NDArray[np.int32]
 
+# A plain number: numpy would compare each pixel with MuJoCo's enum by a Python call, seconds a picture.
+_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+
 
 def _opengl_name() -> str:
     """Name of the OpenGL implementation behind the current context, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
@@ -71,8 +74,18 @@ class SceneRenderer:
             objects, kinds = np.moveaxis(self._renderer.render(), 2, 0)
         finally:
             self._renderer.disable_segmentation_rendering()
-        ids: GeomIds = np.where(kinds == mujoco.mjtObj.mjOBJ_GEOM, objects, -1).astype(np.int32)
+        ids: GeomIds = np.where(kinds == _GEOM, objects, -1).astype(np.int32)
         return ids
+
+    def depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
+        """The distance z (height, width) along the camera's axis of what is seen at each pixel, m."""
+        self._renderer.update_scene(data, camera, self._option)
+        self._renderer.enable_depth_rendering()
+        try:
+            depth: NDArray[np.float32] = self._renderer.render()
+        finally:
+            self._renderer.disable_depth_rendering()
+        return depth
 
     def close(self) -> None:
         """Free the OpenGL context; safe to call twice."""

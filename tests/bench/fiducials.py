@@ -1,0 +1,243 @@
+"""How well boards are located in photos whose truth is known: `make bench-fiducials`.
+
+Prints tables, and writes every pose to `fiducials.csv` and the errors over range to `fiducials.svg`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import multiprocessing
+import os
+import time
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tests.truth_photos import CAMERA, Photographer, covered, shot_of, spoilt
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.vision.fiducials.locate import Sighting, Status, locate, locate_together
+
+FLIPPED_DEG = 10.0
+TILT = (0.0, math.radians(60))
+RANGES = (0.3, 0.4, 0.6, 0.8, 1.0, 1.2, 1.5)
+TILTS = ((0, 15), (15, 30), (30, 45), (45, 60), (60, 75))
+
+
+@dataclass(frozen=True)
+class Case:
+    """What one table row is made of: where the camera stands, and what spoils the photo."""
+
+    name: str
+    distance: float | tuple[float, float]
+    tilt: tuple[float, float] = TILT
+    spoil: tuple[tuple[str, float], ...] = ()
+    hidden: int = 0
+    distortion: tuple[float, ...] = ()
+    both: bool = False
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One board in one photo."""
+
+    case: str
+    distance_m: float
+    status: str
+    markers: int
+    ms: float
+    error_mm: float | None = None
+    error_deg: float | None = None
+    reprojection_px: float | None = None
+    sigma_mm: float | None = None
+
+
+def cases() -> dict[str, list[Case]]:
+    """Table -> rows."""
+    hard = {
+        "as above": Case("as above", 0.8),
+        "noise sigma 20": Case("", 0.8, spoil=(("noise", 20.0),)),
+        "JPEG quality 50": Case("", 0.8, spoil=(("jpeg", 50),)),
+        "light x 0.1": Case("", 0.8, spoil=(("light", 0.1),)),
+        "blur sigma 1.5 px": Case("", 0.8, spoil=(("blur", 1.5),)),
+        "blur sigma 2.5 px": Case("", 0.8, spoil=(("blur", 2.5),)),
+        "5 px of motion": Case("", 0.8, spoil=(("motion", 5.0),)),
+        "9 px of motion": Case("", 0.8, spoil=(("motion", 9.0),)),
+        "4 of 9 markers hidden": Case("", 0.8, hidden=4),
+        "8 of 9 markers hidden": Case("", 0.8, hidden=8),
+        "distortion k1 = -0.3, k2 = 0.1": Case("", 0.8, distortion=(-0.3, 0.1, 0.001, -0.001)),
+    }
+    return {
+        "range, tilt 0-60 deg": [Case(f"{distance} m", distance) for distance in RANGES],
+        "tilt, at 0.8 m": [
+            Case(f"{low}-{high} deg", 0.8, (math.radians(low), math.radians(high))) for low, high in TILTS
+        ],
+        "both boards of russet, margin trusted": [Case(f"{d} m, together", d, both=True) for d in (0.8, 1.0, 1.2)],
+        "spoilt photos, at 0.8 m": [replace(case, name=name) for name, case in hard.items()],
+        "anything up to 1.2 m": [Case("0.3-1.2 m, tilt 0-75 deg", (0.3, 1.2), (0.0, math.radians(75)))],
+    }
+
+
+def run(case: Case, poses: int, seed: int) -> list[Trial]:
+    """Take and analyse `poses` photos for one row; in a process of its own."""
+    camera = CameraModel(CAMERA.width, CAMERA.height, CAMERA.K, case.distortion)
+    rng = np.random.default_rng([seed, *case.name.encode()])
+    trials: list[Trial] = []
+    with Photographer("russet" if case.both else "bimanual", Locations.find(os.environ), camera) as photographer:
+        for _ in range(poses):
+            trials += _both(case, photographer, rng) if case.both else _one(case, photographer, rng)
+    return trials
+
+
+def _one(case: Case, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
+    which = int(rng.integers(len(photographer.boards)))
+    distance = case.distance if isinstance(case.distance, float) else float(rng.uniform(*case.distance))
+    T_cam = shot_of(photographer, rng, distance, case.tilt, which)
+    placed = photographer.boards[which]
+    truth = inverse(T_cam) @ placed.T_in_world
+    image = photographer.take()
+    if case.hidden:
+        hidden = rng.permutation(len(placed.board.ids))[: case.hidden].tolist()
+        image = covered(image, photographer.camera, placed.board, truth, hidden)
+    photo = spoilt(image, rng, **dict(case.spoil))  # type: ignore[arg-type]
+    began = time.perf_counter()
+    (seen,), _ = locate(photo, photographer.camera, [placed.board])
+    return [_trial(case, distance, seen, truth, time.perf_counter() - began)]
+
+
+def _both(case: Case, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
+    assert isinstance(case.distance, float)
+    T_cam = shot_of(photographer, rng, case.distance, case.tilt)
+    photo = spoilt(photographer.take(), rng)
+    began = time.perf_counter()
+    seen, _ = locate(photo, photographer.camera, [placed.board for placed in photographer.boards])
+    if all(one.status is Status.OK for one in seen):
+        seen = locate_together(photo, photographer.camera, seen, [b.T_in_world for b in photographer.boards]) or seen
+    took = time.perf_counter() - began
+    return [
+        _trial(case, case.distance, one, inverse(T_cam) @ placed.T_in_world, took)
+        for one, placed in zip(seen, photographer.boards, strict=True)
+    ]
+
+
+def _trial(case: Case, distance: float, seen: Sighting, truth: Array, seconds: float) -> Trial:
+    trial = Trial(case.name, distance, str(seen.status), len(seen.markers), seconds * 1000)
+    T = seen.T_board_in_cam
+    if T is None:
+        return trial
+    return replace(
+        trial,
+        error_mm=float(np.linalg.norm(T[:3, 3] - truth[:3, 3])) * 1000,
+        error_deg=math.degrees(float(np.linalg.norm(rotation_vector(T[:3, :3].T @ truth[:3, :3])))),
+        reprojection_px=seen.reprojection_rms,
+        sigma_mm=1000 * (seen.position_sigma or 0.0),
+    )
+
+
+def table(title: str, rows: Iterable[tuple[Case, list[Trial]]]) -> Table:
+    """Median, 95 % and maximum of every row."""
+    result = Table(title=title, title_justify="left", show_edge=False)
+    for column in ("", "poses", "found", "refused", "mm", "deg", "px", "flipped", "ms"):
+        result.add_column(column, justify="left" if not column else "right", no_wrap=True)
+    for case, trials in rows:
+        good = [trial for trial in trials if trial.error_mm is not None]
+        refused = sum(trial.status in (Status.AMBIGUOUS, Status.POOR_FIT) for trial in trials)
+        flipped = sum((trial.error_deg or 0) > FLIPPED_DEG for trial in good)
+        result.add_row(
+            case.name,
+            str(len(trials)),
+            f"{len(good) / len(trials):.1%}",
+            str(refused),
+            _spread([trial.error_mm for trial in good], 3),
+            _spread([trial.error_deg for trial in good], 3),
+            _spread([trial.reprojection_px for trial in good], 3),
+            str(flipped),
+            f"{np.median([trial.ms for trial in trials]):.0f}",
+        )
+    return result
+
+
+def _spread(values: list[Any], digits: int) -> str:
+    if not values:
+        return "-"
+    return " / ".join(f"{value:.{digits}f}" for value in (np.median(values), np.quantile(values, 0.95), max(values)))
+
+
+def plot(rows: list[tuple[Case, list[Trial]]], path: Path) -> None:
+    """Errors over range, median and 95 %, on logarithmic axes, as SVG."""
+    width, height, left, top = 560, 360, 70, 30
+    low, high = -3.0, 2.0
+
+    def x(distance: float) -> float:
+        return left + (distance - 0.2) / 1.4 * (width - left - 20)
+
+    def y(error: float) -> float:
+        return top + (high - math.log10(max(error, 10**low))) / (high - low) * (height - top - 50)
+
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
+        'font-family="sans-serif" font-size="12">',
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+        f'<text x="{left}" y="18">Error of the board centre over range, mm: median (line) and 95 % (dashes)</text>',
+    ]
+    for power in range(int(low), int(high) + 1):
+        parts.append(f'<path d="M{left} {y(10.0**power)}H{width - 20}" stroke="#ddd"/>')
+        parts.append(f'<text x="{left - 8}" y="{y(10.0**power) + 4}" text-anchor="end">{10.0**power:g}</text>')
+    points: dict[str, list[str]] = {"": [], "6 4": []}
+    for case, trials in rows:
+        assert isinstance(case.distance, float)
+        errors = [trial.error_mm for trial in trials if trial.error_mm is not None]
+        parts.append(f'<text x="{x(case.distance)}" y="{height - 30}" text-anchor="middle">{case.distance}</text>')
+        for dashes, value in (("", np.median(errors)), ("6 4", np.quantile(errors, 0.95))):
+            points[dashes].append(f"{x(case.distance):.1f} {y(float(value)):.1f}")
+    for dashes, line in points.items():
+        parts.append(
+            f'<path d="M{"L".join(line)}" fill="none" stroke="#0a6" stroke-dasharray="{dashes}" stroke-width="2"/>'
+        )
+    parts.append(f'<text x="{(left + width) / 2}" y="{height - 8}" text-anchor="middle">range, m</text></svg>')
+    path.write_text("\n".join(parts))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--poses", type=int, default=100, help="photos a row; ten times as many in the last table")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"))
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    tables = cases()
+    jobs = [(title, case) for title, rows in tables.items() for case in rows]
+    poses = [options.poses * (10 if isinstance(case.distance, tuple) else 1) for _, case in jobs]
+    workers = os.cpu_count() or 1
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        trials = list(pool.map(run, [case for _, case in jobs], poses, [options.seed] * len(jobs)))
+    found = dict(zip([(title, case.name) for title, case in jobs], trials, strict=True))
+    console = Console(width=140)
+    console.print(
+        "640 x 480, fx 600, blur sigma 0.6 px, noise sigma 2, board wholly visible. Errors of the board's centre (mm) "
+        "and orientation (deg) and the reprojection (px): median / 95 % / maximum. "
+        f"Times of one core of {workers}, {workers} at work."
+    )
+    for title, rows in tables.items():
+        console.print()
+        console.print(table(title, [(case, found[title, case.name]) for case in rows]))
+    with (options.out / "fiducials.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, [field.name for field in fields(Trial)])
+        writer.writeheader()
+        writer.writerows(asdict(trial) for group in trials for trial in group)
+    first = next(iter(tables))
+    plot([(case, found[first, case.name]) for case in tables[first]], options.out / "fiducials.svg")
+    console.print(f"\nEvery pose: {options.out / 'fiducials.csv'}; errors over range: {options.out / 'fiducials.svg'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""Photos of printed boards alone, with known truth and no renderer: each print laid into the picture by its pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from yamsim_cli.core.boards.image import board_image, marker_cells
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector
+from yamsim_cli.core.vision.lens import ray_field
+
+Photo = NDArray[np.uint8]
+
+_FINER = 3
+# Gaps of a tenth of a marker are whole pixels at this scale.
+_CELL_PX = 20
+_QUIET_CELLS = 1
+_TABLE = 150.0
+
+
+def facing(x: float, y: float, z: float, tilt_x: float = 0.5, tilt_y: float = 0.2) -> Array:
+    """A pose (4, 4) in the camera's frame of a board at a point, turned away from facing it by two angles."""
+    towards_camera = rotation_from_vector([np.pi, 0.0, 0.0])
+    return pose((x, y, z), rotation_from_vector([tilt_x, tilt_y, 0.0]) @ towards_camera)
+
+
+def photograph(
+    camera: CameraModel, boards: Sequence[tuple[Board, Array]], blur: float = 0.6, noise: float = 2.0, seed: int = 0
+) -> Photo:
+    """A grey photo (height, width) of boards on a table.
+
+    Args:
+        boards: each with its pose (4, 4) in the camera's frame; a later one lies over the ones before.
+        blur: sigma, px.
+        noise: standard deviation, grey levels.
+    """
+    return with_noise(picture(camera, boards, blur), noise, seed)
+
+
+def picture(camera: CameraModel, boards: Sequence[tuple[Board, Array]], blur: float = 0.6) -> NDArray[np.float32]:
+    """The photo before any noise, in grey levels."""
+    x, y = ((np.arange(side * _FINER) - (_FINER - 1) / 2) / _FINER for side in (camera.width, camera.height))
+    field = ray_field(camera, x, y)
+    fine = np.full(field.shape[:2], _TABLE, np.float32)
+    for board, T in boards:
+        _lay(fine, field, board, T)
+    photo = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.GaussianBlur(photo, (0, 0), blur), dtype=np.float32)
+
+
+def with_noise(clean: NDArray[np.float32], noise: float = 2.0, seed: int = 0) -> Photo:
+    """A photo of 8 bits of a clean picture."""
+    noisy = clean + np.random.default_rng(seed).normal(0, noise, clean.shape)
+    return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+
+
+def _lay(picture: NDArray[np.float32], field: NDArray[np.float32], board: Board, T: Array) -> None:
+    onto_board = np.linalg.inv(T[:3, [0, 1, 3]])
+    at = np.concatenate([field, np.ones((*field.shape[:2], 1))], axis=-1) @ onto_board.T
+    across, down = at[..., 0] / at[..., 2] + board.width / 2, board.height / 2 - at[..., 1] / at[..., 2]
+    image = board_image(board, _CELL_PX, _QUIET_CELLS)
+    px_per_metre = marker_cells(board).shape[1] * _CELL_PX / board.marker_length
+    border = _QUIET_CELLS * _CELL_PX
+    maps = [(side * px_per_metre + border - 0.5).astype(np.float32) for side in (across, down)]
+    # 0 for what lies beside the print and its white border.
+    printed = cv2.remap(image.astype(np.float32) + 1, *maps, cv2.INTER_LINEAR, borderValue=0)
+    on = (printed >= 1) & (at[..., 2] > 0)
+    # White paper is no brighter than this, and black ink no darker.
+    picture[on] = 30 + (printed[on] - 1) * (200 / 255)

@@ -1,0 +1,108 @@
+"""What the README and --help say about the command line, held against the command line itself."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from yamsim_cli.main import app
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+
+
+def _commands(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command and group below one, with the words that lead to it."""
+    for name, child in getattr(command, "commands", {}).items():
+        yield (*path, name), child
+        yield from _commands(child, (*path, name))
+
+
+ROOT = typer.main.get_command(app)
+COMMANDS = {" ".join(path): command for path, command in _commands(ROOT)}
+LEAVES = {path: command for path, command in COMMANDS.items() if not hasattr(command, "commands")}
+
+
+def parse(line: str) -> None:
+    """Parse a shell line with the executable's own parser, running nothing; raises what the executable would show."""
+    name, *words = shlex.split(line, comments=True)
+    assert name == "yamsim", line
+    # The rest is the shell's.
+    words = words[: next((k for k, word in enumerate(words) if word in (">", "|", "&&", "2>")), len(words))]
+    command, context = ROOT, None
+    while hasattr(command, "commands"):
+        context = typer.Context(command, parent=context, info_name=name)
+        name, command, words = command.resolve_command(context, words)
+    command.make_context(name, words, parent=context)
+
+
+def example(command: Any) -> str:
+    """The line after `Example:` that ends a command's help; empty if there is none."""
+    found = re.search(r"^\s*Example: (yamsim .*)\Z", (command.callback.__doc__ or "").rstrip(), re.MULTILINE)
+    return found[1] if found else ""
+
+
+def readme_lines() -> list[str]:
+    """Every line of the README's shell blocks that runs yamsim."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    return [line for block in blocks for line in block.splitlines() if line.startswith("yamsim ")]
+
+
+@pytest.mark.parametrize("path", COMMANDS)
+def test_help_says_what_it_does(path: str) -> None:
+    command = COMMANDS[path]
+    assert command.help
+    for parameter in command.params:
+        assert getattr(parameter, "help", None), f"{path}: {parameter.name} has no help"
+
+
+@pytest.mark.parametrize("path", LEAVES)
+def test_readme_names_it(path: str) -> None:
+    assert re.search(rf"\byamsim {re.escape(path)}\b", README), f"README.md never mentions `yamsim {path}`"
+
+
+@pytest.mark.parametrize("path", LEAVES)
+def test_help_ends_in_an_example_of_it_that_parses(path: str) -> None:
+    line = example(LEAVES[path])
+    assert line.startswith(f"yamsim {path}"), f"the docstring of {path} does not end in 'Example: yamsim {path} ...'"
+    parse(line)
+
+
+@pytest.mark.parametrize("path", LEAVES)
+def test_every_command_can_answer_in_json(path: str) -> None:
+    assert any("--json" in parameter.opts for parameter in LEAVES[path].params)
+
+
+@pytest.mark.parametrize("line", readme_lines())
+def test_readmes_command_lines_parse(line: str) -> None:
+    parse(line)
+
+
+def test_readme_names_only_flags_that_exist() -> None:
+    parameters = [parameter for command in (ROOT, *COMMANDS.values()) for parameter in command.params]
+    known = {flag for parameter in parameters for flag in (*parameter.opts, *parameter.secondary_opts)}
+    text = re.sub(r"^```.*?^```", "", README, flags=re.MULTILINE | re.DOTALL)
+    named = {flag for code in re.findall(r"`([^`]+)`", text) for flag in re.findall(r"(?<!\S)--[a-z][a-z-]*", code)}
+    assert named - known == set()
+
+
+def test_readme_names_every_extra() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for extra in project["optional-dependencies"]:
+        assert f"yamsim[{extra}]" in README, f"README.md never mentions yamsim[{extra}]"
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["yamsim record --no-such-flag", "yamsim no-such-command", "yamsim record --n many", "yamsim config show rigs"],
+)
+def test_a_line_that_would_fail_does_not_parse(line: str) -> None:
+    with pytest.raises(typer.exceptions.TyperException):
+        parse(line)

@@ -1,0 +1,214 @@
+"""`yamsim overlay` as a user runs it: on photos, on a recorded episode, and on what cannot be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.board_photos import facing, photograph
+from tests.cli.run_cli import Run, yamsim
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.resources import Locations
+
+pytestmark = pytest.mark.render
+
+CAMERA = "width: 640\nheight: 480\nK: [[600, 0, 319.5], [0, 600, 239.5], [0, 0, 1]]\n"
+JOINTS = "arm1: [0.9, 1.3, 1.1, -0.2, 0.1, 0.3, 0.03]\n"
+
+
+@pytest.fixture(scope="module")
+def boards_photo(locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both boards of russet, without arms."""
+    rig = load_config(RigConfig, "rigs", "russet", locations)
+    placed = []
+    for k, arm in enumerate(rig.arms):
+        assert arm.board is not None
+        T = facing(0.0, 0.0, 0.75, 0.6, 0.15) @ rig.T_base_in_world(k) @ arm.board.T_board_in_arm
+        placed.append((arm.board.board, T))
+    path = tmp_path_factory.mktemp("photo") / "photo.png"
+    assert cv2.imwrite(str(path), photograph(CameraModel.pinhole(640, 480, 600.0), placed))
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path, boards_photo: Path) -> Path:
+    """A folder as a user has it: a photo, its camera, its joints. The path has a space."""
+    path = tmp_path / "my photos"
+    path.mkdir()
+    (path / "photo.png").write_bytes(boards_photo.read_bytes())
+    (path / "camera.yaml").write_text(CAMERA)
+    (path / "joints.yaml").write_text(JOINTS)
+    return path
+
+
+def no_complaints(run: Run) -> bool:
+    """Nothing on stderr, but that primitives are drawn where no meshes are, and how far a slow machine is."""
+    return all(line.startswith(("The meshes of ", "overlays: ")) for line in run.err.splitlines())
+
+
+def test_as_the_readme_has_it(folder: Path) -> None:
+    run = yamsim(
+        "overlay",
+        "--img",
+        "photo.png",
+        "--rig",
+        "russet",
+        "--camera",
+        "camera.yaml",
+        "--joints",
+        "joints.yaml",
+        cwd=folder,
+    )
+    assert run.code == 0, run.err
+    assert no_complaints(run)
+    first, last = run.out.splitlines()
+    assert first.startswith("photo.png: arm1: ok, 9/9 markers, 0.")
+    assert "; margin measured: 0.591" in first or "; margin measured: 0.590" in first
+    assert last == "2 files, such as overlays/photo_overlay.png"
+    assert sorted(path.name for path in (folder / "overlays").iterdir()) == ["overlay.json", "photo_overlay.png"]
+
+
+def test_json_is_what_the_report_file_holds(folder: Path) -> None:
+    run = yamsim(
+        "overlay", "--img", folder, "--rig", "russet", "--mask", "--trust-margin", "--out", "o", "--json", cwd=folder
+    )
+    assert run.code == 0, run.err
+    assert no_complaints(run)
+    assert run.json == json.loads((folder / "o" / "overlay.json").read_text())
+    (image,) = run.json["images"]
+    assert image["camera"]["source"] == "estimated"
+    assert image["joints"] == "home"
+    assert run.json["files"] == ["o/photo_overlay.png", "o/photo_mask.png", "o/overlay.json"]
+
+
+def test_a_wrong_margin_is_told_on_stderr_and_in_json(folder: Path) -> None:
+    run = yamsim(
+        "overlay", "--img", "photo.png", "--rig", "russet", "--margin", "0.596", "--camera", "camera.yaml", cwd=folder
+    )
+    assert run.code == 0
+    notes = [line for line in run.err.splitlines() if line.startswith("photo.png: ")]
+    assert len(notes) == 1
+    assert notes[0].startswith("photo.png: the arms are 0.59")
+    assert "and 0.5960 m in rig 'russet': mend the rig's margin" in notes[0]
+    report = json.loads((folder / "overlays" / "overlay.json").read_text())
+    assert "mend the rig's margin" in report["images"][0]["notes"][0]
+
+
+def test_no_markers_exits_with_4_and_the_ids(folder: Path) -> None:
+    grey = np.full((480, 640), 120, np.uint8)
+    cv2.imwrite(str(folder / "photo.png"), grey)
+    run = yamsim("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "camera.yaml", "--json", cwd=folder)
+    assert run.code == 4
+    assert run.message == (
+        "photo.png: no board gives a pose: looked for ids 217-225 (DICT_6X6_250), 226-234 (DICT_6X6_250), saw none"
+    )
+    assert [arm["status"] for arm in run.json["images"][0]["arms"]] == ["not_found", "not_found"]
+
+
+def test_another_rigs_boards_are_named(folder: Path) -> None:
+    rig = (Path(__file__).parents[2] / "configs" / "rigs" / "single.yaml").read_text()
+    (folder / "mine.yaml").write_text(rig.replace("first_id: 217", "first_id: 10"))
+    run = yamsim("overlay", "--img", "photo.png", "--rig", "./mine.yaml", "--camera", "camera.yaml", cwd=folder)
+    assert run.code == 4
+    seen = ", ".join(map(str, range(217, 235)))
+    assert run.message == f"photo.png: no board gives a pose: looked for ids 10-18 (DICT_6X6_250), saw {seen}"
+
+
+def test_limits_end_with_4(folder: Path) -> None:
+    mask = np.zeros((480, 640), np.uint8)
+    mask[:100, :100] = 255
+    cv2.imwrite(str(folder / "robot.png"), mask)
+    run = yamsim(
+        "overlay",
+        "--img",
+        "photo.png",
+        "--rig",
+        "russet",
+        "--camera",
+        "camera.yaml",
+        "--mask-image",
+        "robot.png",
+        "--min-iou",
+        "0.9",
+        "--max-reprojection",
+        "0.5",
+        cwd=folder,
+    )
+    assert run.code == 4
+    assert "with the mask is below 0.9" in run.err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "part"),
+    [
+        ([], 2, "give either --img or --episode"),
+        (["--img", "photo.png", "--episode", "ep"], 2, "give either --img or --episode"),
+        (["--img", "photo.png", "--episode-camera", "c"], 2, "--episode-camera goes with --episode"),
+        (["--episode", "ep", "--camera", "camera.yaml"], 2, "--camera goes with --img: an episode knows its own"),
+        (["--img", "photo.png", "--min-iou", "0.5"], 2, "--min-iou needs --mask-image"),
+        (["--img", "photo.png", "--opacity", "2"], 2, "--opacity"),
+        (["--img", "photo.png", "--rig", "nothing"], 3, "unknown rig 'nothing'"),
+        (["--img", "photo.png", "--camera", "none.yaml"], 3, "camera config file none.yaml does not exist"),
+        (["--img", "photo.png", "--camera", "no"], 3, "unknown camera 'no'; valid: example_640x480"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_a_call_that_cannot_be_is_one_line_before_anything_is_loaded(
+    folder: Path, args: list[str], code: int, part: str
+) -> None:
+    run = yamsim("overlay", *args, cwd=folder)
+    assert (run.code, run.out) == (code, "")
+    assert part in run.message
+    assert not (folder / "overlays").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "part"),
+    [
+        (["--img", "none.png"], 4, "none.png does not exist; give a photo or a folder of photos"),
+        (["--img", "joints.yaml"], 4, "joints.yaml is no photo; valid: .png, .jpg, .jpeg"),
+        (["--episode", "."], 4, "is no episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN"),
+        (["--img", "photo.png", "--joints", "camera.yaml"], 3, "has the keys width, height, K; valid: joints alone"),
+        (["--img", "photo.png", "--out", "camera.yaml"], 4, "camera.yaml cannot be made: File exists"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_files_that_cannot_be_used_are_one_line(folder: Path, args: list[str], code: int, part: str) -> None:
+    run = yamsim("overlay", *args, cwd=folder)
+    assert (run.code, run.out) == (code, "")
+    assert part in run.err.splitlines()[-1]
+    assert not (folder / "overlays").exists()
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recorded") / "dataset"
+    run = yamsim("record", "--n", "1", "--workers", "1", "--seed", "3", "--size", "192x144", "--out", path)
+    assert run.code == 0, run.err
+    # A few frames are enough.
+    episode = path / "ep_000000"
+    for file in [*episode.glob("rgb/*/*.jpg"), *episode.glob("lowdim/*.pkl")]:
+        if int(file.stem) % 19:
+            file.unlink()
+    return path
+
+
+def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path) -> None:
+    """The recorded pictures show the very arm that is drawn: its outline meets theirs."""
+    run = yamsim("overlay", "--episode", dataset / "ep_000000", "--out", tmp_path / "o", "--json")
+    assert run.code == 0, run.err
+    assert no_complaints(run)
+    assert len(run.json["images"]) == 3
+    for image in run.json["images"]:
+        assert (image["camera"]["source"], image["joints"]) == ("episode", "episode")
+        (arm,) = image["arms"]
+        assert arm["status"] == "recorded"
+        assert arm["T_board_in_cam"] is None
+        assert np.array(arm["T_base_in_cam"]).shape == (4, 4)
+        assert arm["edge_residual_px"] < 0.6

@@ -1,0 +1,93 @@
+"""Ctrl-C and SIGTERM while a command is still starting: it ends as cleanly as later, whatever is being imported.
+
+`yamsim view` ends with 0, since a signal is how a viewer ends; any other command with 130 and one line.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+# Runs `python -m yamsim_cli ARGS` and sends itself a signal at the moment when a module is looked for.
+SIGNALLED_AT = """
+import os, runpy, sys
+number, module, *args = sys.argv[1:]
+
+class Sender:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name == module:
+            sys.meta_path.remove(Sender)
+            os.kill(os.getpid(), int(number))
+
+sys.meta_path.insert(0, Sender)
+sys.argv = ["yamsim", *args]
+runpy.run_module("yamsim_cli", run_name="__main__")
+"""
+
+
+def run(code: str, *args: str, path: Path | None = None) -> tuple[int, str, list[str]]:
+    """Exit code, stdout, and the lines of stderr without the remark that a machine without meshes gets."""
+    places = [str(place) for place in (path, REPOSITORY) if place]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *args],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(places)},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    return done.returncode, done.stdout, [line for line in done.stderr.splitlines() if "The meshes of" not in line]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "yamsim_cli.main",
+        "typer",
+        "yamsim_cli.commands.view",
+        "pydantic",
+        "mujoco",
+        "mujoco._specs",
+        "yamsim_cli.core.scene.fiducials",
+        "yamsim_cli.core.viewers.page",
+        "viser",
+    ],
+)
+def test_a_viewer_that_is_still_starting_ends_with_0(module: str, number: signal.Signals) -> None:
+    pytest.importorskip("viser", reason="yamsim[view] is not installed")
+    args = (str(int(number)), module, "view", "--web", "--port", "0")
+    assert run(SIGNALLED_AT, *args) == (0, "", [])
+
+
+@pytest.mark.parametrize("module", ["typer", "yamsim_cli.commands.pickplace", "mujoco._specs"])
+def test_any_other_command_ends_with_130_and_one_line(module: str) -> None:
+    args = (str(int(signal.SIGINT)), module, "pickplace", "batch", "--n", "1", "--workers", "1")
+    code, out, (line,) = run(SIGNALLED_AT, *args)
+    assert (code, out) == (130, "")
+    assert line.startswith("yamsim: interrupted")
+
+
+def test_an_import_is_not_broken_off(tmp_path: Path) -> None:
+    """An extension module that is would call itself broken, and a library might do without it."""
+    (tmp_path / "slow.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nwhole = True\n")
+    code = """
+import time
+from yamsim_cli.commands.signals import raise_signals
+raise_signals()
+try:
+    import slow
+    time.sleep(30)
+except KeyboardInterrupt:
+    print(slow.whole)
+"""
+    assert run(code, path=tmp_path) == (0, "True\n", [])

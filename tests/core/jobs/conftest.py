@@ -1,0 +1,13 @@
+from __future__ import annotations
+
+import pytest
+
+from tests.rig_photos import CAMERA, JOINTS, Shot, Studio, looking
+from yamsim_cli.core.resources import Locations
+
+
+@pytest.fixture(scope="session")
+def russet_shot(locations: Locations) -> Shot:
+    """Both arms and both boards of russet; take it only in tests marked `render`."""
+    with Studio("russet", locations, CAMERA) as studio:
+        return studio.shoot(looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1)), JOINTS)

@@ -1,0 +1,294 @@
+"""Boards in photos whose truth is known: which are found, which are refused and why, and what the uncertainty holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.board_photos import facing, photograph, picture, with_noise
+from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from yamsim_cli.core.vision.fiducials.focal import combined_camera, estimate_camera
+from yamsim_cli.core.vision.fiducials.locate import Sighting, Status, at_pose, locate, locate_together
+from yamsim_cli.core.vision.fiducials.markers import seen_ids
+
+CAMERA = CameraModel.pinhole(640, 480, 600.0)
+WEBCAM = replace(
+    CAMERA, K=((600.0, 0, 330.0), (0, 598.0, 231.0), (0, 0, 1.0)), distortion=(-0.28, 0.09, 1e-3, -1e-3, 0)
+)
+LENGTH = 0.02923077
+ONE = Board("one", 217, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
+TWO = replace(ONE, name="two", first_id=226)
+LEFT, RIGHT = facing(-0.12, 0.0, 0.6), facing(0.12, 0.0, 0.6)
+
+
+def seen(photo: np.ndarray, board: Board = ONE, camera: CameraModel = CAMERA) -> Sighting:
+    return locate(photo, camera, [board])[0][0]
+
+
+def errors(sighting: Sighting, truth: Array) -> tuple[float, float]:
+    """Of the centre, m, and of the orientation, rad."""
+    T = sighting.T_board_in_cam
+    assert T is not None, sighting.reason
+    return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), float(
+        np.linalg.norm(rotation_vector(T[:3, :3] @ truth[:3, :3].T))
+    )
+
+
+def assert_exact(sighting: Sighting, truth: Array) -> None:
+    shift, turn = errors(sighting, truth)
+    assert shift < 3e-4
+    assert turn < math.radians(0.06)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, WEBCAM], ids=["plain", "webcam"])
+@pytest.mark.parametrize("where", [(0, 0, 0.5), (-0.15, 0.1, 0.6), (0.1, -0.05, 0.45, -0.7, -0.3)])
+def test_a_board_is_where_it_is(camera: CameraModel, where: tuple[float, ...]) -> None:
+    sighting = seen(photograph(camera, [(ONE, facing(*where))]), camera=camera)
+    assert sighting.status is Status.OK
+    assert sighting.markers == ONE.ids
+    assert_exact(sighting, facing(*where))
+    assert sighting.reprojection_rms is not None
+    assert sighting.reprojection_rms < 0.05
+
+
+@pytest.mark.parametrize("distance", [0.3, 0.6])
+@pytest.mark.parametrize("blur", [0.8, 1.5])
+def test_blur_is_told_in_the_photos_pixels(distance: float, blur: float) -> None:
+    """Near boards are looked at in larger pixels, which must not show."""
+    sighting = seen(photograph(CAMERA, [(ONE, facing(0, 0, distance))], blur=blur))
+    assert sighting.blur == pytest.approx(blur, abs=0.3)
+    assert_exact(sighting, facing(0, 0, distance))
+
+
+def test_two_boards_are_not_mistaken_for_each_other() -> None:
+    photo = photograph(CAMERA, [(ONE, LEFT), (TWO, RIGHT)])
+    for order in ([ONE, TWO], [TWO, ONE]):
+        sightings, _ = locate(photo, CAMERA, order)
+        for sighting, board in zip(sightings, order, strict=True):
+            assert sighting.board == board
+            assert_exact(sighting, LEFT if board is ONE else RIGHT)
+    assert seen(photograph(CAMERA, [(TWO, LEFT)])).status is Status.NOT_FOUND
+
+
+def test_the_same_print_twice_is_refused() -> None:
+    sighting = seen(photograph(CAMERA, [(ONE, LEFT), (ONE, RIGHT)]))
+    assert sighting.status is Status.AMBIGUOUS
+    assert sighting.T_board_in_cam is None
+    assert sighting.reason == "its markers are in 2 places: hide or remove the other prints"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        replace(ONE, rows=1),
+        replace(ONE, first_id=100),
+        replace(ONE, dictionary="DICT_4X4_250"),
+        replace(ONE, dictionary="DICT_5X5_1000", first_id=600),
+    ],
+    ids=["spare row of the same", "other ids", "same ids of 4x4", "5x5"],
+)
+def test_other_prints_in_the_photo_change_nothing(other: Board) -> None:
+    alone = seen(photograph(CAMERA, [(ONE, LEFT)]))
+    beside = seen(photograph(CAMERA, [(ONE, LEFT), (other, RIGHT)]))
+    assert beside.status is Status.OK
+    assert alone.T_board_in_cam is not None
+    assert beside.T_board_in_cam is not None
+    assert np.abs(alone.T_board_in_cam - beside.T_board_in_cam).max() < 1e-9
+    assert_exact(beside, LEFT)
+
+
+def test_a_board_of_another_dictionary_is_not_found_and_what_was_read_is_told() -> None:
+    photo = photograph(CAMERA, [(replace(ONE, dictionary="DICT_4X4_250"), LEFT), (TWO, RIGHT)])
+    sightings, markers = locate(photo, CAMERA, [ONE])
+    assert (sightings[0].status, sightings[0].markers) == (Status.NOT_FOUND, ())
+    assert seen_ids(markers) == list(TWO.ids)
+
+
+def test_a_dictionary_that_opencv_has_not_is_a_config_error() -> None:
+    with pytest.raises(ConfigError, match="unknown dictionary 'DICT_6X6_25'; did you mean 'DICT_6X6_250'"):
+        seen(photograph(CAMERA, []), replace(ONE, dictionary="DICT_6X6_25"))
+
+
+@pytest.mark.parametrize("hidden", [3, 6, 8])
+def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
+    """A hand, a cable: grey laid over the markers last in line."""
+    photo = photograph(CAMERA, [(ONE, facing(0, 0, 0.4))])
+    whole = seen(photo)
+    corners = ONE.corners()[9 - hidden :].reshape(-1, 3)
+    T = facing(0, 0, 0.4)
+    in_cam = corners @ T[:3, :3].T + T[:3, 3]
+    pixels = (in_cam[:, :2] / in_cam[:, 2:] * 600 + (319.5, 239.5)).reshape(-1, 4, 2)
+    for quad in pixels:
+        grown = quad.mean(axis=0) + 1.1 * (quad - quad.mean(axis=0))
+        cv2.fillConvexPoly(photo, np.round(grown).astype(np.int32), (120,))
+    part = seen(photo)
+    if part.status is not Status.OK:
+        # One marker alone may be refused, never guessed.
+        assert hidden == 8
+        return
+    assert part.markers == ONE.ids[: 9 - hidden]
+    assert part.rotation_sigma is not None
+    assert whole.rotation_sigma is not None
+    assert part.rotation_sigma > whole.rotation_sigma * 1.2
+    shift, turn = errors(part, T)
+    assert part.position_sigma is not None
+    assert shift < 3 * part.position_sigma
+    assert turn < 3 * part.rotation_sigma
+
+
+@pytest.mark.parametrize(
+    ("photo", "part"),
+    [
+        (photograph(CAMERA, []), "none of its markers was found"),
+        (photograph(CAMERA, [(ONE, facing(0, 0, 2.5))]), "none of its markers was found"),
+        (photograph(CAMERA, [(ONE, facing(0, 0, 0.8))], blur=3.0), "none of its markers was found"),
+        (photograph(CAMERA, [(replace(ONE, columns=9, rows=1), facing(0, 0, 0.8))]), "markers are in 3 places"),
+    ],
+    ids=["empty", "far", "blurred", "another layout"],
+)
+def test_what_cannot_be_told_is_refused_with_its_reason(photo: np.ndarray, part: str) -> None:
+    sighting = seen(photo)
+    assert sighting.status is not Status.OK
+    assert sighting.T_board_in_cam is None
+    assert part in sighting.reason
+
+
+def test_reprojection_shows_a_print_or_a_lens_that_is_not_as_said() -> None:
+    """Not so a wrong focal length: the board is then believed to be farther away, and looks the same."""
+    where = facing(0.12, 0.08, 0.4)
+    photo = photograph(WEBCAM, [(ONE, where)])
+    fits, misses = seen(photo, camera=WEBCAM), seen(photo, camera=replace(WEBCAM, distortion=()))
+    assert fits.reprojection_rms is not None
+    assert misses.reprojection_rms is not None
+    assert fits.reprojection_rms < 0.05
+    assert misses.reprojection_rms > 0.4
+    wide_gaps = seen(photograph(CAMERA, [(replace(ONE, gap=2 * ONE.gap), facing(0, 0, 0.6))]))
+    assert wide_gaps.reprojection_rms is not None
+    assert wide_gaps.reprojection_rms > 0.5
+
+
+def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
+    """What 1 % of focal length does is 1 % / focal_sigma of the first column of `shared`; so with the print's size."""
+    truth = facing(0.2, 0.1, 0.6)
+    photo = photograph(CAMERA, [(ONE, truth)])
+    right = seen(photo, camera=replace(CAMERA, focal_sigma=0.01))
+    longer = seen(photo, camera=CameraModel.pinhole(640, 480, 600 * math.exp(0.01)))
+    assert right.T_board_in_cam is not None
+    assert longer.T_board_in_cam is not None
+    assert right.shared is not None
+    shift = longer.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
+    turn = rotation_vector(longer.T_board_in_cam[:3, :3] @ right.T_board_in_cam[:3, :3].T)
+    assert np.abs(shift - right.shared[3:, 0]).max() < 1e-4
+    assert np.abs(turn - right.shared[:3, 0]).max() < 2e-4
+    # Mostly farther away, hardly to the side.
+    assert shift[2] == pytest.approx(0.006, rel=0.1)
+    assert np.abs(shift[:2]).max() < 3e-4
+
+    larger = seen(photo, board=replace(ONE, marker_length=ONE.marker_length * 1.0025, gap=ONE.gap * 1.0025))
+    assert larger.T_board_in_cam is not None
+    shift = larger.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
+    assert np.abs(shift - right.shared[3:, 1]).max() < 2e-5
+    assert right.shared[3:, 1] == pytest.approx(0.0025 * truth[:3, 3], rel=1e-2)
+    assert np.abs(right.shared[:3, 1]).max() < 1e-6
+
+
+def test_the_uncertainty_is_that_of_many_photos() -> None:
+    """Poses of 24 photos with other noise lie as the covariance, less what all photos share, says or closer."""
+    truth = facing(0.05, 0.02, 0.7)
+    clean = picture(CAMERA, [(ONE, truth)])
+    found = [seen(with_noise(clean, 4.0, seed)) for seed in range(24)]
+    shifts = np.array([one.T_board_in_cam[:3, 3] - truth[:3, 3] for one in found if one.T_board_in_cam is not None])
+    assert len(shifts) == 24
+    first = found[0]
+    assert first.covariance is not None
+    assert first.shared is not None
+    own = (first.covariance - first.shared @ first.shared.T)[3:, 3:]
+    spread = np.sqrt(np.diag(np.cov(shifts.T)))
+    # It is inflated twofold, for what noise alone does not explain.
+    assert (spread < np.sqrt(np.diag(own))).all()
+    assert (spread > 0.2 * np.sqrt(np.diag(own))).all()
+
+
+def test_boards_that_lie_so_together_pin_each_other() -> None:
+    apart = pose((0.3, 0.0, 0.0))
+    truth = facing(-0.15, 0.0, 0.8)
+    photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], noise=4.0)
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
+    assert joint is not None
+    assert_exact(joint[0], truth)
+    T_one, T_two = joint[0].T_board_in_cam, joint[1].T_board_in_cam
+    assert T_one is not None
+    assert T_two is not None
+    assert inverse(T_one) @ T_two == pytest.approx(apart, abs=1e-12)
+    assert joint[0].rotation_sigma is not None
+    assert alone[0].rotation_sigma is not None
+    # What the print's size leaves open of the distance, the known distance between the boards settles.
+    assert joint[0].position_sigma < 0.9 * alone[0].position_sigma
+
+
+@pytest.mark.parametrize("larger", [0.9975, 1.004])
+def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -> None:
+    """Fixed, so small an error would tilt both boards by tenths of a degree: the known distance would pull at them."""
+    apart = pose((0.25, 0.0, 0.0))
+    truth = facing(-0.12, 0.0, 0.8)
+    printed = [replace(board, marker_length=LENGTH * larger, gap=LENGTH / 10 * larger) for board in (ONE, TWO)]
+    photo = photograph(CAMERA, [(printed[0], truth), (printed[1], truth @ apart)])
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    assert errors(alone[0], truth)[0] > 1.5e-3
+    joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
+    assert joint is not None
+    assert_exact(joint[0], truth)
+
+
+def test_together_only_what_lies_together() -> None:
+    """Boards that are 2 % farther apart than they are said to be are not forced onto each other."""
+    truth = facing(-0.12, 0.0, 0.8)
+    photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ pose((0.255, 0.0, 0.0)))])
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.25, 0.0, 0.0))]) is None
+    assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.255, 0.0, 0.0))]) is not None
+
+
+def test_a_pose_from_elsewhere_gets_its_own_reprojection() -> None:
+    truth = facing(0, 0, 0.6)
+    photo = photograph(CAMERA, [(ONE, truth)])
+    sighting = seen(photo)
+    off = truth.copy()
+    off[0, 3] += 0.0005
+    moved = at_pose(photo, CAMERA, sighting, off)
+    assert moved.reprojection_rms == pytest.approx(0.5, abs=0.15)
+    assert moved.T_board_in_cam is off
+    assert at_pose(photo, CAMERA, sighting, facing(5, 0, 0.6)).reprojection_rms is None
+
+
+def test_an_unknown_focal_length_is_found_within_what_it_says() -> None:
+    true = CameraModel.pinhole(640, 480, 740.0)
+    photo = photograph(true, [(ONE, facing(0.02, 0.01, 0.4, 0.8, 0.2)), (TWO, facing(-0.14, 0, 0.5, -0.6, 0.3))])
+    camera = estimate_camera(photo, [ONE, TWO])
+    assert camera is not None
+    assert abs(math.log(camera.focal / 740)) < 2 * camera.focal_sigma < 0.06
+    assert estimate_camera(photograph(true, []), [ONE]) is None
+
+
+def test_many_estimates_never_claim_more_than_a_lens_without_distortion_allows() -> None:
+    camera = combined_camera(640, 480, [(math.log(600), 0.01)] * 100)
+    assert camera is not None
+    assert camera.focal == pytest.approx(600)
+    assert camera.focal_sigma == 0.01
+    uneven = combined_camera(640, 480, [(math.log(600), 0.02), (math.log(700), 0.2)])
+    assert uneven is not None
+    assert 600 < uneven.focal < 602
+
+
+def test_a_turned_board_keeps_its_corners_in_order() -> None:
+    for angle in (0.0, 1.6, 3.0, -1.5):
+        truth = facing(0, 0, 0.5) @ pose((0, 0, 0), rotation_from_vector([0, 0, angle]))
+        assert_exact(seen(photograph(CAMERA, [(ONE, truth)])), truth)

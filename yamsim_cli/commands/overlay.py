@@ -1,0 +1,112 @@
+"""`yamsim overlay`: does the simulation stand where the real arm stands?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from yamsim_cli.core.errors import UsageError
+
+from .console import note, print_json, print_line, progress_bar
+from .session import Json, Margin, RigName, locations, resolve_meshes, rig_config, use_gl
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.jobs.overlay_report import OverlayReport
+
+
+def overlay(
+    img: Annotated[list[Path] | None, typer.Option(help="A photo or a folder of photos; may be repeated.")] = None,
+    rig: RigName = "single",
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="Calibration: ours, OpenCV's or ROS's YAML; else estimated."),
+    ] = None,
+    joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
+    episode: Annotated[
+        Path | None, typer.Option(help="A recorded episode, DATASET/ep_NNNNNN, instead of --img.")
+    ] = None,
+    episode_camera: Annotated[str | None, typer.Option(help="Which of its cameras; else the one that stands.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the pictures and overlay.json.")] = Path("overlays"),
+    margin: Margin = None,
+    trust_margin: Annotated[bool, typer.Option("--trust-margin", help="The arms stand as the rig says.")] = False,
+    refine: Annotated[bool, typer.Option("--refine", help="Improve each pose by the photo's edges.")] = False,
+    mask: Annotated[bool, typer.Option("--mask", help="Also write where each arm is: 0, 1, 2.")] = False,
+    mask_image: Annotated[Path | None, typer.Option(help="Your mask of the robot, or a folder of masks.")] = None,
+    max_reprojection: Annotated[float | None, typer.Option(min=0, help="Exit 4 above so many px.")] = None,
+    min_iou: Annotated[float | None, typer.Option(min=0, max=1, help="Exit 4 below; needs --mask-image.")] = None,
+    opacity: Annotated[float, typer.Option(min=0, max=1, help="Of the drawn arms.")] = 0.55,
+    video: Annotated[Path | None, typer.Option(help="Also an MP4 of all pictures.")] = None,
+    fps: Annotated[float, typer.Option(min=0.1, max=240, help="Of the MP4.")] = 15.0,
+    json: Json = False,
+) -> None:
+    """Find each arm's pose in photos by its board, lay the simulated arm over them, and score the fit.
+
+    Example: yamsim overlay --img photo.png --rig russet --camera camera.yaml
+    """
+    if bool(img) == bool(episode):
+        raise UsageError("give either --img or --episode")
+    if episode_camera and not episode:
+        raise UsageError("--episode-camera goes with --episode")
+    if camera and episode:
+        raise UsageError("--camera goes with --img: an episode knows its own")
+    if min_iou is not None and mask_image is None:
+        raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
+    where = locations()
+    settings = rig_config(rig, where, margin)
+
+    from yamsim_cli.core.config.camera import CameraConfig
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.record import RenderConfig
+    from yamsim_cli.core.config.scene import SceneConfig
+
+    model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
+    scene = load_config(SceneConfig, "scenes", "studio", where)
+    quality = load_config(RenderConfig, "quality", "fast", where)
+    use_gl()
+
+    from yamsim_cli.core.jobs.joint_files import load_joints
+    from yamsim_cli.core.jobs.overlay import OverlayOptions
+    from yamsim_cli.core.jobs.overlay_run import OverlayRequest, run_overlays
+    from yamsim_cli.core.jobs.photos import Photo, episode_photos, find_photos
+    from yamsim_cli.core.scene.compose import mesh_sets
+
+    photos = (
+        episode_photos(episode, episode_camera, settings)
+        if episode
+        else [Photo(path) for path in find_photos(img or [])]
+    )
+    request = OverlayRequest(
+        photos,
+        OverlayOptions(trust_margin, refine, opacity),
+        model,
+        load_joints(joints, settings, where) if joints else None,
+        out,
+        mask,
+        mask_image,
+        video,
+        1 / fps,
+        max_reprojection,
+        min_iou,
+    )
+    meshes = resolve_meshes(mesh_sets(settings), where)
+    with progress_bar("overlays", "photos") as advance:
+        report = run_overlays(
+            settings, request, scene, quality, where, meshes, lambda done, total: advance(done, total, "")
+        )
+    if json:
+        print_json(report.plain())
+    else:
+        _tell(report)
+    report.check()
+
+
+def _tell(report: OverlayReport) -> None:
+    from yamsim_cli.core.jobs.overlay import captions
+
+    for result in report.results:
+        print_line(f"{result.path}: {'; '.join(captions(result))}")
+        for text in result.notes:
+            note(f"{result.path}: {text}")
+    print_line(f"{len(report.files)} files, such as {report.files[0]}")

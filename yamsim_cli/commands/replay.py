@@ -1,0 +1,158 @@
+"""`yamsim replay`: a recorded episode in a viewer, or as a video."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from yamsim_cli.core.errors import DatasetError, UsageError
+
+from .console import note, print_json, print_line
+from .session import Json, locations, parse_size, scene_meshes, skip_gl, use_gl
+from .signals import noted_signals
+from .viewing import Port, Web, choose_viewer, prepare_viewer
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.dataset.reader import StoredEpisode
+    from yamsim_cli.core.jobs.replay import Film
+    from yamsim_cli.core.resources import Locations
+
+
+def replay(
+    episode: Annotated[Path, typer.Argument(help="An episode, such as dataset/ep_000003.", show_default=False)],
+    number: Annotated[int | None, typer.Option("--episode", min=0, help="Its number, given a dataset.")] = None,
+    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Write an H.264 video instead.")] = None,
+    camera: Annotated[
+        list[str] | None, typer.Option(help="Of the video; several are put side by side.  [default: the first]")
+    ] = None,
+    render: Annotated[bool, typer.Option("--render", help="Draw the video anew from recorded states.")] = False,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="With --render: size of each image.")] = None,
+    speed: Annotated[float, typer.Option(help="How fast time passes; 0.5 is slow motion.")] = 1.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move an older video aside.")] = False,
+    web: Web = None,
+    port: Port = None,
+    json: Json = False,
+) -> None:
+    """Play a recorded episode in a viewer, or make a video of it; its actions are repeated in physics and compared.
+
+    Example: yamsim replay dataset/ep_000003 --video ep3.mp4
+    """
+    for_video = {"--camera": camera, "--render": render, "--size": size, "--overwrite": overwrite}
+    for_viewer = {"--web or --native": web is not None, "--port": port is not None}
+    for flag, given in (for_video if video is None else for_viewer).items():
+        if given:
+            raise UsageError(f"{flag} is for {'a video: give' if video is None else 'the viewer: leave out'} --video")
+    if size and not render:
+        raise UsageError(f"--size {size}: recorded images have their own size; give --render to draw them anew")
+    if not 0.01 <= speed <= 1000:
+        raise UsageError(f"--speed {speed:g} is not valid: it must lie in 0.01..1000")
+
+    from yamsim_cli.core.dataset.reader import find_episode
+
+    stored, where = find_episode(episode, number), locations()
+    if video is None:
+        _watch(stored, where, speed, web, port, json)
+        return
+    pixels = parse_size(size) if size else None
+    film = _film(stored, where, video, camera or [], render, pixels, speed, overwrite)
+    if film.moved_aside:
+        note(f"What was at {video} is now at {film.moved_aside}.")
+    report = {
+        "episode": str(stored.directory),
+        "video": str(film.path),
+        "frames": film.frames,
+        "seconds": round(film.seconds, 6),
+        "size": list(film.size),
+        "cameras": list(film.cameras),
+        "rendered": render,
+        "moved_aside": str(film.moved_aside) if film.moved_aside else None,
+    }
+    _say(report | _physics(stored, where), json)
+
+
+def _film(
+    stored: StoredEpisode,
+    where: Locations,
+    video: Path,
+    cameras: list[str],
+    render: bool,
+    size: tuple[int, int] | None,
+    speed: float,
+    overwrite: bool,
+) -> Film:
+    (use_gl if render else skip_gl)()
+    period = stored.record.frame_period_s / speed
+
+    from yamsim_cli.core.jobs.replay import film_recorded, film_rendered, scene_config
+
+    if not render:
+        return film_recorded(stored, cameras, video, period, overwrite=overwrite)
+
+    from yamsim_cli.core.jobs.episode import EpisodeRunner
+
+    config = scene_config(_config(stored, where), size)
+    with EpisodeRunner(config, where, scene_meshes(config, where), draw=False) as runner:
+        return film_rendered(stored, runner, cameras, video, period, overwrite=overwrite)
+
+
+def _watch(
+    stored: StoredEpisode, where: Locations, speed: float, web: bool | None, port: int | None, json: bool
+) -> None:
+    page_port = choose_viewer(web, port)
+    prepare_viewer(page_port)
+
+    from yamsim_cli.core.jobs.replay import play
+
+    def ready(url: str | None) -> None:
+        _say({"episode": str(stored.directory), "url": url} | found, json)
+        # Whoever reads a pipe must not have to wait for the end.
+        sys.stdout.flush()
+
+    config = _config(stored, where)
+    meshes = scene_meshes(config, where)
+    # A server or a window that is broken off while it starts cannot be closed.
+    with noted_signals() as stopped:
+        found = _physics(stored, where)
+        play(stored, config, where, meshes, speed, page_port, ready, stopped)
+
+
+def _config(stored: StoredEpisode, where: Locations) -> RecordConfig:
+    from yamsim_cli.core.dataset.reader import dataset_config
+
+    return dataset_config(stored.dataset, where)
+
+
+def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:
+    """How far the episode's actions lead from what it holds; null where it cannot be told."""
+    from yamsim_cli.core.jobs.replay import repeat
+
+    try:
+        found = repeat(stored, _config(stored, where), where)
+    except DatasetError as error:
+        note(f"Its actions were not repeated: {error}.")
+        found = None
+    if found is None:
+        return {"max_error": None, "first_divergence": None}
+    return {"max_error": found.max_error, "first_divergence": found.first and asdict(found.first)}
+
+
+def _say(report: dict[str, Any], json: bool) -> None:
+    if json:
+        print_json(report)
+        return
+    if "video" in report:
+        size = "x".join(map(str, report["size"]))
+        what = f"{report['frames']} frames, {report['seconds']:.2f} s, {size}, {', '.join(report['cameras'])}"
+        print_line(f"{report['video']}: {what}")
+    else:
+        print_line(f"{report['url']}  (Ctrl-C ends)" if report["url"] else "MuJoCo's window: space pauses")
+    if (first := report["first_divergence"]) is not None:
+        since = "" if first["frame"] is None else f", from frame {first['frame']} on, {first['quantity']} first"
+        note(f"Its actions, repeated in physics, lead up to {report['max_error']:.3g} away{since}.")
+    elif report["max_error"] is not None:
+        print_line("its actions, repeated in physics, lead to the same states, bit for bit")

@@ -1,0 +1,93 @@
+"""`yamsim verify`: whether a dataset can be made again from what it says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from yamsim_cli.core.errors import DatasetError, UsageError
+
+from .console import print_json, print_table, progress_bar
+from .divergence import WAYS, sentence, trouble, verdict
+from .session import Json, locations, scene_meshes, skip_gl, use_gl
+
+
+def verify(
+    dataset: Annotated[Path, typer.Argument(help="The directory that `yamsim record` wrote.", show_default=False)],
+    episodes: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Which episodes, such as 0,3,5-9.  [default: all]")
+    ] = None,
+    sample: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="N episodes, spread evenly over the dataset.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="How much a number may differ: m, rad, or relative where it is above 1.")
+    ] = 0.0,
+    images: Annotated[bool, typer.Option("--images", help="Render again too, and compare the JPEG files.")] = False,
+    image_tolerance: Annotated[
+        float, typer.Option(min=0.0, help="With --images: how far pixels may differ in an image's mean, of 255.")
+    ] = 0.0,
+    json: Json = False,
+) -> None:
+    """Make episodes again, from their seeds and from their actions, and name the first value that differs.
+
+    Exit code 4 if anything does.
+
+    Example: yamsim verify dataset/ --sample 20
+    """
+    if episodes is not None and sample is not None:
+        raise UsageError("--episodes and --sample exclude each other; give one")
+    if image_tolerance and not images:
+        raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
+
+    from yamsim_cli.core.dataset.reader import dataset_config
+    from yamsim_cli.core.jobs.verify import select_episodes
+
+    where = locations()
+    chosen = select_episodes(dataset, episodes, sample)
+    config = dataset_config(dataset, where)
+    if images:
+        use_gl()
+    else:
+        skip_gl()
+
+    from yamsim_cli.core.jobs.remake import Limits
+    from yamsim_cli.core.jobs.verify import verify as run
+
+    # Without images nobody looks.
+    meshes = scene_meshes(config, where) if images else {}
+    limits = Limits(tolerance, image_tolerance if images else None)
+    with progress_bar("verifying", "episodes") as advance:
+        report = run(chosen, config, where, meshes, limits, workers, lambda done, total: advance(done, total, ""))
+    report = {"path": str(dataset)} | report
+    if json:
+        print_json(report)
+    else:
+        print_table(_table(report))
+    if report["agree"] < report["episodes"]:
+        raise DatasetError(verdict(report))
+
+
+def _table(report: dict[str, Any]) -> object:
+    from rich.table import Table
+
+    table = Table("dataset", report["path"])
+    table.add_row("episodes that agree", f"{report['agree']} of {report['episodes']}")
+    for check, label in WAYS.items():
+        if found := report["checks"][check]:
+            apart = "pixels differ by up to" if check == "images" else "largest difference"
+            exact = " (bit for bit)" if not found["max_error"] and found["agree"] else ""
+            table.add_row(label, f"{found['agree']} of {found['episodes']}, {apart} {found['max_error']:.3g}{exact}")
+            for reason in found["skipped"]:
+                table.add_row("", f"not made for some: {reason}")
+    for change in report["versions_changed"]:
+        table.add_row(f"{change['name']} changed", f"{change['recorded']} then, {change['now']} now")
+    for divergence in report["divergences"][:10]:
+        table.add_row("[red]differs[/red]", sentence(divergence))
+    for problem in report["problems"][:10]:
+        table.add_row("[red]problem[/red]", trouble(problem))
+    table.add_row("time", f"{report['seconds']:.1f} s, {report['seconds'] / report['episodes']:.2f} s an episode")
+    return table

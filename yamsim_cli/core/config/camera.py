@@ -1,0 +1,137 @@
+"""Camera files: our own, OpenCV's FileStorage and ROS's camera_info, all in YAML."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import Field, field_validator, model_validator
+
+from ..errors import ConfigError, suggest
+from ..geometry.camera import CameraModel
+from .base import Config
+from .document import Document, KeyPath
+
+Row = tuple[float, float, float]
+
+# How many distortion coefficients OpenCV's model can have.
+_COUNTS = (0, 4, 5, 8, 12, 14)
+
+# The names under which calibration programs save what we call K, distortion, width and height.
+_ALIASES = {
+    "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "mtx", "k"),
+    "distortion": (
+        "distortion_coefficients",
+        "Distortion_Coefficients",
+        "distCoeffs",
+        "dist_coeffs",
+        "dist_coeff",
+        "dist",
+        "D",
+        "d",
+    ),
+    "width": ("image_width", "image_Width", "imageWidth"),
+    "height": ("image_height", "image_Height", "imageHeight"),
+}
+
+# ROS's distortion models that are OpenCV's.
+_ROS_MODELS = ("plumb_bob", "rational_polynomial")
+
+
+class CameraConfig(Config):
+    """A calibrated camera, pinhole with OpenCV's distortion.
+
+    Attributes:
+        K: the camera matrix (3, 3), px; pixel centres at whole numbers.
+        distortion: in OpenCV's order, 0, 4, 5, 8, 12 or 14 numbers.
+        width, height: of the images it was calibrated with, px.
+        focal_sigma: standard deviation of the focal length as a share of it.
+    """
+
+    width: int = Field(ge=16, le=16384)
+    height: int = Field(ge=16, le=16384)
+    K: tuple[Row, Row, Row]
+    distortion: tuple[float, ...] = ()
+    focal_sigma: float = Field(default=0.003, ge=0, le=0.5)
+
+    @property
+    def model(self) -> CameraModel:
+        """The camera in numbers."""
+        return CameraModel(self.width, self.height, self.K, self.distortion, self.focal_sigma)
+
+    @field_validator("K", mode="before")
+    @classmethod
+    def _three_by_three(cls, value: Any) -> Any:
+        if isinstance(value, list) and len(value) == 9 and not any(isinstance(part, list) for part in value):
+            value = [value[k : k + 3] for k in (0, 3, 6)]
+        is_matrix = isinstance(value, list | tuple) and len(value) == 3
+        if not is_matrix or not all(isinstance(row, list | tuple) and len(row) == 3 for row in value):
+            raise ValueError("K must have 3 x 3 numbers: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        return value
+
+    @model_validator(mode="after")
+    def _plausible(self) -> CameraConfig:
+        (fx, skew, cx), (left, fy, cy), last = self.K
+        # A skew, which other models have, OpenCV's passes over in silence.
+        if last != (0.0, 0.0, 1.0) or left != 0.0 or skew != 0.0:
+            raise ValueError("K must have the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        if fx <= 0 or fy <= 0:
+            raise ValueError(f"the focal lengths {fx:g} and {fy:g} must be above 0 px")
+        # A phone's zoom or a fisheye lie within; a K of another image size or in millimetres does not.
+        longer = max(self.width, self.height)
+        if not 0.2 * longer < min(fx, fy) <= max(fx, fy) < 20 * longer:
+            raise ValueError(f"K does not fit images of {self.width} x {self.height}: its focal length is {fx:g} px")
+        if not (0 <= cx < self.width and 0 <= cy < self.height):
+            raise ValueError(
+                f"K does not fit images of {self.width} x {self.height}: its principal point is ({cx:g}, {cy:g})"
+            )
+        across, down = 2 * (cx + 0.5) / self.width, 2 * (cy + 0.5) / self.height
+        if abs(across - down) < 0.1 and abs(across + down - 2) > 0.4:
+            raise ValueError(
+                f"K does not fit images of {self.width} x {self.height}: its principal point ({cx:g}, {cy:g}) is the "
+                f"middle of images of about {round(2 * cx)} x {round(2 * cy)}"
+            )
+        if len(self.distortion) not in _COUNTS:
+            raise ValueError(f"distortion has {len(self.distortion)} numbers; OpenCV's model has 0, 4, 5, 8, 12 or 14")
+        return self
+
+    @classmethod
+    def adopt(cls, document: Document) -> None:
+        """Rewrite another program's camera file in our own keys, in place.
+
+        Raises:
+            ConfigError: its camera model is not OpenCV's pinhole.
+        """
+        data = document.data
+        if not any(alias in data for names in _ALIASES.values() for alias in names):
+            return
+        # OpenCV's own calibration program marks its other model so.
+        model = "fisheye" if data.get("fisheye_model") else data.get("distortion_model", _ROS_MODELS[0])
+        if model not in _ROS_MODELS:
+            raise ConfigError(
+                f"{document.place(('distortion_model',))}: distortion_model: {model!r} is not valid: calibrate with "
+                f"one of OpenCV's pinhole models; {suggest(str(model), _ROS_MODELS)}"
+            )
+        ours: dict[str, Any] = {}
+        places: dict[KeyPath, str] = {}
+        for key, aliases in _ALIASES.items():
+            for alias in (key, *aliases):
+                if alias in data:
+                    value = _matrix(data[alias])
+                    ours[key] = _flat(value) if key == "distortion" else value
+                    places[(key,)] = document.place((alias,))
+                    break
+        if "focal_sigma" in data:
+            ours["focal_sigma"], places[("focal_sigma",)] = data["focal_sigma"], document.place(("focal_sigma",))
+        document.data, document.places = ours, {(): document.place(()), **places}
+
+
+def _matrix(value: Any) -> Any:
+    """The numbers of a matrix saved as `{rows, cols, data}`, or the value as it is."""
+    return value["data"] if isinstance(value, dict) and "data" in value else value
+
+
+def _flat(value: Any) -> Any:
+    """Coefficients saved as a matrix of one row or column, as a list."""
+    if isinstance(value, list) and all(isinstance(part, list) for part in value):
+        return [number for part in value for number in part]
+    return value

@@ -1,0 +1,49 @@
+"""What a robot model's joints can do: `robot_models/<model>/limits.yaml`."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from ..resources import Locations
+from .base import Config, Name, Positive, Range
+from .loader import validate_file
+
+
+class JointLimits(Config):
+    """One joint.
+
+    Attributes:
+        range: between its stops, rad.
+        motor_rpm: the motor's no-load speed at the joint, revolutions a minute.
+        reported_rad_s: the fastest motion that the drive can report, rad/s.
+    """
+
+    name: Name
+    range: Range
+    motor_rpm: Positive
+    reported_rad_s: Positive
+
+    @property
+    def motor_rad_s(self) -> float:
+        """The motor's no-load speed, rad/s."""
+        return self.motor_rpm * 2 * math.pi / 60
+
+
+class ArmLimits(Config):
+    """A robot model's joints in order, and the opening (m) of one finger by gripper."""
+
+    joints: Annotated[tuple[JointLimits, ...], Field(min_length=1)]
+    fingers: dict[Name, Range]
+
+
+def load_limits(model: str, locations: Locations) -> ArmLimits:
+    """The limits of a robot model.
+
+    Raises:
+        ResourceError: there is no such file.
+        ConfigError: it is not valid.
+    """
+    return validate_file(ArmLimits, locations.file(f"robot_models/{model}/limits.yaml"), locations)

@@ -1,0 +1,122 @@
+"""Every fault that a dataset can be found to have: a stable code, how bad it is, what it means, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Severity(StrEnum):
+    """An error makes the data wrong or unreadable; a warning is for a person to look at."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True)
+class Code:
+    """One kind of fault.
+
+    Attributes:
+        name: `<what>.<fault>`, stable across versions.
+        title: what is wrong, as a clause that values can follow.
+        advice: what to do about it.
+    """
+
+    name: str
+    severity: Severity
+    title: str
+    advice: str
+
+
+_RESUME = "`yamsim record --resume` with the same config mends it"
+_REMAKE = "delete the episode and let `yamsim record --resume` make it again"
+_TRANSFER = "copy it again from where it was recorded, or " + _REMAKE
+_LEAVE_OUT = "leave the episode out of training"
+_RECORDER = "mend the recorder that wrote it, and record anew"
+
+_ERRORS = {
+    "config.damaged": ("the config cannot be read", "restore it from a copy; without it nothing can be resumed"),
+    "manifest.damaged": ("the manifest cannot be read", "delete it; " + _RESUME),
+    "manifest.differs": ("the manifest says something else than the episode", "delete the manifest; " + _RESUME),
+    "ledger.missing": (
+        "the ledger of attempts is missing",
+        "restore it from a copy; without it nothing can be resumed",
+    ),
+    "ledger.damaged": ("a line of the ledger cannot be read", "restore the ledger from a copy"),
+    "ledger.gap": ("attempts are missing from the ledger", "restore the ledger from a copy"),
+    "ledger.differs": ("the ledger says something else than the episode", "find out which of the two was changed"),
+    "episode.missing": ("the episode is missing", _RESUME),
+    "episode.number": ("the episode bears another number inside", "give the directory its own number back"),
+    "episode.duplicate": ("the same data is there twice", "delete one of the two"),
+    "episode.unchecked": (
+        "it ends every process that looks into it",
+        "leave the episode out, and keep it for a bug report",
+    ),
+    "episode.outcome": ("the stored outcome is not what the last frame shows", _LEAVE_OUT),
+    "record.missing": ("episode.json is missing", _REMAKE),
+    "record.damaged": ("episode.json cannot be read", _REMAKE),
+    "frames.none": ("there is not one frame", _REMAKE),
+    "frames.count": ("the number of frames differs", _REMAKE),
+    "frames.gap": ("frames are missing between others", _TRANSFER),
+    "file.missing": ("a recorded file is missing", _TRANSFER),
+    "file.unreadable": ("a file cannot be read", _TRANSFER),
+    "file.hash": ("the content is not what was recorded", _TRANSFER),
+    "image.decode": ("not a whole JPEG", _TRANSFER),
+    "image.size": ("an image has another size", _RECORDER),
+    "image.colour": ("an image has no colours", _RECORDER),
+    "image.black": ("an image is black", _LEAVE_OUT),
+    "image.frozen": ("the picture stands still while the arm moves", _LEAVE_OUT),
+    "lowdim.damaged": ("not a whole frame", _TRANSFER),
+    "lowdim.forbidden": (
+        "a pickle asks for more than data",
+        "trust neither this file nor where it came from; delete it",
+    ),
+    "lowdim.missing": ("a key is missing", _RECORDER),
+    "lowdim.shape": ("a value has another shape", _RECORDER),
+    "lowdim.type": ("a value has another type", _RECORDER),
+    "lowdim.finite": ("a value is not finite", _LEAVE_OUT),
+    "lowdim.simulation": ("what physics needs to repeat the frame is not right", _RECORDER),
+    "lowdim.content": ("the values are not what was recorded", _TRANSFER),
+    "time.order": ("time does not go on", _LEAVE_OUT),
+    "joints.limit": ("a joint is beyond its stop", "check units (rad) and calibration; otherwise " + _LEAVE_OUT),
+    "joints.jump": ("a joint jumps", _LEAVE_OUT),
+    "pose.rotation": ("a pose's 3 x 3 part is no rotation", _RECORDER),
+    "pose.row": ("a pose's last row is not 0 0 0 1", _RECORDER),
+    "pose.far": ("a position is out of the room", "check units: positions are in metres"),
+    "camera.intrinsics": ("a matrix is no camera's", _RECORDER),
+    "camera.fit": ("a camera matrix does not fit its images", "scale the matrix with the images"),
+}
+
+_WARNINGS = {
+    "dataset.empty": ("there is no episode yet", "`yamsim record` makes some"),
+    "dataset.plain": (
+        "a plain recording: no config.yaml, no episode.json",
+        "nothing to do; hashes, attempts and seeds cannot be checked",
+    ),
+    "dataset.mixed": ("episodes differ in how they were made", "train on one kind, or on all of them knowingly"),
+    "config.missing": ("config.yaml is missing", "restore it from a copy; without it nothing can be resumed"),
+    "manifest.missing": ("the manifest is missing", _RESUME),
+    "manifest.stale": ("episodes are not in the manifest", _RESUME),
+    "ledger.cut": ("the ledger's last line is cut off", _RESUME),
+    "ledger.unlogged": ("episodes are not in the ledger", _RESUME),
+    "leftover.staging": ("something is half-written", "if nothing is recording, " + _RESUME),
+    "leftover.directory": ("a directory is no episode by its name", "name it ep_NNNNNN, or move it out"),
+    "episode.gap": ("numbers are left out", "make sure that nothing pairs episodes by their place"),
+    "episode.layout": ("two episodes start alike", "check that their seeds differ"),
+    "episode.failed": ("the episode is labelled a failure", _LEAVE_OUT),
+    "file.unhashed": ("a file has no hash in episode.json", _REMAKE),
+    "file.unexpected": ("a file does not belong to the episode", "move it out"),
+    "image.uniform": ("an image shows next to nothing", "look at it"),
+    "lowdim.unexpected": ("a key is not part of the format", "nothing, if your own code put it there"),
+    "time.spacing": ("frames are unevenly spaced in time", "resample before training on it"),
+    "joints.fast": ("a joint moves faster than its motor can", "plan slower motion: the real arm cannot follow"),
+    "camera.view": ("a camera sees neither the arm's hand nor an object", "check extrinsics: they are T_cam_in_base"),
+}
+
+CODES: Mapping[str, Code] = {
+    name: Code(name, severity, *texts)
+    for severity, codes in ((Severity.ERROR, _ERRORS), (Severity.WARNING, _WARNINGS))
+    for name, texts in codes.items()
+}

@@ -1,0 +1,113 @@
+"""What statistics need of an episode, and reading it from its frames where it was not recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...geometry.se3 import Array, yaw
+from ..records import EpisodeRecord, OutcomeRecord
+from .context import Context
+from .problem import Problem
+
+# Frame -> flat key -> value: what `lowdim.LowdimChecks` found right.
+Values = Mapping[int, Mapping[str, Any]]
+
+_POSE = "_pose"
+_HAND = "ee_pose"
+
+
+@dataclass(frozen=True)
+class EpisodeFacts:
+    """What was found in an episode.
+
+    Attributes:
+        name: of its directory.
+        number: as its directory says; None where yamsim did not name it.
+        record: its episode.json; None if that is missing or cannot be read.
+        record_sha256: of its episode.json.
+        frames: how many it should have.
+        bytes: of all its files.
+        seconds: from the first frame to the last; None if that cannot be told.
+        cameras: camera -> width and height of its images.
+        images: camera -> paths of the images that decode, inside the episode, in order.
+        starts, ends: object -> x and y in `world` in the first and in the last frame, m.
+        layout: object -> x, y, z, yaw at the start, as recorded, or else in the robot's base; m and rad.
+        outcome: as recorded, or else read from the last frame; None if there is neither.
+        content: hash of its lowdim values; "" if one could not be read.
+        problems: what is wrong.
+    """
+
+    name: str
+    number: int | None
+    record: EpisodeRecord | None = None
+    record_sha256: str = ""
+    frames: int = 0
+    bytes: int = 0
+    seconds: float | None = None
+    cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    images: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    layout: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    outcome: OutcomeRecord | None = None
+    content: str = ""
+    problems: Sequence[Problem] = ()
+
+
+def numbered(values: Values, key: str) -> dict[int, Array]:
+    """Frame -> what it has under `key`."""
+    return {k: entries[key] for k, entries in sorted(values.items()) if key in entries}
+
+
+def pose_keys(values: Values) -> list[str]:
+    """Flat keys of poses: `<object>_pose`, `ee_pose` and `extrinsics[camera]`, where they are 4 x 4."""
+    keys = dict.fromkeys(key for entries in values.values() for key in entries)
+    return [key for key in keys if (key.endswith(_POSE) or key.startswith("extrinsics[")) and _is_4x4(values, key)]
+
+
+def _is_4x4(values: Values, key: str) -> bool:
+    return all(np.shape(entries[key]) == (4, 4) for entries in values.values() if key in entries)
+
+
+def object_poses(values: Values, frame: int) -> dict[str, Array]:
+    """Object -> pose (4, 4) in the robot's base, in one frame."""
+    keys = [key for key in pose_keys(values) if key.endswith(_POSE) and key != _HAND and key in values[frame]]
+    return {key.removesuffix(_POSE): np.asarray(values[frame][key], dtype=np.float64) for key in keys}
+
+
+def places(values: Values, context: Context, *, last: bool) -> dict[str, tuple[float, float]]:
+    """Object -> x and y in `world` in the first or the last frame that could be read."""
+    if not values:
+        return {}
+    poses = object_poses(values, max(values) if last else min(values))
+    in_world = {name: context.T_base_in_world @ T for name, T in poses.items()}
+    return {name: (float(T[0, 3]), float(T[1, 3])) for name, T in in_world.items()}
+
+
+def layout(values: Values, record: EpisodeRecord | None) -> dict[str, tuple[float, ...]]:
+    """Object -> x, y, z and yaw at the start: as recorded, or else of the first frame, in the robot's base."""
+    if record:
+        return dict(record.layout)
+    if not values:
+        return {}
+    return {name: (*map(float, T[:3, 3]), yaw(T)) for name, T in object_poses(values, min(values)).items()}
+
+
+def seen_outcome(values: Values, context: Context) -> OutcomeRecord | None:
+    """How far the object lies from the target in the last frame; None where their poses are not stored."""
+    if not values:
+        return None
+    poses = object_poses(values, max(values))
+    carried, target = poses.get(context.object), poses.get(context.target)
+    if carried is None or target is None:
+        return None
+    offset = carried[:3, 3] - target[:3, 3]
+    dxy, dz = float(np.hypot(offset[0], offset[1])), float(offset[2])
+    outcome = OutcomeRecord(
+        success=False, cause=None, detail="", dxy_m=dxy, dz_m=dz, speed_mps=None, plan_error_m=None, tilt_rad=None
+    )
+    return outcome.model_copy(update={"success": outcome.within(context.threshold, context.max_height)})

@@ -1,0 +1,147 @@
+"""Which files an episode has, whether they are all there, and reading them without trusting their size or kind."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import stat
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..layout import EPISODE, image_name, lowdim_name
+from ..records import EpisodeRecord
+from .problem import Problems
+
+# A link can lead back up; nothing in the format lies deeper.
+_DEEPEST = 4
+
+# Larger than any of these files has reason to be.
+_LARGEST = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26}
+_LARGEST_OTHER = 2**28
+
+_IMAGE = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
+_LOWDIM = re.compile(r"lowdim/([0-9]{1,12})\.pkl")
+
+
+@dataclass
+class Files:
+    """An episode's files by what they are: frame number -> path inside the episode.
+
+    Attributes:
+        sizes: path -> bytes, of every regular file.
+        others: paths that are neither image nor lowdim nor episode.json.
+    """
+
+    sizes: dict[str, int] = field(default_factory=dict)
+    lowdim: dict[int, str] = field(default_factory=dict)
+    images: dict[str, dict[int, str]] = field(default_factory=dict)
+    others: list[str] = field(default_factory=list)
+
+
+def list_files(directory: Path, recorded: bool, problems: Problems) -> Files:
+    """Everything below an episode's directory; what is no regular file is a fault.
+
+    Args:
+        recorded: whether yamsim wrote it, so that frame numbers have six digits at least.
+    """
+    files = Files()
+    for name in _walk(directory, directory, 0, files, problems):
+        image, lowdim = _IMAGE.fullmatch(name), _LOWDIM.fullmatch(name)
+        if lowdim and (not recorded or name == lowdim_name(int(lowdim[1]))):
+            stream, number = files.lowdim, int(lowdim[1])
+        elif image and (not recorded or name == image_name(image[1], int(image[2]))):
+            stream, number = files.images.setdefault(image[1], {}), int(image[2])
+        else:
+            stream, number = {}, 0
+            if name != EPISODE:
+                files.others.append(name)
+        if number in stream:
+            problems.add("file.unexpected", name, f"frame {number} is {stream[number]} already")
+        else:
+            stream[number] = name
+    return files
+
+
+def _walk(top: Path, folder: Path, depth: int, files: Files, problems: Problems) -> list[str]:
+    found: list[str] = []
+    try:
+        entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+    except OSError as error:
+        problems.add("file.unreadable", folder.relative_to(top).as_posix(), error.strerror)
+        return found
+    for entry in entries:
+        name = Path(entry.path).relative_to(top).as_posix()
+        try:
+            if entry.is_dir():
+                if depth < _DEEPEST:
+                    found += _walk(top, Path(entry.path), depth + 1, files, problems)
+                continue
+            status = entry.stat()
+        except OSError as error:
+            # Listed as present, so that it does not count as missing as well.
+            found.append(name)
+            problems.add("file.unreadable", name, error.strerror)
+            continue
+        found.append(name)
+        if stat.S_ISREG(status.st_mode):
+            files.sizes[name] = status.st_size
+        else:
+            problems.add("file.unreadable", name, "it is no regular file")
+    return found
+
+
+def read_file(directory: Path, name: str, files: Files, problems: Problems) -> bytes | None:
+    """A file's content, or None with its fault noted; what is too large is not read."""
+    if name not in files.sizes:
+        return None
+    limit = _LARGEST.get(Path(name).suffix, _LARGEST_OTHER)
+    if files.sizes[name] > limit:
+        problems.add("file.unreadable", name, f"{files.sizes[name]} bytes", f"at most {limit}")
+        return None
+    try:
+        return (directory / name).read_bytes()
+    except OSError as error:
+        problems.add("file.unreadable", name, error.strerror)
+        return None
+
+
+def check_presence(files: Files, record: EpisodeRecord | None, problems: Problems) -> int:
+    """Note frames that are missing and files that do not belong; return how many frames the episode should have.
+
+    Gaps are frames missing between others; a stream that ends early or late differs in its count.
+    """
+    if record:
+        for name in files.others:
+            if name not in record.files:
+                problems.add("file.unexpected", name)
+        for name in record.files:
+            if name not in files.sizes and not (_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name)):
+                problems.add("file.missing", name)
+        for camera in files.images.keys() - record.cameras.keys():
+            problems.add("file.unexpected", f"rgb/{camera}", f"camera {camera}", ", ".join(record.cameras))
+            del files.images[camera]
+        streams = {"lowdim": files.lowdim} | {f"rgb/{name}": files.images.get(name, {}) for name in record.cameras}
+    else:
+        streams = {"lowdim": files.lowdim} | {f"rgb/{name}": numbers for name, numbers in files.images.items()}
+    counts = {name: max(numbers, default=-1) + 1 for name, numbers in streams.items()}
+    if not any(counts.values()):
+        problems.add("frames.none")
+        return 0
+    expected = record.frames if record else counts["lowdim"] or max(counts.values())
+    for name, count in counts.items():
+        if count != expected:
+            source = EPISODE if record else "lowdim" if counts["lowdim"] else "another camera"
+            problems.add("frames.count", name, f"{count} in {name}", f"{expected}, as in {source}")
+        # Plain recordings may well begin at 1.
+        present = sorted(streams[name])
+        before = -1 if record or (present and present[0] != 1) else 0
+        for low, high in itertools.pairwise([before, *present]):
+            if high - low > 1:
+                missing = f"{low + 1}" if high - low == 2 else f"{low + 1} to {high - 1}"
+                problems.add("frames.gap", _frame_name(name, low + 1), missing, f"0 to {count - 1}")
+    return expected
+
+
+def _frame_name(stream: str, number: int) -> str:
+    return lowdim_name(number) if stream == "lowdim" else image_name(stream.removeprefix("rgb/"), number)

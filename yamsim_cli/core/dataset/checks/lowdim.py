@@ -1,0 +1,125 @@
+"""Lowdim frames: that each can be read, and has the keys, shapes and types it should."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import DatasetError
+from ..lowdim import SHAPES, SIMULATION, flat, load_frame, simulation_faults
+from ..unpickle import ForbiddenPickleError
+from .problem import Problems
+
+# Keys of the format that a frame need not have.
+_OPTIONAL = {"K_wrist": np.zeros((3, 3), np.float32)}
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a value must be: an array's dtype and shape, or a plain type and ()."""
+
+    kind: str
+    shape: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, value: Any) -> Form:
+        """The form of a value."""
+        if isinstance(value, np.ndarray):
+            return cls(str(value.dtype), value.shape)
+        return cls(type(value).__name__)
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.shape}" if self.shape else self.kind
+
+
+def expected_forms(objects: Iterable[str], cameras: Iterable[str]) -> dict[str, Form]:
+    """Flat key -> form, for a frame that yamsim recorded of some objects by some cameras."""
+    float32 = str(np.dtype(np.float32))
+    forms = {key: Form(float32, shape) for key, shape in SHAPES.items()}
+    forms |= {f"{name}_pose": Form(float32, (4, 4)) for name in objects}
+    for camera in cameras:
+        forms |= {f"intrinsics[{camera}]": Form(float32, (3, 3)), f"extrinsics[{camera}]": Form(float32, (4, 4))}
+    plain = {"timestamp": float, "magnet": bool, "language_task": str, "language_prompt": str}
+    return forms | {key: Form(kind.__name__) for key, kind in plain.items()}
+
+
+def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str]) -> list[str]:
+    """What is wrong with a decoded frame that yamsim recorded of some objects by some cameras, one text each."""
+    problems = Problems()
+    LowdimChecks(expected_forms(objects, cameras), problems).take(0, "", frame)
+    return [problem.text for problem in problems.list()]
+
+
+class LowdimChecks:
+    """Checks an episode's lowdim frames, one after the other.
+
+    Args:
+        forms: what a frame must hold; None for what the first one holds.
+
+    Attributes:
+        frames: number -> a frame that could be read, as it is.
+        values: number -> flat key -> value, of those values alone that have the right form and are finite.
+    """
+
+    def __init__(self, forms: Mapping[str, Form] | None, problems: Problems) -> None:
+        self._forms = forms
+        self._source = "" if forms is not None else ", as in the first frame"
+        self._problems = problems
+        self.frames: dict[int, dict[str, Any]] = {}
+        self.values: dict[int, dict[str, Any]] = {}
+
+    def check(self, number: int, name: str, data: bytes) -> bool:
+        """Check a frame; whether it could be read."""
+        try:
+            frame = load_frame(data)
+        except ForbiddenPickleError as error:
+            self._problems.add("lowdim.forbidden", name, str(error))
+            return False
+        except DatasetError as error:
+            self._problems.add("lowdim.damaged", name, str(error).removeprefix("not a whole pickle: "))
+            return False
+        self.take(number, name, frame)
+        return True
+
+    def take(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
+        """Check a frame that could be read."""
+        # What physics needs has another shape in the last frame, and is there as a whole or not at all.
+        for fault in simulation_faults(frame):
+            self._problems.add("lowdim.simulation", name, fault, about=fault.split()[0])
+        entries = {key: value for key, value in flat(frame).items() if key not in SIMULATION}
+        forms = self._forms
+        if forms is None:
+            forms = self._forms = {key: Form.of(value) for key, value in entries.items()}
+        self.frames[number] = dict(frame)
+        self.values[number] = {
+            key: value for key, value in entries.items() if self._is_right(name, key, value, forms.get(key))
+        }
+        for key in forms.keys() - entries.keys():
+            self._problems.add("lowdim.missing", name, key, ", ".join(forms), about=key)
+
+    def _is_right(self, name: str, key: str, value: Any, wanted: Form | None) -> bool:
+        def add(code: str, found: object, valid: object) -> bool:
+            self._problems.add(code, name, f"{key} is {found}", f"{valid}{self._source}" if valid else "", about=key)
+            return False
+
+        form = Form.of(value)
+        if wanted is None:
+            if key not in _OPTIONAL:
+                self._problems.add("lowdim.unexpected", name, key, about=key)
+                return False
+            wanted = Form.of(_OPTIONAL[key])
+        if form.kind != wanted.kind:
+            return add("lowdim.type", form, wanted)
+        if form.shape != wanted.shape:
+            return add("lowdim.shape", form, wanted)
+        if isinstance(value, np.ndarray | float) and not _finite(value):
+            return add("lowdim.finite", np.array2string(np.asarray(value).ravel()[:8], precision=4), "finite numbers")
+        return True
+
+
+def _finite(value: Any) -> bool:
+    array = np.asarray(value)
+    return array.dtype.kind not in "fc" or bool(np.isfinite(array).all())

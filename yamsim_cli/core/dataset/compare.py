@@ -1,0 +1,141 @@
+"""How far two sets of frames lie apart, and where they first do: numbers only, whatever made them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One value that is not what it was.
+
+    Attributes:
+        frame: number of the frame; None for what an episode has once.
+        time_s: simulated time of the frame, s.
+        quantity: which value, such as `joints[2]` or `banana_pose[0, 3]`.
+        stored, got: both values; numbers in the unit of the quantity, else text.
+        difference: see `Comparison.largest`; None where the values are no finite numbers of the same shape.
+    """
+
+    frame: int | None
+    time_s: float | None
+    quantity: str
+    stored: float | str
+    got: float | str
+    difference: float | None
+
+
+@dataclass
+class Comparison:
+    """What comparing two episodes gave.
+
+    Attributes:
+        largest: quantity -> largest difference: that of two numbers, over the stored one where that is above 1. So it
+            is in rad or m, and for large numbers such as a focal length in px relative.
+        first: the first difference beyond the tolerance; the largest one, where a frame has several.
+    """
+
+    largest: dict[str, float] = field(default_factory=dict)
+    first: Difference | None = None
+
+    @property
+    def max_error(self) -> float:
+        """The largest difference of all."""
+        return max(self.largest.values(), default=0.0)
+
+
+def compare_frames(
+    stored: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], tolerance: float
+) -> Comparison:
+    """Compare two episodes' low-dimensional data, frame by frame and value by value.
+
+    Args:
+        tolerance: a number may differ by that much, see `Comparison.largest`; everything else has to be equal.
+    """
+    result = Comparison()
+    for k, (old, new) in enumerate(zip(stored, made, strict=False)):
+        time = old.get("timestamp")
+        _compare(result, old, new, tolerance, k, time if isinstance(time, float) else None)
+    if len(stored) != len(made) and result.first is None:
+        result.first = Difference(None, None, "frames", float(len(stored)), float(len(made)), None)
+    return result
+
+
+def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> Comparison:
+    """Compare what an episode has once, such as its outcome."""
+    result = Comparison()
+    _compare(result, stored, made, tolerance, None, None)
+    return result
+
+
+def _compare(
+    result: Comparison,
+    stored: Mapping[str, Any],
+    made: Mapping[str, Any],
+    tolerance: float,
+    frame: int | None,
+    time: float | None,
+) -> None:
+    """Compare one frame, and put what was found into `result`."""
+    worst: Difference | None = None
+    for quantity, old, new in _leaves(stored, made):
+        index, apart = _apart(old, new)
+        if apart is not None and _is_number(old):
+            result.largest[quantity] = max(result.largest.get(quantity, 0.0), apart)
+        if apart is not None and apart <= tolerance:
+            continue
+        size = math.inf if apart is None else apart
+        if worst is None or size > (math.inf if worst.difference is None else worst.difference):
+            place = f"[{', '.join(map(str, index))}]" if index else ""
+            worst = Difference(frame, time, quantity + place, _shown(old, index), _shown(new, index), apart)
+    result.first = result.first or worst
+
+
+def _leaves(stored: Mapping[str, Any], made: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Every value with its name, from both sides; `_MISSING` on a side that lacks it."""
+    for key in dict.fromkeys([*stored, *made]):
+        name = f"{prefix}.{key}" if prefix else str(key)
+        old, new = stored.get(key, _MISSING), made.get(key, _MISSING)
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            yield from _leaves(old, new, name)
+        else:
+            yield name, old, new
+
+
+_MISSING = "missing"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, float | int | np.ndarray) and not isinstance(value, bool)
+
+
+def _apart(old: Any, new: Any) -> tuple[tuple[int, ...], float | None]:
+    """Where two values differ most, and by how much; None when they are no numbers and not equal."""
+    if not (_is_number(old) and _is_number(new)):
+        same = type(old) is type(new) and bool(old == new)
+        return (), 0.0 if same else None
+    a, b = np.asarray(old), np.asarray(new)
+    if a.shape != b.shape or a.dtype != b.dtype:
+        return (), None
+    if not a.size:
+        return (), 0.0
+    with np.errstate(invalid="ignore"):
+        gap = np.abs(b.astype(float) - a.astype(float)) / np.maximum(1.0, np.abs(a.astype(float)))
+    bad = ~np.isfinite(gap)
+    index = tuple(int(k) for k in np.unravel_index(int(np.argmax(bad) if bad.any() else np.argmax(gap)), a.shape))
+    return index, None if bad.any() else float(gap[index])
+
+
+def _shown(value: Any, index: tuple[int, ...]) -> float | str:
+    if isinstance(value, np.ndarray):
+        if not index and value.ndim:
+            return f"{value.dtype} {value.shape}"
+        value = value[index].item()
+    if isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value):
+        return float(value)
+    return str(value)

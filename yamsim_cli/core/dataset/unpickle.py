@@ -1,0 +1,271 @@
+"""Reading a pickle that nobody vouches for: numpy arrays and plain containers, within bounds, and nothing else.
+
+A pickle is a program. Four things keep it harmless here:
+
+- The names it may call stand for small classes here, not for numpy's own functions, which take shapes and buffers on
+  trust. No module is ever imported for a pickle.
+- Only the instructions that data needs are known. They run on the standard library's machine in Python: the one in C
+  makes a table as large as the largest number a value is kept under, gigabytes for a file of ten bytes.
+- A dictionary's keys are text or numbers: hashing a tuple of tuples that share their parts would take for ever.
+- What comes out is walked through within a budget: shared lists would otherwise multiply when printed or hashed.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import pickle
+import pickletools
+import re
+import struct
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from ..errors import DatasetError
+
+# A frame of ours has 2 kB and 150 values. An instruction has a byte at least and makes 64 bytes at most, so that this
+# bounds the memory too.
+MAX_BYTES: Final = 2**20
+_MAX_VALUES: Final = 20_000
+_MAX_DEPTH: Final = 16
+_MAX_INT_BITS: Final = 1024
+
+# Booleans, numbers and text of a fixed width. Objects ("O") could be anything, void types need not be whole.
+_DTYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}")
+
+# What it takes to build numbers, text, lists, tuples, dictionaries and arrays, in every protocol. INST is here so that
+# what it names is refused by that name.
+_INSTRUCTIONS: Final = """
+    PROTO FRAME STOP MARK POP POP_MARK DUP PUT BINPUT LONG_BINPUT MEMOIZE GET BINGET LONG_BINGET
+    NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG LONG1 LONG4 FLOAT BINFLOAT
+    UNICODE SHORT_BINUNICODE BINUNICODE BINUNICODE8 SHORT_BINBYTES BINBYTES BINBYTES8 BYTEARRAY8
+    EMPTY_LIST LIST APPEND APPENDS EMPTY_TUPLE TUPLE TUPLE1 TUPLE2 TUPLE3 EMPTY_DICT DICT SETITEM SETITEMS
+    GLOBAL STACK_GLOBAL INST REDUCE BUILD
+"""
+_NAMES: Final = {ord(code.code): code.name for code in pickletools.opcodes}
+
+
+class ForbiddenPickleError(DatasetError):
+    """A pickle that asks for more than data: it names a function or class, or would outgrow any frame."""
+
+
+class _DType:
+    """Stands for `numpy.dtype(text, align, copy)` and the byte order set on it."""
+
+    __slots__ = ("dtype",)
+
+    def __init__(self, text: Any, *_: Any) -> None:
+        if not isinstance(text, str) or not _DTYPE.fullmatch(text):
+            raise ForbiddenPickleError(
+                f"the pickle has an array of type {_short(text)}; only numbers and text are read"
+            )
+        self.dtype: np.dtype[Any] = np.dtype(text)
+
+    def __setstate__(self, state: Any) -> None:
+        _, order, base, names, fields, *_ = state
+        if order not in ("<", ">", "=", "|") or (base, names, fields) != (None, None, None):
+            raise ForbiddenPickleError("the pickle has an array of records; only numbers and text are read")
+        self.dtype = self.dtype.newbyteorder(order)
+
+
+class _Array:
+    """An array, or a single number of numpy's, as a pickle describes it; made once its bytes are known to be there."""
+
+    __slots__ = ("_description", "_scalar")
+
+    def __init__(self, *description: Any, scalar: bool = False) -> None:
+        self._description = description
+        self._scalar = scalar
+
+    def __setstate__(self, state: Any) -> None:
+        _, shape, dtype, fortran, raw = state
+        self._description = (raw, dtype, shape, "F" if fortran else "C")
+
+    @property
+    def nbytes(self) -> int:
+        return len(self._description[0])
+
+    def make(self) -> Any:
+        raw, kind, shape, order = self._description
+        if math.prod(shape) * kind.dtype.itemsize != len(raw) or min(shape, default=0) < 0:
+            raise ValueError(f"an array of shape {_short(shape)} and {kind.dtype} in {len(raw)} bytes")
+        # Copied, so that it is writable and aligned as any other array is.
+        array = np.frombuffer(raw, kind.dtype).reshape(shape, order=order).copy(order=order)
+        return array[()] if self._scalar else array
+
+
+class _Name:
+    """What a pickle gets for a name it may use: it can be called, and cannot be changed."""
+
+    __slots__ = ("_call",)
+
+    def __init__(self, call: Callable[..., Any] | None) -> None:
+        self._call = call
+
+    def __call__(self, *arguments: Any) -> Any:
+        if self._call is None:
+            raise ForbiddenPickleError("the pickle makes an array out of nothing; it was not run")
+        return self._call(*arguments)
+
+    def __setstate__(self, state: Any) -> None:
+        raise ForbiddenPickleError("the pickle changes a function; it was not run")
+
+
+# Only ever handed to `_reconstruct`.
+_NDARRAY = _Name(None)
+
+
+def _reconstruct(kind: Any, shape: Any, _: Any) -> _Array:
+    """An empty array whose content is set later."""
+    if kind is not _NDARRAY or shape != (0,):
+        raise ForbiddenPickleError(f"the pickle asks for an array of shape {_short(shape)} out of nothing")
+    return _Array(b"", _DType("u1"), (0,), "C")
+
+
+def _from_buffer(raw: Any, dtype: Any, shape: Any, order: Any) -> _Array:
+    return _Array(raw, dtype, shape, order)
+
+
+def _scalar(dtype: Any, raw: Any) -> _Array:
+    return _Array(raw, dtype, (), "C", scalar=True)
+
+
+# Every (module, name) that a frame's pickle may hold, by numpy 2's and numpy 1's module names.
+_ALLOWED: Final[dict[tuple[str, str], _Name]] = {
+    (f"{core}.{module}", name): _Name(call)
+    for core in ("numpy._core", "numpy.core")
+    for module, name, call in (
+        ("multiarray", "_reconstruct", _reconstruct),
+        ("multiarray", "scalar", _scalar),
+        ("numeric", "_frombuffer", _from_buffer),
+    )
+} | {("numpy", "ndarray"): _NDARRAY, ("numpy", "dtype"): _Name(_DType)}
+
+
+class _Dispatch(dict[int, Callable[[Any], None]]):
+    def __missing__(self, code: int) -> Callable[[Any], None]:
+        name = _NAMES.get(code, f"{code:#04x}")
+        raise ForbiddenPickleError(f"the pickle has the instruction {name}, which no frame needs")
+
+
+class _Unpickler(pickle._Unpickler):
+    stack: list[Any]
+    pop_mark: Callable[[], list[Any]]
+    read: Callable[[int], bytes]
+
+    dispatch = _Dispatch(
+        {code: run for code, run in pickle._Unpickler.dispatch.items() if _NAMES[code] in _INSTRUCTIONS.split()}
+    )
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in _ALLOWED:
+            raise ForbiddenPickleError(
+                f"the pickle names {_short(module)}.{_short(name)}, which no frame may; it was not run"
+            )
+        return _ALLOWED[module, name]
+
+    def _set(self, items: list[Any]) -> None:
+        for key, value in zip(items[::2], items[1::2], strict=True):
+            if not isinstance(key, str | int):
+                raise ForbiddenPickleError(f"the pickle has a key of type {type(key).__name__}; only text is one")
+            self.stack[-1][key] = value
+
+    def load_setitem(self) -> None:
+        items = self.stack[-2:]
+        del self.stack[-2:]
+        self._set(items)
+
+    def load_setitems(self) -> None:
+        self._set(self.pop_mark())
+
+    def load_dict(self) -> None:
+        items = self.pop_mark()
+        self.stack.append({})
+        self._set(items)
+
+    def load_bytearray8(self) -> None:
+        (size,) = struct.unpack("<Q", self.read(8))
+        if size > MAX_BYTES:
+            raise EOFError(f"{size} bytes are announced")
+        self.stack.append(bytearray(self.read(size)))
+
+    dispatch[pickle.SETITEM[0]] = load_setitem
+    dispatch[pickle.SETITEMS[0]] = load_setitems
+    dispatch[pickle.DICT[0]] = load_dict
+    dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
+
+
+def read_pickle(data: bytes) -> Any:
+    """What a pickle holds: numbers, text, bytes, None, lists, tuples, dictionaries and numpy arrays.
+
+    Raises:
+        ForbiddenPickleError: it names anything else, or would take more memory than a frame may.
+        DatasetError: truncated, or not a pickle.
+    """
+    if len(data) > MAX_BYTES:
+        raise ForbiddenPickleError(f"the pickle has {len(data)} bytes; at most {MAX_BYTES} are read")
+    try:
+        return _Walk().value(_Unpickler(io.BytesIO(data)).load(), 0)
+    except DatasetError:
+        raise
+    # A broken pickle can make the machine it drives fail in any of these ways.
+    except (
+        pickle.UnpicklingError,
+        EOFError,
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        MemoryError,
+        OverflowError,
+        RecursionError,
+        AssertionError,
+        struct.error,
+    ) as error:
+        raise DatasetError(f"not a whole pickle: {type(error).__name__}: {_short(str(error))}") from error
+
+
+class _Walk:
+    """Puts arrays in the place of what stands for them, and counts."""
+
+    def __init__(self) -> None:
+        self._values = _MAX_VALUES
+        self._bytes = MAX_BYTES
+
+    def value(self, item: Any, depth: int) -> Any:
+        self._values -= 1
+        if depth > _MAX_DEPTH or self._values < 0:
+            raise ForbiddenPickleError(f"the pickle has over {_MAX_VALUES} values, or {_MAX_DEPTH} within each other")
+        if isinstance(item, dict):
+            return {self.value(key, depth): self.value(inner, depth + 1) for key, inner in item.items()}
+        if isinstance(item, list | tuple):
+            return type(item)([self.value(inner, depth + 1) for inner in item])
+        if isinstance(item, _Array):
+            self._spend(item.nbytes)
+            return item.make()
+        if isinstance(item, str | bytes | bytearray):
+            self._spend(len(item))
+        elif isinstance(item, int) and item.bit_length() > _MAX_INT_BITS:
+            raise ForbiddenPickleError(f"the pickle has a number of {item.bit_length()} bits")
+        elif item is not None and not isinstance(item, int | float):
+            raise ForbiddenPickleError("the pickle holds a function or a type, which no frame may")
+        return item
+
+    def _spend(self, size: int) -> None:
+        self._bytes -= size
+        if self._bytes < 0:
+            raise ForbiddenPickleError(f"the pickle holds more than {MAX_BYTES} bytes of arrays and text")
+
+
+def _short(value: Any) -> str:
+    """A value for a message: printable, on one line, not long; of containers no more than a shape is shown."""
+    if isinstance(value, tuple) and len(value) <= 8 and all(isinstance(part, int) for part in value):
+        text = f"({', '.join(map(_short, value))})"
+    elif isinstance(value, str | int | float):
+        text = str(value) if not isinstance(value, int) or value.bit_length() < _MAX_INT_BITS else "a long number"
+    else:
+        text = type(value).__name__
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text[:200])

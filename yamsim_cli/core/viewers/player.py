@@ -1,0 +1,83 @@
+"""Recorded states, shown one after the other at their own pace and over again."""
+
+from __future__ import annotations
+
+import threading
+
+import mujoco
+
+from ..geometry.se3 import Array
+
+
+class EpisodePlayer:
+    """Owns the state of a scene that is only looked at. Its methods may be called from any thread.
+
+    Args:
+        title: for the page's tab.
+        model: the scene.
+        positions: MuJoCo's positions (frames, nq), one row a frame.
+        frame_period: of simulated time from one frame to the next, s.
+        speed: how fast time passes; 1 is real time.
+    """
+
+    def __init__(
+        self, title: str, model: mujoco.MjModel, positions: Array, frame_period: float, speed: float = 1.0
+    ) -> None:
+        self.title = title
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.frame_period = frame_period
+        self.paused = False
+        # A page's controls live in threads of their own.
+        self.lock = threading.RLock()
+        self._positions = positions
+        self._speed = speed
+        self._time = 0.0
+        self._last: float | None = None
+        self.reset()
+
+    @property
+    def frames(self) -> int:
+        """How many frames there are."""
+        return len(self._positions)
+
+    @property
+    def frame(self) -> int:
+        """The frame that is shown."""
+        return min(int(self._time / self.frame_period), self.frames - 1)
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the first frame, s."""
+        return self._time
+
+    def reset(self) -> None:
+        """Back to the first frame."""
+        self.seek(0)
+
+    def seek(self, frame: int) -> None:
+        """Show one frame, and go on from there."""
+        with self.lock:
+            # In its middle, where rounding does not matter.
+            self._time = (frame + 0.5) * self.frame_period
+            self._show()
+
+    def advance(self, now: float) -> None:
+        """Show the frame of time `now`, s on a steady clock; while paused, time passes and nothing moves."""
+        with self.lock:
+            elapsed = 0.0 if self._last is None else now - self._last
+            self._last = now
+            if not self.paused:
+                self._time = (self._time + elapsed * self._speed) % (self.frames * self.frame_period)
+            self._show()
+
+    def body_poses(self) -> tuple[Array, Array]:
+        """Every body's position (nbody, 3), m, and orientation (nbody, 4), wxyz, in `world`."""
+        with self.lock:
+            return self.data.xpos.copy(), self.data.xquat.copy()
+
+    def _show(self) -> None:
+        self.data.qpos[:] = self._positions[self.frame]
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)

@@ -1,0 +1,85 @@
+"""Photos and masks from files, whatever they were stored as."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ResourceError
+
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+# Larger than any camera's photo.
+_MAX_BYTES = 200_000_000
+
+
+def read_image(path: Path) -> Image:
+    """An image as RGB (height, width, 3), upright as its EXIF says, whatever it was stored as.
+
+    Raises:
+        ResourceError: unreadable, or no whole PNG or JPEG.
+    """
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ResourceError(f"{path} is larger than {_MAX_BYTES // 1_000_000} MB; scale it down")
+        data = path.read_bytes()
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be read: {error.strerror or error}") from error
+    image = None
+    if _whole(data):
+        try:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        except cv2.error:
+            image = None
+    if image is None:
+        raise ResourceError(f"{path} is no whole PNG or JPEG; export it again")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def read_mask(path: Path) -> Mask:
+    """Where a person's mask of an image (height, width) is not 0; in a JPEG, which smears, not dark.
+
+    Raises:
+        ResourceError: as `read_image`.
+    """
+    lossy = path.suffix.lower() != ".png"
+    inside: Mask = read_image(path).max(axis=2) > (127 if lossy else 0)
+    return inside
+
+
+def grey_of(image: Image) -> Image:
+    """The brightness (height, width) of an RGB image."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+
+def _whole(data: bytes) -> bool:
+    """Whether an image's file has its end: decoders fill in what is missing with grey."""
+    if data.startswith(b"\xff\xd8"):
+        # Cameras append previews and notes after the end marker.
+        return data.rfind(b"\xff\xd9") > len(data) // 2
+    return data.startswith(_PNG) and _whole_png(data)
+
+
+def _whole_png(data: bytes) -> bool:
+    """Whether every chunk up to the last is there with its checksum. Source: PNG specification, 5.3.
+
+    The decoder would find out too, but tells it on the process's stderr.
+    """
+    position = len(_PNG)
+    while position + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, position)
+        end = position + 8 + length
+        if data[end : end + 4] != struct.pack(">I", zlib.crc32(data[position + 4 : end])):
+            return False
+        if kind == b"IEND":
+            return True
+        position = end + 4
+    return False
