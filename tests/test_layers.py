@@ -45,6 +45,7 @@ CONFINED = {
     "rich": {"commands"},
     "reportlab": {"core.boards"},
     "viser": {"core.viewers"},
+    "ray": {"core.jobs.ray_workers"},
     "av": {"core.vision.video"},
 }
 

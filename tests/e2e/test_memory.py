@@ -14,7 +14,8 @@ from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.jobs.collect import Watch
 from yamsim_cli.core.jobs.destination import Output
-from yamsim_cli.core.jobs.record import LocalProcesses, record
+from yamsim_cli.core.jobs.executors import LocalProcesses
+from yamsim_cli.core.jobs.record import record
 from yamsim_cli.core.jobs.stop import Stop
 from yamsim_cli.core.jobs.workers import WorkerPool
 from yamsim_cli.core.resources import Locations

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -28,6 +29,7 @@ from .signals import stoppable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.dataset.opening import OpenMode
+    from yamsim_cli.core.jobs.executors import Executors
     from yamsim_cli.core.jobs.record import RecordReport
 
 _STOPPING = "Stopping: what is in hand is finished first. Once more stops at once; nothing is lost either way."
@@ -48,6 +50,12 @@ def record(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
     stage: Annotated[
         Path | None, typer.Option(help="A local directory; episodes are moved from there to a slow --out.")
+    ] = None,
+    executor: Annotated[
+        Literal["process", "ray"], typer.Option(help="What workers are: processes here, or actors of a Ray cluster.")
+    ] = "process",
+    address: Annotated[
+        str | None, typer.Option(help="Of a running Ray cluster, such as auto; without, one is started here.")
     ] = None,
     attempt_timeout: Annotated[
         float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
@@ -71,14 +79,14 @@ def record(
 
     from yamsim_cli.core.jobs.collect import Watch
     from yamsim_cli.core.jobs.destination import Output
-    from yamsim_cli.core.jobs.record import LocalProcesses
     from yamsim_cli.core.jobs.record import record as run
     from yamsim_cli.core.scene.compose import mesh_sets
 
     meshes = resolve_meshes(mesh_sets(settings.rig, (settings.task.object, settings.task.target)), where)
+    executors = _executors(executor, address, attempt_timeout)
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
         watch = Watch(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
-        report = run(settings, where, meshes, Output(out, mode, stage), LocalProcesses(attempt_timeout), watch, stop)
+        report = run(settings, where, meshes, Output(out, mode, stage), executors, watch, stop)
     _show(report, json)
 
 
@@ -88,6 +96,19 @@ def _mode(*, resume: bool, overwrite: bool) -> OpenMode:
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other; give one")
     return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
+
+
+def _executors(kind: str, address: str | None, attempt_timeout: float) -> Executors:
+    from yamsim_cli.core.jobs.executors import LocalProcesses, RayCluster
+
+    if kind == "process":
+        if address is not None:
+            raise UsageError("--address is of a Ray cluster; give --executor ray with it")
+        return LocalProcesses(attempt_timeout)
+    # Ray reports its use over the network unless told not to.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    backend = os.environ.get("MUJOCO_GL")
+    return RayCluster(address, {"MUJOCO_GL": backend} if backend else {}, attempt_timeout)
 
 
 def _show(report: RecordReport, json: bool) -> None:

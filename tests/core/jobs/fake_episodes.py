@@ -46,7 +46,7 @@ class Inline:
     jobs: list[EpisodeJob] = field(default_factory=list)
     made: list[int] = field(default_factory=list)
 
-    def open(self, factory: object, workers: int) -> Inline:
+    def open(self, config: object, locations: object, meshes: object, workers: int) -> Inline:
         self.workers = workers
         return self
 

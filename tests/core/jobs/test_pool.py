@@ -119,9 +119,24 @@ def test_workers_that_do_not_start_end_it(theatre: Theatre) -> None:
         pool.submit("a")
         for k in range(3):
             theatre.hear((k, Died("fell over")))
-        with pytest.raises(PartialJobError, match="workers do not start: the last of 3 fell over"):
+        with pytest.raises(PartialJobError, match="do not start: each tried 3 times, and the last one fell over"):
             pool.result()
-    assert all(puppet.killed for puppet in theatre.puppets[2:])
+
+
+def test_a_worker_that_does_not_start_is_given_up_and_the_rest_go_on(theatre: Theatre) -> None:
+    """Such as one whose node is gone for good; what it was given goes to the others."""
+    with Pool[str, str](theatre, 2) as pool:
+        theatre.hear((0, Ready()))
+        pool.submit("a")
+        pool.submit("b")
+        for k in (1, 2, 3):
+            theatre.hear((k, Died("x")))
+        theatre.hear((0, Answer("A")))
+        assert pool.result() == ("a", "A")
+        theatre.hear((0, Answer("B")))
+        assert pool.result() == ("b", "B")
+        assert pool.idle == 1
+        assert len(theatre.puppets) == 4
 
 
 def test_a_worker_that_hangs_is_ended_and_replaced(theatre: Theatre) -> None:
@@ -135,6 +150,8 @@ def test_a_worker_that_hangs_is_ended_and_replaced(theatre: Theatre) -> None:
         with pytest.raises(TimeoutError):
             pool.result(2)
         assert theatre.puppets[0].killed
+        theatre.hear((1, Ready()))
+        listen(pool)
         assert theatre.puppets[1].jobs == ["a"]
 
 
@@ -156,6 +173,8 @@ def test_starting_has_a_limit_of_its_own_and_does_not_count_on_the_job(theatre: 
         with pytest.raises(TimeoutError):
             pool.result(START_SECONDS + 1)
         assert theatre.puppets[1].killed
+        theatre.hear((2, Ready()))
+        listen(pool)
         assert theatre.puppets[2].jobs == ["b"]
 
 

@@ -90,6 +90,13 @@ def test_a_bug_brings_its_own_traceback() -> None:
             pool.result()
 
 
+def test_an_answer_that_cannot_travel_is_a_bug() -> None:
+    with _pool() as pool:
+        pool.submit("lambda")
+        with pytest.raises(WorkerBugError, match="pickle"):
+            pool.result()
+
+
 @pytest.mark.parametrize("died_of", ["kill", "resting"])
 def test_a_dead_worker_is_replaced_and_its_job_tried_again(tmp_path: Path, died_of: str) -> None:
     with _pool() as pool:
@@ -183,7 +190,7 @@ def test_a_runner_that_cannot_be_made_is_reported() -> None:
 def test_workers_that_die_while_starting_are_not_replaced_for_ever() -> None:
     with WorkerPool[int, object](functools.partial(Toy, "die"), 2) as pool:
         pool.submit(1)
-        with pytest.raises(PartialJobError, match="workers do not start: the last of 3 ended with code 9"):
+        with pytest.raises(PartialJobError, match=r"do not start: .* the last one ended with code 9"):
             pool.result()
 
 

@@ -49,6 +49,10 @@ class Toy:
                 return os.getpid()
             case "sleep":
                 time.sleep(60)
+            case "variable":
+                return os.environ[argument]
+            case "lambda":
+                return lambda: "not to be pickled"
             case "large":
                 return bytes(int(argument))
             case "once":

@@ -4,7 +4,8 @@ The rules hold for every kind of worker; `Backend` starts and ends them and list
 
 - A worker that dies, or takes too long over a job, is replaced, and the job is tried again.
 - The last try is made alone, all other workers resting: so a job is not given up for memory that the others took.
-- Workers that die before they are ready are no job's fault. A few such deaths in a row end everything.
+- Workers that die before they are ready are no job's fault. One that does so again and again is given up, and the rest
+  go on without it; when none is left, it is over.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class Bug:
-    """The runner, or making it, raised anything else; the worker has ended."""
+    """The runner, or making it, raised anything else."""
 
     trace: str
 
@@ -75,7 +76,7 @@ class Worker(Protocol[JobIn]):
         ...
 
     def send(self, job: JobIn) -> None:
-        """Hand a job over; it may still be starting.
+        """Hand a job over.
 
         Raises:
             OSError: it is gone.
@@ -106,7 +107,7 @@ class Backend(Protocol[W, R]):
         ...
 
 
-@dataclass
+@dataclass(eq=False)
 class _Task(Generic[J]):
     job: J
     losses: int = 0
@@ -116,11 +117,12 @@ class _Task(Generic[J]):
         return self.losses == _TRIES - 1
 
 
-@dataclass
+@dataclass(eq=False)
 class _Slot(Generic[J]):
     worker: Worker[J]
     task: _Task[J] | None = None
     ready: bool = False
+    failed_starts: int = 0
     # Seconds spent on starting or on the task.
     busy: float = 0.0
 
@@ -141,7 +143,6 @@ class Pool(Generic[J, R]):
         self._waiting: deque[_Task[J]] = deque()
         self._done: deque[tuple[J, R] | Exception] = deque()
         self._started = 0
-        self._failed_starts = 0
         try:
             for _ in range(workers):
                 self._slots.append(_Slot(self._start()))
@@ -152,9 +153,10 @@ class Pool(Generic[J, R]):
     @property
     def idle(self) -> int:
         """How many jobs can be submitted now: none while a job waits for its last try or makes it."""
-        if self._waiting or any(slot.task and slot.task.last_try for slot in self._slots):
+        tasks = [*self._waiting, *(slot.task for slot in self._slots if slot.task)]
+        if any(task.last_try for task in tasks):
             return 0
-        return sum(slot.task is None for slot in self._slots)
+        return max(0, len(self._slots) - len(tasks))
 
     @property
     def in_flight(self) -> int:
@@ -195,8 +197,8 @@ class Pool(Generic[J, R]):
             slot = next(slot for slot in self._slots if slot.worker is worker)
             heard.append(slot)
             self._handle(slot, event)
-        for slot in self._slots:
-            if slot not in heard and (slot.task or not slot.ready):
+        for slot in [slot for slot in self._slots if slot not in heard]:
+            if slot.task or not slot.ready:
                 slot.busy += passed
                 self._check(slot)
         self._assign()
@@ -204,7 +206,7 @@ class Pool(Generic[J, R]):
     def _handle(self, slot: _Slot[J], event: Event[R]) -> None:
         match event:
             case Ready():
-                slot.ready, slot.busy, self._failed_starts = True, 0.0, 0
+                slot.ready, slot.busy, slot.failed_starts = True, 0.0, 0
             case Answer(result):
                 assert slot.task is not None
                 self._done.append((slot.task.job, result))
@@ -228,30 +230,33 @@ class Pool(Generic[J, R]):
 
     def _replace(self, slot: _Slot[J], how: str) -> None:
         task, slot.task = slot.task, None
-        if not slot.ready:
-            self._failed_starts += 1
-            if self._failed_starts >= _FAILED_STARTS:
-                raise PartialJobError(f"workers do not start: the last of {_FAILED_STARTS} {how}")
-        elif task:
+        if task:
             task.losses += 1
         if task and task.losses >= _TRIES:
             self._done.append(LostJobError(task.job, _TRIES, how))
         elif task:
-            self._waiting.append(task)
-        slot.worker, slot.ready, slot.busy = self._start(), False, 0.0
+            self._waiting.appendleft(task)
+        slot.failed_starts += not slot.ready
+        if slot.failed_starts < _FAILED_STARTS:
+            slot.worker, slot.ready, slot.busy = self._start(), False, 0.0
+            return
+        self._slots.remove(slot)
+        if not self._slots:
+            raise PartialJobError(f"workers do not start: each tried {_FAILED_STARTS} times, and the last one {how}")
 
     def _assign(self) -> None:
-        """Hand out what waits, in order; a last try only when nobody else works."""
+        """Hand out what waits, in order, to workers that are ready; a last try only when nobody else works."""
         for slot in self._slots:
-            if slot.task is None and self._waiting and not (self._waiting[0].last_try and self._working):
-                slot.task, slot.busy = self._waiting.popleft(), slot.busy if not slot.ready else 0.0
+            if not self._waiting or (self._waiting[0].last_try and self._working):
+                return
+            if slot.ready and slot.task is None:
+                slot.task, slot.busy = self._waiting.popleft(), 0.0
                 try:
                     slot.worker.send(slot.task.job)
                 except OSError:
                     # It died while it rested: not this job's fault. Its end is heard of next.
                     self._waiting.appendleft(slot.task)
                     slot.task = None
-                    return
 
     def _start(self) -> Worker[J]:
         self._started += 1

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from ..config.record import RecordConfig
 from ..dataset.faults import explain
 from ..errors import InterruptedJobError, PartialJobError
 from ..resources import Locations
-from ..types import EpisodeJob, EpisodePayload
-from .collect import Collector, EpisodeExecutor, Watch
+from .collect import Collector, Watch
 from .destination import Destination, Output, open_destination
-from .episode import EpisodeRunner, require_one_arm
-from .executor import Factory
-from .pool import JOB_SECONDS
+from .episode import require_one_arm
+from .executors import Executors
 from .stop import Stop
-from .workers import WorkerPool
 
 
 @dataclass(frozen=True)
@@ -33,25 +28,6 @@ class RecordReport:
     attempts: int
     seconds: float
     moved_aside: Path | None
-
-
-class Executors(Protocol):
-    """Opens what attempts are made by."""
-
-    def open(self, factory: Factory[EpisodeJob, EpisodePayload], workers: int) -> EpisodeExecutor:
-        """Start `workers` workers."""
-        ...
-
-
-@dataclass(frozen=True)
-class LocalProcesses:
-    """`Executors` on this machine; `job_seconds` is how long an attempt may take before its worker is replaced."""
-
-    job_seconds: float = JOB_SECONDS
-
-    def open(self, factory: Factory[EpisodeJob, EpisodePayload], workers: int) -> EpisodeExecutor:
-        """Start `workers` processes."""
-        return WorkerPool(factory, workers, self.job_seconds)
 
 
 def record(
@@ -76,8 +52,8 @@ def record(
         collector = Collector(config, destination.sink, watch, stop)
         with _telling_what_is_left(config, collector, destination):
             if collector.outstanding:
-                factory = functools.partial(EpisodeRunner, config, locations, dict(meshes), draw=True)
-                with executors.open(factory, min(config.workers, collector.outstanding)) as executor:
+                workers = min(config.workers, collector.outstanding)
+                with executors.open(config, locations, meshes, workers) as executor:
                     collector.run(executor)
             destination.finish(watch, stop)
         sink, moved = destination.sink, destination.writer.moved_aside

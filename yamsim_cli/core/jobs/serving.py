@@ -1,53 +1,78 @@
-"""A worker's own process: makes its runner, then answers job by job. Imports little, to be on guard early."""
+"""The worker's side: makes a runner, then answers job by job. Imports little, so that a process is on guard early."""
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import pickle
 import signal
 import threading
 import traceback
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
 from ..errors import YamsimError
-from .executor import Factory, J, R, Runner
+from .executor import Factory, Runner
 from .pool import Answer, Bug, Event, Failed, Ready
 
 # What stops the parent. It reaches the whole process group or job, and the parent alone decides what it means.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
+class Servant:
+    """Runs jobs and never raises: what went wrong is an answer too. Answers are pickled `pool.Event`s."""
+
+    def __init__(self) -> None:
+        self._stack = contextlib.ExitStack()
+        self._runner: Runner[Any, Any] | None = None
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the runner could be made."""
+        return self._runner is not None
+
+    def open(self, factory: bytes) -> bytes:
+        """Make the runner.
+
+        Args:
+            factory: a pickled `executor.Factory`; unpickling it imports what the runner needs, which takes a while.
+        """
+
+        def make() -> Event[Any]:
+            opened: Factory[Any, Any] = pickle.loads(factory)
+            self._runner = self._stack.enter_context(opened())
+            return Ready()
+
+        return _answer(make)
+
+    def run(self, job: Any) -> bytes:
+        """Run one job."""
+        runner = self._runner
+        assert runner is not None, "open comes first"
+        return _answer(lambda: Answer(runner.run(job)))
+
+    def close(self) -> None:
+        """Close the runner."""
+        self._stack.close()
+
+
 def serve(pipe: Connection, factory: bytes) -> None:
-    """Answer what comes through the pipe until it closes.
+    """Be a worker process: answer what comes through the pipe until it closes.
 
     Args:
-        pipe: jobs come in, `pool.Event`s go out.
-        factory: a pickled `executor.Factory`; unpickling it imports what the runner needs, which takes a while.
+        pipe: jobs come in, pickled `pool.Event`s go out.
+        factory: see `Servant.open`.
     """
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    try:
-        make: Factory[Any, Any] = pickle.loads(factory)
-        with make() as runner:
-            _send(pipe, Ready())
-            while True:
-                _send(pipe, answer(runner, _receive(pipe)))
-    except YamsimError as error:
-        _send(pipe, Failed(error))
-    # Every other exception is a bug; its traceback has to cross to the parent, which stops with it.
-    except Exception:  # noqa: BLE001
-        _send(pipe, Bug(traceback.format_exc()))
-
-
-def answer(runner: Runner[J, R], job: J) -> Event[R]:
-    """Run one job; an error of the job is an answer too."""
-    try:
-        return Answer(runner.run(job))
-    except YamsimError as error:
-        return Failed(error)
+    # EOFError or OSError: the parent closed the pipe, or is gone.
+    with contextlib.closing(Servant()) as servant, contextlib.suppress(EOFError, OSError):
+        pipe.send_bytes(servant.open(factory))
+        while servant.is_ready:
+            pipe.send_bytes(servant.run(pipe.recv()))
 
 
 def _end_with_parent() -> None:
@@ -58,16 +83,11 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _receive(pipe: Connection) -> Any:
+def _answer(work: Callable[[], Event[Any]]) -> bytes:
     try:
-        return pipe.recv()
-    except (EOFError, OSError):
-        raise SystemExit from None
-
-
-def _send(pipe: Connection, event: Event[Any]) -> None:
-    try:
-        pipe.send(event)
-    except OSError:
-        # The parent closed the pipe or is gone: nobody is left to tell.
-        raise SystemExit from None
+        return pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)
+    except YamsimError as error:
+        return pickle.dumps(Failed(error))
+    # Every other exception is a bug; its traceback has to cross to the parent, which stops with it.
+    except Exception:  # noqa: BLE001
+        return pickle.dumps(Bug(traceback.format_exc()))

@@ -70,7 +70,7 @@ class _Process(Generic[J, R]):
         guard.daemon = True
         guard.start()
         try:
-            return cast("Event[R]", self.pipe.recv())
+            return cast("Event[R]", pickle.loads(self.pipe.recv_bytes()))
         except (EOFError, OSError):
             return Died(self._how_it_ended())
         finally:

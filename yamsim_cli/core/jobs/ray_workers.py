@@ -1,0 +1,144 @@
+"""Workers that are actors on a Ray cluster.
+
+The same worker code as in local processes, and the same rules: an actor that is lost, with its process or its node,
+costs the job in its hands one try, and is replaced where the cluster has room.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import pickle
+import signal
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Generic, cast
+
+from ..errors import ResourceError
+from .executor import Factory, J, R
+from .pool import JOB_SECONDS, Died, Event, Pool, Worker
+from .serving import STOP_SIGNALS, Servant
+
+
+class RayPool(Pool[J, R]):
+    """An `Executor` over the actors of a Ray cluster; a context manager that ends them all.
+
+    Args:
+        factory: makes each worker's runner, in the actor; has to be picklable.
+        workers: how many; each takes one CPU of the cluster.
+        address: of a running cluster, as `ray.init` takes it; None starts one on this machine, for as long as it takes.
+        environ: variables that the actors' processes get.
+        job_seconds: a worker that takes longer over a job is ended and replaced.
+
+    Raises:
+        ResourceError: Ray is not installed, no cluster answers, or it has fewer CPUs than `workers`.
+    """
+
+    def __init__(
+        self,
+        factory: Factory[J, R],
+        workers: int,
+        *,
+        address: str | None = None,
+        environ: Mapping[str, str] | None = None,
+        job_seconds: float = JOB_SECONDS,
+    ) -> None:
+        super().__init__(_Cluster(factory, workers, address, dict(environ or {})), workers, job_seconds)
+
+
+class _Actor(Generic[J]):
+    def __init__(self, ray: Any, handle: Any, name: str, opened: Any) -> None:
+        self._ray = ray
+        self._handle = handle
+        self.name = name
+        # The one answer that is awaited; None while the actor rests.
+        self.answer: Any = opened
+
+    def send(self, job: J) -> None:
+        self.answer = self._handle.run.remote(job)
+
+    def kill(self) -> None:
+        self.answer = None
+        self._ray.kill(self._handle, no_restart=True)
+
+
+class _Cluster(Generic[J, R]):
+    """The `Backend` that starts actors."""
+
+    def __init__(self, factory: Factory[J, R], workers: int, address: str | None, environ: dict[str, str]) -> None:
+        self._ray = _import_ray()
+        self._ours = not self._ray.is_initialized()
+        if self._ours:
+            _connect(self._ray, address, workers)
+        cpus = int(self._ray.cluster_resources().get("CPU", 0))
+        if cpus < workers:
+            self.close()
+            raise ResourceError(
+                f"the Ray cluster has {cpus} CPUs, and {workers} workers need one each: "
+                f"add nodes, or give --workers {cpus}"
+            )
+        # Once into the cluster's store, from where every node fetches it once.
+        self._factory = self._ray.put(pickle.dumps(factory))
+        options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
+        if environ:
+            options["runtime_env"] = {"env_vars": environ}
+        self._actors = self._ray.remote(**options)(Servant)
+
+    def start(self, number: int) -> Worker[J]:
+        handle = self._actors.remote()
+        return _Actor[J](self._ray, handle, f"ray-worker-{number}", handle.open.remote(self._factory))
+
+    def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], Event[R]]]:
+        actors = [worker for worker in workers if isinstance(worker, _Actor)]
+        awaited = {actor.answer: actor for actor in actors if actor.answer is not None}
+        if not awaited:
+            time.sleep(timeout)
+            return []
+        ready, _ = self._ray.wait(list(awaited), num_returns=1, timeout=timeout)
+        return [(awaited[answer], self._event(awaited[answer])) for answer in ready]
+
+    def _event(self, actor: _Actor[J]) -> Event[R]:
+        answer, actor.answer = actor.answer, None
+        try:
+            return cast("Event[R]", pickle.loads(self._ray.get(answer)))
+        except self._ray.exceptions.RayError as error:
+            return Died(f"was lost by Ray: {str(error).splitlines()[0]}")
+
+    def close(self) -> None:
+        if self._ours:
+            self._ray.shutdown()
+
+
+def _import_ray() -> Any:
+    try:
+        import ray
+    except ImportError as error:
+        raise ResourceError("--executor ray needs the package ray: pip install 'yamsim[ray]'") from error
+    return ray
+
+
+def _connect(ray: Any, address: str | None, workers: int) -> None:
+    quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
+    with _own_signals():
+        try:
+            if address is None:
+                ray.init(address="local", num_cpus=workers, include_dashboard=False, **quiet)
+            else:
+                ray.init(address=address, **quiet)
+        except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            where = f"at {address}" if address else "on this machine"
+            raise ResourceError(f"no Ray cluster {where}: {reason}; start one with `ray start --head`") from error
+
+
+@contextlib.contextmanager
+def _own_signals() -> Iterator[None]:
+    """Ray takes SIGTERM for itself when it connects; what it means to a recording is not for Ray to say."""
+    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            # Handlers belong to the main thread; in another one Ray leaves them alone as well.
+            with contextlib.suppress(ValueError):
+                signal.signal(number, handler)
