@@ -2,7 +2,7 @@
 
     python -m tests.bench.reduction [model2.stl ...]
 
-Slow: each try is drawn and measured. The lock takes the smallest count of a file, and its slivers_mm unless that is 0.1.
+Slow: each try is drawn and measured. The lock takes a file's smallest count, and slivers_mm unless that is 0.1.
 """
 
 from __future__ import annotations
