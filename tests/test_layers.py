@@ -39,6 +39,8 @@ FLOORS: dict[str, int] = {
 # Libraries that only some packages may know.
 CONFINED = {
     "mink": {"core.planning.ik"},
+    "manifold3d": {"core.assets.reduction"},
+    "fast_simplification": {"core.assets.reduction"},
     "cv2": {"core.boards", "core.vision"},
     "mujoco": {"core.scene", "core.sim", "core.vision", "core.planning", "core.viewers", "core.jobs"},
     "typer": {"commands", "main"},

@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -6,7 +7,7 @@ import pytest
 
 from yamsim_cli.core import gl
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.gl import choose_backend
+from yamsim_cli.core.gl import Backend, choose_backend, find_backend
 
 
 class Probes:
@@ -24,7 +25,7 @@ class Probes:
         if isinstance(answer, Exception):
             raise answer
         code, stderr = answer
-        return SimpleNamespace(returncode=code, stderr=stderr)
+        return SimpleNamespace(returncode=code, stderr=stderr, stdout="" if code else "noise\nllvmpipe (LLVM 15)\n")
 
     @property
     def tried(self):
@@ -132,3 +133,31 @@ def test_a_real_probe_that_hangs_crashes_or_prints_junk_costs_a_message_only(mon
     monkeypatch.setattr(gl, "_PROBE_SECONDS", 0.5 if "sleep" in probe else 60.0)
     with pytest.raises(ResourceError, match=f"mine: {reason}"):
         choose_backend({"MUJOCO_GL": "mine"}, "linux")
+
+
+@pytest.mark.parametrize(
+    ("renderer", "software"),
+    [
+        ("llvmpipe (LLVM 15.0.6, 256 bits)", True),
+        ("softpipe", True),
+        ("Software Rasterizer", True),
+        ("Google SwiftShader", True),
+        ("NVIDIA H200/PCIe/SSE2", False),
+        ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", False),
+        ("Apple M2", False),
+        ("", False),
+    ],
+)
+def test_software_is_told_by_what_opengl_calls_itself(renderer, software):
+    assert Backend("egl", renderer).software is software
+
+
+def test_a_probe_tells_what_draws(probing):
+    probing(egl=GOOD)
+    assert find_backend({}, "linux") == Backend("egl", "llvmpipe (LLVM 15)")
+    assert find_backend({}, "darwin") == Backend(None, "")
+
+
+@pytest.mark.render
+def test_a_real_probe_tells_what_draws():
+    assert find_backend(os.environ, "linux").renderer

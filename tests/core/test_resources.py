@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -105,3 +106,13 @@ def test_without_a_home_the_users_own_is_found():
 )
 def test_a_suggestion_lists_what_is_valid(value, valid, text):
     assert suggest(value, valid) == text
+
+
+@pytest.mark.parametrize("stands_for", ["balanced", "high"])
+def test_auto_names_the_quality_that_was_chosen(repository, stands_for):
+    found = replace(Locations.find({"HOME": "/h"}), auto_quality=stands_for)
+    assert found.config_file("quality", "auto") == repository / f"configs/quality/{stands_for}.yaml"
+    assert found.config_names("quality") == ["auto", "balanced", "fast", "high"]
+    assert "auto" not in found.config_names("rigs")
+    with pytest.raises(ConfigError, match="valid: bimanual, russet, single"):
+        found.config_file("rigs", "auto")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import pickle
 import shutil
 import signal
@@ -13,10 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.config.record import ImageConfig
 from yamsim_cli.core.dataset.space import EpisodeSize
+from yamsim_cli.core.gl import Backend
 
 pytestmark = pytest.mark.render
 
@@ -205,6 +208,24 @@ def test_resuming_with_another_seed_is_refused(dataset: Path) -> None:
     run = yamsim("record", "--n", "4", "--out", dataset, "--size", "96x72", "--wrist", "--seed", "4", "--resume")
     assert run.code == 3
     assert "seed: 3 there, 4 now" in run.message
+    assert digest(dataset) == before
+
+
+def test_the_quality_that_was_chosen_is_kept(dataset: Path) -> None:
+    """`auto` is settled before anything is drawn, and what it stood for is in the dataset, with what drew."""
+    config = yaml.safe_load((dataset / "config.yaml").read_text())
+    renderer = json.loads((dataset / "ep_000000" / "episode.json").read_text())["renderer"]
+    assert config["render"]["name"] == ("balanced" if Backend("egl", renderer).software else "high")
+    assert config["render"]["shadow_map_px"] > 0
+
+
+def test_resuming_with_another_quality_is_refused(dataset: Path) -> None:
+    """As on another machine, where `auto` stands for another one."""
+    before = digest(dataset)
+    run = yamsim("record", "--n", "4", "--out", dataset, *SMALL, "--quality", "fast", "--resume")
+    assert run.code == 3
+    assert "render.name: " in run.message
+    assert "'fast' now" in run.message
     assert digest(dataset) == before
 
 

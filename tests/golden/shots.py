@@ -19,7 +19,6 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.jobs.views import Stage, set_stage
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.vision.renderer import SceneRenderer
 
 DATA = Path(__file__).with_name("data")
 FAILED = Path(__file__).with_name("failed")
@@ -69,7 +68,7 @@ def take(
     if tamper:
         tamper(stage.model)
         mujoco.mj_forward(stage.model, stage.data)
-    with SceneRenderer(stage.model, SIZE) as renderer:
+    with stage.renderer() as renderer:
         colour = renderer.draw(stage.data, view).copy()
         geoms = renderer.segment(stage.data, view)
     part_of_geom = np.array([_part(stage.model, int(body)) for body in stage.model.geom_bodyid] + [0], np.uint8)

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from yamsim_cli.core.errors import ResourceError
+
 if TYPE_CHECKING:
-    from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport
+    from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
 
 app = typer.Typer(help="List and fetch the robot and object meshes.", no_args_is_help=True)
 
@@ -38,14 +40,14 @@ def fetch(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Fetch the mesh sets that are missing or damaged, verify them, and keep them for offline use.
+    """Fetch the mesh sets that are missing or damaged, verify and reduce them, and keep them for offline use.
 
     Example: yamsim assets fetch ycb
     """
     from .console import print_json, print_table
 
     lock, store = _open()
-    report = _fetch_with_progress(lock, store, names or [])
+    report, reduced = _fetch_with_progress(lock, store, names or [])
     items = [
         {
             "name": fetched.name,
@@ -54,13 +56,17 @@ def fetch(
             "license": lock.sets[fetched.name].license,
             "source": fetched.source,
             "path": str(fetched.directory),
+            "faces": made and made.source_faces,
+            "reduced_faces": made and made.faces,
+            "reduced_path": made and str(made.directory),
         }
         for fetched in report.sets
+        for made in (reduced.get(fetched.name),)
     ]
     if json:
         print_json({"items": items})
     else:
-        print_table(_table(items, ("name", "files", "size", "license", "source", "path")))
+        print_table(_table(items, ("name", "files", "size", "faces", "reduced_faces", "license", "source", "path")))
 
 
 def _open() -> tuple[AssetLock, AssetStore]:
@@ -86,21 +92,37 @@ def _files(assets: AssetSet, store: AssetStore) -> list[dict[str, object]]:
     ]
 
 
-def _fetch_with_progress(lock: AssetLock, store: AssetStore, names: list[str]) -> FetchReport:
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
+def _fetch_with_progress(
+    lock: AssetLock, store: AssetStore, names: list[str]
+) -> tuple[FetchReport, dict[str, ReducedSet]]:
+    """What was fetched, and set -> its reduced meshes, as far as they could be made."""
+    from rich.progress import BarColumn, Progress, TextColumn
 
-    from yamsim_cli.core.assets import default_sources, fetch
+    from yamsim_cli.core.assets import default_sources, fetch, make_reduced
 
-    from .console import console
+    from .console import console, note
 
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[done]}"))
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("meshes", total=None)
+        task = bar.add_task("meshes", total=None, done="")
 
-        def advance(label: str, done_bytes: int, total_bytes: int) -> None:
-            bar.update(task, description=label, completed=done_bytes, total=total_bytes)
+        def received(label: str, done: int, total: int) -> None:
+            shown = f"{done / 1e6:.1f} of {total / 1e6:.1f} MB"
+            bar.update(task, description=label, completed=done, total=total, done=shown)
 
-        return fetch(lock, names, store, default_sources(lock), advance)
+        report = fetch(lock, names, store, default_sources(lock), received)
+        reduced: dict[str, ReducedSet] = {}
+        for fetched in report.sets:
+            assets = lock.sets[fetched.name]
+
+            def made(done: int, total: int, label: str = f"{assets.name}: reducing") -> None:
+                bar.update(task, description=label, completed=done, total=total, done=f"{done} of {total} files")
+
+            try:
+                reduced[assets.name] = make_reduced(store, assets, fetched.directory, lock.notices[assets.notice], made)
+            except ResourceError as error:
+                note(f"No reduced meshes of {assets.name}: {error}")
+    return report, reduced
 
 
 def _table(items: list[dict[str, object]], columns: tuple[str, ...]) -> object:

@@ -64,7 +64,7 @@ def overlay(
     model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
-    use_gl()
+    use_gl(where)
 
     from yamsim_cli.core.jobs.joint_files import load_joints
     from yamsim_cli.core.jobs.overlay import OverlayOptions

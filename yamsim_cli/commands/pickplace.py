@@ -74,7 +74,10 @@ def batch(
         "--threshold": (("task", "success", "threshold"), threshold)
     }
     settings = record_config(config, where, flags)
-    (skip_gl if video is None else use_gl)()
+    if video is None:
+        skip_gl()
+    else:
+        settings = record_config(config, use_gl(where, workers=True), flags)
 
     from yamsim_cli.core.jobs.batch import run_batch, write_report
     from yamsim_cli.core.jobs.films import TrialFilms

@@ -14,6 +14,7 @@ from .console import note, print_json, print_line, progress_bar
 from .session import (
     ConfigOption,
     Json,
+    Quality,
     Rig,
     Seed,
     Task,
@@ -22,7 +23,7 @@ from .session import (
     locations,
     parse_size,
     record_config,
-    resolve_meshes,
+    scene_meshes,
     use_gl,
 )
 from .signals import stoppable
@@ -46,6 +47,7 @@ def record(
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")] = None,
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
+    quality: Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
     stage: Annotated[
@@ -73,16 +75,17 @@ def record(
         "--wrist": (("wrist",), wrist),
         "--size": (("image", "size_px"), parse_size(size) if size else None),
         "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
+        "--quality": (("render",), quality),
     }
-    settings = record_config(config, where, flags)
-    use_gl()
+    # Once without OpenGL: what is wrong with it is told at once.
+    record_config(config, where, flags)
+    settings = record_config(config, use_gl(where, workers=True), flags)
 
     from yamsim_cli.core.jobs.collect import Watch
     from yamsim_cli.core.jobs.destination import Output
     from yamsim_cli.core.jobs.record import record as run
-    from yamsim_cli.core.scene.compose import mesh_sets
 
-    meshes = resolve_meshes(mesh_sets(settings.rig, (settings.task.object, settings.task.target)), where)
+    meshes = scene_meshes(settings, where)
     executors = _executors(executor, address, attempt_timeout)
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
         watch = Watch(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)

@@ -8,14 +8,14 @@ from typing import Annotated
 import typer
 
 from .console import print_json, print_line
-from .session import Json, Margin, RigName, locations, parse_size, resolve_meshes, rig_config, use_gl
+from .session import Json, Margin, Quality, RigName, locations, parse_size, resolve_meshes, rig_config, use_gl
 
 
 def render_views(
     rig: RigName = "single",
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("views"),
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of each view in pixels.")] = "960x720",
-    quality: Annotated[str, typer.Option(help="fast, balanced, high, or a YAML file.")] = "balanced",
+    quality: Quality = None,
     margin: Margin = None,
     json: Json = False,
 ) -> None:
@@ -32,15 +32,23 @@ def render_views(
     from yamsim_cli.core.config.scene import SceneConfig
 
     scene = load_config(SceneConfig, "scenes", "studio", where)
-    spending = load_config(RenderConfig, "quality", quality, where)
-    use_gl()
+    # Once without OpenGL: what is wrong with it is told at once.
+    load_config(RenderConfig, "quality", quality or "auto", where)
+    spending = load_config(RenderConfig, "quality", quality or "auto", use_gl(where))
 
     from yamsim_cli.core.jobs.views import render_views as run
     from yamsim_cli.core.jobs.views import set_stage, write_views
     from yamsim_cli.core.scene.compose import mesh_sets
 
-    stage = set_stage(settings, scene, spending, pixels, where, resolve_meshes(mesh_sets(settings), where))
-    files = write_views(run(settings, stage, pixels), out)
+    stage = set_stage(
+        settings,
+        scene,
+        spending,
+        pixels,
+        where,
+        resolve_meshes(mesh_sets(settings), where, reduced=spending.reduced_meshes),
+    )
+    files = write_views(run(settings, stage), out)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:

@@ -85,7 +85,10 @@ def _film(
     speed: float,
     overwrite: bool,
 ) -> Film:
-    (use_gl if render else skip_gl)()
+    if render:
+        use_gl(where)
+    else:
+        skip_gl()
     period = stored.record.frame_period_s / speed
 
     from yamsim_cli.core.jobs.replay import film_recorded, film_rendered, scene_config

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.errors import ResourceError, UsageError
 
 from .console import note
 
 if TYPE_CHECKING:
+    from yamsim_cli.core.assets import AssetLock, AssetStore
     from yamsim_cli.core.config.record import RecordConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.resources import Locations
@@ -28,6 +30,9 @@ RigName = Annotated[str, typer.Option("--rig", help="Rig: a name from configs/ri
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
 Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
 Seed = Annotated[int | None, typer.Option(help="Everything random follows from it.")]
+Quality = Annotated[
+    str | None, typer.Option(help="fast, balanced, high, auto (by what draws), or a YAML file.  [default: auto]")
+]
 Workers = Annotated[int | None, typer.Option(help="Worker processes; they never change the data.")]
 
 
@@ -91,13 +96,24 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def use_gl() -> None:
-    """Settle on an OpenGL backend that works, for this process and its workers; before mujoco is imported."""
-    from yamsim_cli.core.gl import choose_backend
+def use_gl(where: Locations, *, workers: bool = False) -> Locations:
+    """Settle on an OpenGL backend that works, for this process and its workers; before mujoco is imported.
 
-    backend = choose_backend(os.environ)
-    if backend is not None:
-        os.environ["MUJOCO_GL"] = backend
+    Args:
+        workers: several processes draw, so that none may take more than one core: Mesa's software renderer would start
+            a thread a core in each.
+
+    Returns:
+        `where`, with the quality that suits the backend as `auto`.
+    """
+    from yamsim_cli.core.gl import find_backend
+
+    backend = find_backend(os.environ)
+    if backend.name is not None:
+        os.environ["MUJOCO_GL"] = backend.name
+    if workers and backend.software:
+        os.environ.setdefault("LP_NUM_THREADS", "0")
+    return replace(where, auto_quality="balanced" if backend.software else "high")
 
 
 def skip_gl() -> None:
@@ -105,19 +121,42 @@ def skip_gl() -> None:
     os.environ.setdefault("MUJOCO_GL", "disabled")
 
 
-def resolve_meshes(names: Iterable[str], where: Locations) -> dict[str, Path | None]:
-    """Folder of each mesh set; None, with a word to the user, where a set is not here."""
+def resolve_meshes(names: Iterable[str], where: Locations, *, reduced: bool = False) -> dict[str, Path | None]:
+    """Folder of each mesh set; None, with a word to the user, where a set is not here.
+
+    Args:
+        reduced: rather the meshes with fewer faces, which are made when they are not there yet.
+    """
     from yamsim_cli.core.assets import AssetStore, load_lock
 
     lock, store = load_lock(where), AssetStore(where.assets)
     meshes = {assets.name: store.resolve(assets) for assets in lock.select(names)}
     if missing := [name for name, folder in meshes.items() if folder is None]:
         note(f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`.")
+    if reduced:
+        meshes |= {name: _reduced(lock, store, name, folder) for name, folder in meshes.items() if folder}
     return meshes
+
+
+def _reduced(lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
+    """The set's reduced meshes; its own, with a word to the user, where there are none and none can be made."""
+    from yamsim_cli.core.assets import find_reduced, make_reduced
+
+    assets = lock.sets[name]
+    try:
+        found = find_reduced(store, assets)
+        if found is None:
+            note(f"The meshes of {name} are being reduced, which is done once.")
+            found = make_reduced(store, assets, folder, lock.notices[assets.notice])
+    except ResourceError as error:
+        note(f"The meshes of {name} are drawn in full, which takes longer: {error}")
+        return folder
+    return found.directory
 
 
 def scene_meshes(config: RecordConfig, where: Locations) -> dict[str, Path | None]:
     """The meshes of everything that a recording shows, see `resolve_meshes`."""
     from yamsim_cli.core.scene.compose import mesh_sets
 
-    return resolve_meshes(mesh_sets(config.rig, (config.task.object, config.task.target)), where)
+    names = mesh_sets(config.rig, (config.task.object, config.task.target))
+    return resolve_meshes(names, where, reduced=config.render.reduced_meshes)

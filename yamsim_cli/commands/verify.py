@@ -50,7 +50,7 @@ def verify(
     chosen = select_episodes(dataset, episodes, sample)
     config = dataset_config(dataset, where)
     if images:
-        use_gl()
+        use_gl(where, workers=True)
     else:
         skip_gl()
 

@@ -6,15 +6,19 @@ limit, so that a driver that hangs or crashes costs a message and nothing else.
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from .errors import ResourceError
 
 # GPU first, then Mesa's software renderer through EGL, then OSMesa, which newer Mesa no longer ships.
 _LINUX_BACKENDS = ("egl", "osmesa")
 _PROBE_SECONDS = 60.0
+# What OpenGL calls itself where there is no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others' stand-ins.
+_SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
 # Drawn and read back: some backends make a context that then cannot draw.
 _PROBE = """
 import mujoco
@@ -24,6 +28,8 @@ mujoco.mj_forward(model, data)
 renderer = mujoco.Renderer(model, 16, 16)
 renderer.update_scene(data)
 drawn = renderer.render().any()
+from OpenGL import GL
+print((GL.glGetString(GL.GL_RENDERER) or b"unknown").decode())
 renderer.close()
 if not drawn:
     raise SystemExit("what it draws is black")
@@ -34,8 +40,34 @@ _FIX = (
 )
 
 
+@dataclass(frozen=True)
+class Backend:
+    """A way to OpenGL.
+
+    Attributes:
+        name: the value `MUJOCO_GL` has to have, None where MuJoCo's own choice is right.
+        renderer: what OpenGL calls itself; empty where nothing was tried.
+    """
+
+    name: str | None
+    renderer: str = ""
+
+    @property
+    def software(self) -> bool:
+        """Whether it draws without a GPU, as far as is known."""
+        return _SOFTWARE.search(self.renderer) is not None
+
+
 def choose_backend(environ: Mapping[str, str], platform: str = sys.platform) -> str | None:
     """The value `MUJOCO_GL` has to have for headless rendering to work, None where MuJoCo's own choice does.
+
+    Args and errors as for `find_backend`.
+    """
+    return find_backend(environ, platform).name
+
+
+def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Backend:
+    """A backend that works for headless rendering.
 
     Args:
         environ: the process's environment; a `MUJOCO_GL` in it is the user's choice and the only one tried.
@@ -45,20 +77,20 @@ def choose_backend(environ: Mapping[str, str], platform: str = sys.platform) -> 
     """
     wanted = environ.get("MUJOCO_GL")
     if platform != "linux" and not wanted:
-        return None
+        return Backend(None)
     reasons = []
-    for backend in (wanted,) if wanted else _LINUX_BACKENDS:
-        reason = _fault(backend, environ)
-        if reason is None:
-            return backend
-        reasons.append(f"{backend}: {reason}")
+    for name in (wanted,) if wanted else _LINUX_BACKENDS:
+        found = _probe(name, environ)
+        if isinstance(found, Backend):
+            return found
+        reasons.append(f"{name}: {found}")
     chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if wanted else ""
     raise ResourceError(f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {_FIX}")
 
 
-def _fault(backend: str, environ: Mapping[str, str]) -> str | None:
-    """Why a backend does not work; None if it does."""
-    environment = {**environ, "MUJOCO_GL": backend}
+def _probe(name: str, environ: Mapping[str, str]) -> Backend | str:
+    """The backend if it works, else why not."""
+    environment = {**environ, "MUJOCO_GL": name}
     # PyOpenGL's own choice has to agree with MuJoCo's, or the import fails.
     environment.pop("PYOPENGL_PLATFORM", None)
     try:
@@ -75,6 +107,6 @@ def _fault(backend: str, environ: Mapping[str, str]) -> str | None:
     except subprocess.TimeoutExpired:
         return f"hangs (gave up after {_PROBE_SECONDS:g} s)"
     if probe.returncode == 0:
-        return None
+        return Backend(name, probe.stdout.strip().splitlines()[-1] if probe.stdout.strip() else "")
     lines = [line for line in probe.stderr.splitlines() if line.strip()]
     return lines[-1].strip() if lines else f"crashes (exit code {probe.returncode})"

@@ -8,6 +8,9 @@ from pathlib import Path
 
 from .errors import ConfigError, ResourceError, suggest
 
+# The quality that names another one, chosen by whoever knows what draws.
+AUTO = ("quality", "auto")
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -24,10 +27,12 @@ class Locations:
     Attributes:
         data: roots that hold `configs/`, `robot_models/` and `assets/`, most important first.
         assets: the cache of fetched meshes.
+        auto_quality: the quality that the name `auto` stands for.
     """
 
     data: tuple[Path, ...]
     assets: Path
+    auto_quality: str = "balanced"
 
     @classmethod
     def find(cls, environ: Mapping[str, str]) -> Locations:
@@ -56,7 +61,8 @@ class Locations:
 
     def config_names(self, kind: str) -> list[str]:
         """Names of the configs of one kind (`rigs`, `tasks`, ...), sorted."""
-        return sorted({path.stem for root in self.data for path in (root / "configs" / kind).glob("*.yaml")})
+        names = {path.stem for root in self.data for path in (root / "configs" / kind).glob("*.yaml")}
+        return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
 
     def config_file(self, kind: str, name: str) -> Path:
         """The YAML file of a named config, or of a path the user gave (anything ending in `.yaml` or `.yml`).
@@ -71,4 +77,5 @@ class Locations:
             raise ConfigError(f"{kind.removesuffix('s')} config file {name} does not exist")
         if name not in self.config_names(kind):
             raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {suggest(name, self.config_names(kind))}")
-        return self.file(f"configs/{kind}/{name}.yaml")
+        found = self.auto_quality if (kind, name) == AUTO else name
+        return self.file(f"configs/{kind}/{found}.yaml")

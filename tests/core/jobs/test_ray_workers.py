@@ -111,7 +111,9 @@ class TestOnACluster:
         pytest.importorskip("ray")
         logging.disable(logging.CRITICAL)
         try:
-            with pytest.raises(ResourceError, match=r"^no Ray cluster at 127\.0\.0\.1:1: .*; start one with `ray start"):
+            with pytest.raises(
+                ResourceError, match=r"^no Ray cluster at 127\.0\.0\.1:1: .*; start one with `ray start"
+            ):
                 RayPool[int, object](Toy, 1, address="127.0.0.1:1")
         finally:
             logging.disable(logging.NOTSET)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.assets import AssetStore, load_lock
+from yamsim_cli.core.assets import AssetStore, load_lock, make_reduced
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.robot import ACTUATORS, JOINTS, arm_spec, bare_arm
@@ -146,16 +146,23 @@ def test_tool_site_can_be_moved_after_compiling(config: RecordConfig, locations:
 
 
 def test_physics_does_not_depend_on_the_meshes(config: RecordConfig, locations: Locations) -> None:
-    lock = load_lock(locations)
-    meshes = AssetStore(locations.assets).resolve(lock.sets["i2rt_yam_crank"])
+    """Primitives, full meshes and reduced ones: the same bits after a second."""
+    lock, store = load_lock(locations), AssetStore(locations.assets)
+    assets = lock.sets["i2rt_yam_crank"]
+    meshes = store.resolve(assets)
     if meshes is None:
         pytest.skip("the meshes are not here: yamsim assets fetch")
-    trajectories = []
-    for folder in (None, meshes):
+    reduced = make_reduced(store, assets, meshes, lock.notices[assets.notice])
+    faces, trajectories = [], []
+    for folder in (None, meshes, reduced.directory):
         model = arm_spec(config.rig.arms[0], locations, folder).compile()
         data = mujoco.MjData(model)
         data.ctrl[:] = (0.5, 1.2, 1.0, -0.3, 0.2, 0.4, 0.02)
         mujoco.mj_step(model, data, 500)
-        trajectories.append((data.qpos.copy(), data.qvel.copy()))
-    assert (trajectories[0][0] == trajectories[1][0]).all()
-    assert (trajectories[0][1] == trajectories[1][1]).all()
+        faces.append(model.nmeshface)
+        trajectories.append(np.concatenate([data.qpos, data.qvel]))
+    assert faces[0] == 0
+    assert faces[2] < faces[1] / 5
+    assert np.abs(trajectories[0]).max() > 0.1
+    for other in trajectories[1:]:
+        assert (other == trajectories[0]).all()

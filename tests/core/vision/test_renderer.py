@@ -25,7 +25,8 @@ SIZE = (640, 480)
 
 @pytest.fixture(scope="module")
 def scene(make_config: Callable[..., RecordConfig], locations: Locations) -> CompiledScene:
-    return build_scene(make_config({("wrist",): True}), locations, {})
+    # Round enough for the middle of what is drawn to be that of a ball.
+    return build_scene(make_config({("wrist",): True, ("render", "slices"): 32}), locations, {})
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +37,11 @@ def renderer(scene: CompiledScene) -> Iterator[SceneRenderer]:
 
 @pytest.fixture(scope="module")
 def replica(scene: CompiledScene, config: RecordConfig) -> Replica:
+    return replica_of(scene, config)
+
+
+def replica_of(scene: CompiledScene, config: RecordConfig) -> Replica:
+    """The scene with objects where a seed puts them, ready to be drawn."""
     layout = sample_layout(config.task, config.table, np.random.default_rng(0))
     assert layout is not None
     data = mujoco.MjData(scene.model)
@@ -74,10 +80,10 @@ def _ball_centroid(
     model: mujoco.MjModel, data: mujoco.MjData, renderer: SceneRenderer, point: np.ndarray
 ) -> np.ndarray:
     """Centroid in pixels of a ball of 1 cm drawn at a point, from the difference of two pictures."""
-    scene = renderer._renderer.scene
+    scene = renderer._scene
     images = []
     for with_ball in (False, True):
-        renderer._renderer.update_scene(data, "scene_camera", renderer._option)
+        renderer._update(data, "scene_camera")
         if with_ball:
             geom = scene.geoms[scene.ngeom]
             mujoco.mjv_initGeom(
@@ -91,7 +97,7 @@ def _ball_centroid(
             geom.emission = 1.0
             geom.castshadow = 0
             scene.ngeom += 1
-        images.append(renderer._renderer.render().astype(int))
+        images.append(renderer._colours(None).astype(int))
     rows, columns = np.nonzero(np.abs(images[1] - images[0]).max(axis=2) > 30)
     assert len(rows) > 50
     return np.array([columns.mean(), rows.mean()])
@@ -113,7 +119,7 @@ def test_a_renderer_that_cannot_be_made_is_a_missing_resource(scene: CompiledSce
             raise ImportError("Cannot initialize a EGL device display.")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mujoco, "Renderer", Broken)
+        patch.setattr(mujoco, "GLContext", Broken)
         with pytest.raises(ResourceError, match=r"no OpenGL context.*EGL device display"):
             SceneRenderer(scene.model, SIZE)
 
@@ -146,3 +152,89 @@ def test_a_cut_jpeg_is_refused_at_every_length() -> None:
     assert decode_jpeg(data) is not None
     for length in range(len(data)):
         assert decode_jpeg(data[:length]) is None
+
+
+@pytest.mark.parametrize("size", [(640, 480), (333, 250)])
+def test_a_fine_picture_shows_the_same_at_the_same_place(
+    make_config: Callable[..., RecordConfig], locations: Locations, size: tuple[int, int]
+) -> None:
+    """Averaged from one half again as large, which for odd sizes has to be rounded."""
+    changes = {("image", "size_px"): list(size), ("render", "supersampling"): 1.5}
+    config = make_config(changes)
+    scene = build_scene(config, locations, {})
+    replica = replica_of(scene, config)
+    pictures, ids, depths = [], [], []
+    for fine in (None, config.render.fine_size(size)):
+        with SceneRenderer(scene.model, size, fine) as renderer:
+            pictures.append(renderer.draw(replica.data, "scene_camera").astype(float))
+            ids.append(renderer.segment(replica.data, "scene_camera"))
+            depths.append(renderer.depth(replica.data, "scene_camera"))
+    plain, averaged = pictures
+    assert plain.shape == averaged.shape == (size[1], size[0], 3)
+    assert 0 < np.abs(plain - averaged).mean() < 2
+    window = cv2.createHanningWindow(size, cv2.CV_64F)
+    (shift, _) = cv2.phaseCorrelate(plain.mean(axis=2), averaged.mean(axis=2), window)
+    assert np.hypot(*shift) < 0.1
+    # Steps from pixel to pixel are smaller: that is what it is for.
+    assert np.abs(np.diff(averaged, axis=1)).mean() < np.abs(np.diff(plain, axis=1)).mean()
+    # What is no colour is not averaged.
+    assert (ids[0] == ids[1]).all()
+    assert (depths[0] == depths[1]).all()
+
+
+def test_an_image_is_written_where_it_is_wanted(renderer: SceneRenderer, replica: Replica) -> None:
+    image = np.zeros((480, 640, 3), np.uint8)
+    assert renderer.draw(replica.data, "scene_camera", image) is image
+    assert (image == renderer.draw(replica.data, "scene_camera")).all()
+
+
+def test_depth_is_that_of_the_table(renderer: SceneRenderer, replica: Replica, config: RecordConfig) -> None:
+    """Where the table is seen, each pixel's ray reaches its top's plane at the depth that is read."""
+    seen = renderer.segment(replica.data, "scene_camera") == replica.scene.model.geom("table").id
+    rows, columns = np.nonzero(seen)
+    depth = renderer.depth(replica.data, "scene_camera")[rows, columns]
+    K = renderer.intrinsics("scene_camera").K
+    rays = np.column_stack([columns, rows, np.ones(len(rows))]) @ np.linalg.inv(K).T
+    points = replica.T_cam_in_base("scene_camera")[:3] @ np.column_stack([rays * depth[:, None], np.ones(len(rows))]).T
+    heights = points[2] + replica.scene.T_base_in_world[2, 3]
+    # But for the few pixels of its edge.
+    assert np.quantile(np.abs(heights - config.table.top), 0.9) < 2e-4
+
+
+def test_a_buffer_that_is_too_small_is_told(scene: CompiledScene) -> None:
+    with pytest.raises(ValueError, match="offscreen buffer is smaller than 1280 x 960"):
+        SceneRenderer(scene.model, (640, 480), (1280, 960))
+
+
+def shadows_on_flat(config: RecordConfig, locations: Locations, *, all_cast: bool = False) -> np.ndarray:
+    """Areas in pixels of the patches of table and floor that are darker than they are without shadows."""
+    pictures = []
+    for shadow_map in (config.render.shadow_map_px, 0):
+        render = config.render.model_copy(update={"shadow_map_px": shadow_map})
+        scene = build_scene(config.model_copy(update={"render": render}), locations, {})
+        if all_cast:
+            scene.model.geom_castshadow[:] = 1
+        replica = replica_of(scene, config)
+        with SceneRenderer(scene.model, SIZE, render.fine_size(SIZE)) as renderer:
+            pictures.append(renderer.draw(replica.data, "scene_camera").astype(int))
+            ids = renderer.segment(replica.data, "scene_camera")
+    flat = [scene.model.geom(name).id for name in ("table", "safety_plane", "floor_tiles")]
+    dark = ((pictures[1] - pictures[0]).mean(axis=2) > 10) & np.isin(ids, flat)
+    return cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=8)[2][1:, cv2.CC_STAT_AREA]
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced", "high"])
+def test_every_preset_has_shadows_without_acne(
+    preset: str, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    """On table and floor, shadows are a few patches, and no dots."""
+    areas = shadows_on_flat(make_config({("render",): preset}), locations)
+    assert areas.sum() > 500
+    assert areas.max() > 200
+    assert (areas <= 3).sum() <= 10
+
+
+def test_acne_would_be_seen(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
+    """Were table and floor to cast shadows onto themselves, they would be full of dots."""
+    areas = shadows_on_flat(make_config({("render",): "fast"}), locations, all_cast=True)
+    assert (areas <= 3).sum() > 50

@@ -4,7 +4,8 @@ Reading needs `load_lock` and `AssetStore.resolve` and never touches the network
 """
 
 from .fetch import FetchedSet, FetchReport, default_sources, fetch
-from .lock import Archive, AssetLock, AssetSet, LockedFile, load_lock
+from .lock import Archive, AssetLock, AssetSet, LockedFile, Reduction, load_lock
+from .reduced import ReducedSet, find_reduced, make_reduced
 from .sources import AssetSource, Progress, SourceError
 from .store import AssetStore, FileState, FileStatus
 
@@ -20,8 +21,12 @@ __all__ = [
     "FileStatus",
     "LockedFile",
     "Progress",
+    "ReducedSet",
+    "Reduction",
     "SourceError",
     "default_sources",
     "fetch",
+    "find_reduced",
     "load_lock",
+    "make_reduced",
 ]

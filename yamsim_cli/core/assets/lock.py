@@ -11,6 +11,7 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
+    Field,
     PositiveInt,
     StringConstraints,
     ValidationError,
@@ -46,12 +47,24 @@ class _Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
+class Reduction(_Frozen):
+    """How a mesh can be had with fewer faces: how many, and what clearing its slivers first may move, mm."""
+
+    faces: PositiveInt
+    slivers_mm: float = Field(default=0.1, ge=0, le=0.5)
+
+
 class LockedFile(_Frozen):
-    """One mesh file: what its bytes must be (size in bytes), and its path inside the set's archive."""
+    """One mesh file: what its bytes must be (size in bytes), and its path inside the set's archive.
+
+    Attributes:
+        reduction: what was found by trying (tests/bench/reduction.py); it does not change what is fetched.
+    """
 
     sha256: Sha256
     size: PositiveInt
     member: Member
+    reduction: Reduction | None = None
 
 
 class Archive(_Frozen):

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from .base import Config, Reference
+from .base import Config, Name, Reference
 from .rig import RigConfig
 from .scene import SceneConfig, Table
 from .task import TaskConfig
@@ -20,10 +20,32 @@ class ImageConfig(Config):
 
 
 class RenderConfig(Config):
-    """What rendering spends: samples a pixel (0 for none) and the shadow map's edge in texels (0 for no shadows)."""
+    """A quality: how good pictures are, and so what they cost.
 
+    Attributes:
+        multisamples: samples a pixel, which smooth edges on a GPU; 0 for none.
+        supersampling: pictures are drawn this many times as wide and high, and averaged. That smooths the edges of
+            shadows too, and costs less without a GPU than 4 samples a pixel do.
+        shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
+        shadow_lights: how many of the scene's lights cast shadows, the first ones first. Each draws everything twice
+            more.
+        reduced_meshes: draw meshes with fewer faces where they are to be had, see `core.assets.reduction`.
+        reflections: let what reflects reflect: it draws everything once more.
+        slices: faces around what is round, where it is drawn as a primitive.
+    """
+
+    name: Name = "custom"
     multisamples: Literal[0, 2, 4, 8]
+    supersampling: float = Field(ge=1, le=4)
     shadow_map_px: int = Field(ge=0, le=8192)
+    shadow_lights: int = Field(ge=0, le=8)
+    reduced_meshes: bool
+    reflections: bool
+    slices: int = Field(ge=8, le=128, multiple_of=4)
+
+    def fine_size(self, size: tuple[int, int]) -> tuple[int, int]:
+        """Width and height (px) in which pictures of a size are drawn."""
+        return round(size[0] * self.supersampling), round(size[1] * self.supersampling)
 
 
 class RecordConfig(Config):

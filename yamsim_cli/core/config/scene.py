@@ -157,11 +157,12 @@ class ObjectConfig(Config):
 
 
 class Table(Config):
-    """The work surface, a box: centre and half-size in metres."""
+    """The work surface, a box: centre and half-size in metres, and how much of what stands on it it reflects."""
 
     position: Vector
     half_size: tuple[Positive, Positive, Positive]
     rgba: Rgba
+    reflectance: float = Field(default=0.0, ge=0, le=1)
     contact: Contact = Contact()
 
     @property
@@ -171,7 +172,11 @@ class Table(Config):
 
 
 class Light(Config):
-    """A directional light: where it shines towards, its colour, and whether it casts shadows."""
+    """A directional light: where it shines towards, and its colour.
+
+    Attributes:
+        castshadow: whether it casts shadows in what other programs draw; here, a quality says how many lights do.
+    """
 
     direction: Vector
     diffuse: Rgb

@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import ConfigError
 from .se3 import Array
-
-Faces = NDArray[np.int32]
+from .stl import Faces
 
 # The base's foot ends at this x and its top lies at this z, mm. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
 _FOOT_END = 100.0
@@ -114,16 +113,3 @@ def union_of_boxes(boxes: ArrayLike) -> tuple[Array, Faces]:
     vertices = np.stack([cut[k] for cut, k in zip(cuts, np.unravel_index(numbers, grid), strict=True)], axis=-1)
     faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
     return vertices, faces.astype(np.int32)
-
-
-_STL_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
-
-
-def stl_bytes(vertices: ArrayLike, faces: ArrayLike) -> bytes:
-    """A binary STL of triangles (m, 3) over vertices (n, 3), in the vertices' unit; equal meshes give equal bytes."""
-    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    records = np.zeros(len(corners), dtype=_STL_FACE)
-    records["normal"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    records["corners"] = corners
-    return bytes(80) + len(records).to_bytes(4, "little") + records.tobytes()

@@ -18,6 +18,7 @@ from ..geometry.camera import CameraModel, Intrinsics, opencv_from_mujoco
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
 from ..scene.compose import Contents, Meshes, compile_spec, compose
+from ..scene.quality import apply_quality
 from ..scene.robot import GRIPPER_JOINT, JOINTS
 from ..vision.lens import LensWarp
 from ..vision.renderer import SceneRenderer
@@ -91,8 +92,7 @@ class ArmDrawer:
         # Light from the camera: nobody knows where the photo's came from, and no shadow is better than a false one.
         spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
         spec.visual.headlight.diffuse = (0.6, 0.6, 0.6)
-        spec.visual.global_.offwidth, spec.visual.global_.offheight = size
-        spec.visual.quality.offsamples = quality.multisamples
+        apply_quality(spec, quality, size)
         spec.worldbody.add_camera(
             name=_CAMERA, quat=quat_from_rotation(opencv_from_mujoco(np.eye(3))), fovy=math.degrees(self._warp.fovy)
         )

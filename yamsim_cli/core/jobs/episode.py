@@ -93,7 +93,8 @@ class EpisodeRunner:
             ResourceError: no OpenGL context could be made.
         """
         if self._renderer is None:
-            self._renderer = SceneRenderer(self._scene.model, self._config.image.size_px)
+            size = self._config.image.size_px
+            self._renderer = SceneRenderer(self._scene.model, size, self._config.render.fine_size(size))
         return self._renderer
 
     def run(self, job: EpisodeJob) -> EpisodePayload:
@@ -186,11 +187,15 @@ class EpisodeRunner:
         Raises:
             ResourceError: no OpenGL context could be made.
         """
-        return {
-            image_name(camera, k): encode_jpeg(image, self._config.image.jpeg_quality)
-            for k, qpos in enumerate(positions)
-            for camera, image in self.draw(qpos, self._scene.cameras).items()
-        }
+        width, height = self._config.image.size_px
+        image = np.empty((height, width, 3), np.uint8)
+        files: dict[str, bytes] = {}
+        for k, qpos in enumerate(positions):
+            self._replica.show(qpos)
+            for camera in self._scene.cameras:
+                self.renderer.draw(self._replica.data, camera, image)
+                files[image_name(camera, k)] = encode_jpeg(image, self._config.image.jpeg_quality)
+        return files
 
     def draw(self, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
         """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,). Raises as `images`."""

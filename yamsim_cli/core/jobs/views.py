@@ -19,6 +19,7 @@ from ..geometry.se3 import quat_from_rotation
 from ..resources import Locations
 from ..scene.compose import Contents, Meshes, compile_spec
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
+from ..scene.quality import apply_quality
 from ..vision.renderer import Image, SceneRenderer
 from ..vision.views import VIEWS, Camera, label, montage, place_camera, rig_points
 from .compose import rig_spec
@@ -28,11 +29,26 @@ MONTAGE = "views.png"
 
 @dataclass(frozen=True)
 class Stage:
-    """A rig at rest, ready to be drawn from each view."""
+    """A rig at rest, ready to be drawn from each view.
+
+    Attributes:
+        size: width and height of a view, px.
+        fine: the size in which it is drawn.
+    """
 
     model: mujoco.MjModel
     data: mujoco.MjData
     cameras: dict[str, Camera]
+    size: tuple[int, int]
+    fine: tuple[int, int]
+
+    def renderer(self) -> SceneRenderer:
+        """A renderer of the views, to be closed by whoever asks for it.
+
+        Raises:
+            ResourceError: nothing can draw here.
+        """
+        return SceneRenderer(self.model, self.size, self.fine)
 
 
 def set_stage(
@@ -58,11 +74,9 @@ def set_stage(
             quat=quat_from_rotation(opencv_from_mujoco(T[:3, :3])),
             fovy=view.fovy_deg,
         )
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
-    spec.visual.quality.offsamples = quality.multisamples
-    spec.visual.quality.shadowsize = quality.shadow_map_px
+    apply_quality(spec, quality, size)
     model = compile_spec(spec)
-    return Stage(model, _at_home(model), cameras)
+    return Stage(model, _at_home(model), cameras, size, quality.fine_size(size))
 
 
 def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
@@ -72,14 +86,14 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-def render_views(rig: RigConfig, stage: Stage, size: tuple[int, int]) -> dict[str, Image]:
+def render_views(rig: RigConfig, stage: Stage) -> dict[str, Image]:
     """File name -> RGB image (height, width, 3): every view with its names written in, and the montage.
 
     Raises:
         ResourceError: nothing can draw here.
     """
     images: dict[str, Image] = {}
-    with SceneRenderer(stage.model, size) as renderer:
+    with stage.renderer() as renderer:
         for name, camera in stage.cameras.items():
             texts = {text: camera.pixel(point) for text, point in _names(rig, stage.data).items()}
             title = f"{rig.name}: {name.replace('_', ' ')}"

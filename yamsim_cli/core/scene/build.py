@@ -15,6 +15,7 @@ from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
 from .compiled import CompiledScene
 from .compose import Contents, Meshes, compile_spec, compose
+from .quality import apply_quality
 from .robot import ACTUATORS, GRIPPER_JOINT, JOINTS
 
 SCENE_CAMERA = "scene_camera"
@@ -37,9 +38,7 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     spec = compose(config.rig, config.scene, contents, locations, meshes)
     spec.modelname = f"{config.rig.name}_{config.scene.name}_{task.name}"
     spec.option.timestep = task.timing.timestep
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = config.image.size_px
-    spec.visual.quality.offsamples = config.render.multisamples
-    spec.visual.quality.shadowsize = config.render.shadow_map_px
+    apply_quality(spec, config.render, config.image.size_px)
     add_grasp_weld(spec, task.object.name)
 
     cameras = [SCENE_CAMERA]

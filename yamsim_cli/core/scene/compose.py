@@ -21,6 +21,9 @@ from .surroundings import add_background, add_lights, add_table
 
 Meshes = Mapping[str, Path | None]
 
+# How far from the middle of its base and its table an arm stretches, seen along any of the lights, m.
+_REACH = 0.8
+
 
 @dataclass(frozen=True)
 class Contents:
@@ -68,7 +71,8 @@ def compose(
             add_base_board(spec, arm, T)
     for item in contents.objects:
         add_object(spec, item, meshes.get(item.mesh.set))
-    middle = scene.table.position if scene.table else np.mean([T[:3, 3] for T in bases], axis=0)
+    stand = np.mean([T[:3, 3] for T in bases], axis=0)
+    middle = np.mean([stand, scene.table.position], axis=0) if scene.table else stand
     if contents.background:
         add_background(spec, scene)
         add_lights(spec, scene, middle)
@@ -80,7 +84,10 @@ def compose(
     spec.stat.center = middle
     visual.map.znear = 0.01
     visual.map.zfar = 20.0
-    visual.map.shadowclip = 1.0
+    # The tighter, the sharper the shadows; what stands farther off casts none.
+    visual.map.shadowclip = _REACH + max(float(np.linalg.norm(T[:3, 3] - stand)) for T in bases)
+    # Lights are directional, so a flat face is lit evenly, and cutting it up gives nothing.
+    visual.quality.numquads = 1
     return spec
 
 

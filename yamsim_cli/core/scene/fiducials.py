@@ -13,8 +13,9 @@ import mujoco
 from ..boards.image import board_texture, encode_png
 from ..config.rig import T_BASE_MESH_IN_ARM, ArmConfig, BoardConfig, MountConfig
 from ..errors import ConfigError
-from ..geometry.mount import mount_mesh, stl_bytes
+from ..geometry.mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
+from ..geometry.stl import stl_bytes
 from .objects import SEEN_GROUP
 
 BOARD_BODY = "base_board"

@@ -8,9 +8,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.scene import Capsule, Contact, Cylinder, ObjectConfig, Primitive, Ring
-from ..geometry.se3 import pose, quat_from_rotation, rotation_z
+from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
+from ..geometry.stl import stl_bytes
 
 SEEN_GROUP = 2
 HIDDEN_GROUP = 3
@@ -35,7 +37,11 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None) -> 
     for k, part in enumerate(item.collision):
         _add_primitive(body, f"{item.name}_collide_{k}", part, item.contact, material.name, hidden=meshes is not None)
     for k, part in enumerate(item.look):
-        _add_primitive(body, f"{item.name}_look_{k}", part, None, material.name, hidden=False)
+        name = f"{item.name}_look_{k}"
+        if isinstance(part, Ring):
+            _add_seen_ring(spec, body, name, part, material.name)
+        else:
+            _add_primitive(body, name, part, None, material.name, hidden=False)
     if meshes is not None:
         file = f"meshes/{item.mesh.set}/{item.mesh.file}"
         spec.assets = {**spec.assets, file: (meshes / item.mesh.file).read_bytes()}
@@ -81,6 +87,40 @@ def _add_primitive(
         case Ring():
             for k in range(part.segments):
                 body.add_geom(name=f"{name}_{k}", type=mujoco.mjtGeom.mjGEOM_BOX, **_ring_box(part, k), **common)
+
+
+def _add_seen_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, material: str) -> None:
+    """A ring that is only seen, as one mesh: dozens of boxes would be as many things to draw."""
+    file = f"meshes/objects/{name}.stl"
+    spec.assets = {**spec.assets, file: stl_bytes(*_ring_surface(ring))}
+    spec.add_mesh(name=name, file=file)
+    colour: dict[str, Any] = {"rgba": ring.rgba} if ring.rgba else {"material": material}
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        group=SEEN_GROUP,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+        **colour,
+    )
+
+
+def _ring_surface(ring: Ring) -> tuple[Array, NDArray[np.int32]]:
+    """A closed surface around the z axis: vertices (4 n, 3) in m, and triangles (8 n, 3)."""
+    inner, outer = np.array(ring.inner), np.array(ring.outer)
+    along = (outer - inner) / np.linalg.norm(outer - inner)
+    down = ring.thickness * np.array([along[1], -along[0]])
+    section = np.array([inner, inner + down, outer + down, outer])
+    angle = 2 * np.pi * np.arange(ring.segments) / ring.segments
+    x, y = (np.outer(turn, section[:, 0]) for turn in (np.cos(angle), np.sin(angle)))
+    vertices = np.stack([x, y, np.broadcast_to(section[:, 1], x.shape)], axis=-1).reshape(-1, 3)
+    index = np.arange(4 * ring.segments, dtype=np.int32).reshape(-1, 4)
+    right, up = np.roll(index, -1, axis=1), np.roll(index, -1, axis=0)
+    diagonal = np.roll(right, -1, axis=0)
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((index, up, right), (right, up, diagonal))])
+    return vertices, faces
 
 
 def _ring_box(ring: Ring, k: int) -> dict[str, Any]:

@@ -6,25 +6,22 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
+from ..geometry.stl import stl_bytes
 from .objects import SEEN_GROUP
+
+# Half the floor's edge, and a tile's edge, m.
+_FLOOR = 5.0
+_TILE = 0.5
+# Height of the tiles over the floor that they lie on: enough for any depth buffer to tell them apart, m.
+_TILE_HEIGHT = 0.001
 
 
 def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    """The sky and the floor, which catches what falls."""
-    floor = spec.add_texture(
-        name="floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=scene.floor_rgba[0],
-        rgb2=scene.floor_rgba[1],
-        width=256,
-        height=256,
-    )
-    material = spec.add_material(name="floor", texrepeat=[2, 2], texuniform=True, specular=0.1, shininess=0.1)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = floor.name
+    """The sky and the tiled floor, which catches what falls."""
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -34,15 +31,43 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         width=64,
         height=64,
     )
+    for name, colour in zip(("floor", "floor_tiles"), scene.floor_rgba, strict=True):
+        spec.add_material(name=name, rgba=(*colour, 1), specular=0.1, shininess=0.1)
+    # What everything stands on would only cast dots of false shadow onto itself.
     spec.worldbody.add_geom(
         name="safety_plane",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         pos=[0, 0, scene.safety_plane],
-        size=[5, 5, 0.1],
-        material=material.name,
-        # What everything stands on would only cast dots of false shadow onto itself.
+        size=[_FLOOR, _FLOOR, 0.1],
+        material="floor",
         castshadow=False,
     )
+    # A mesh, not a texture: without a GPU, looking up a checkerboard takes longer than all else about the floor.
+    file = "meshes/surroundings/floor_tiles.stl"
+    spec.assets = {**spec.assets, file: stl_bytes(*_tiles())}
+    spec.add_mesh(name="floor_tiles", file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    spec.worldbody.add_geom(
+        name="floor_tiles",
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname="floor_tiles",
+        pos=[0, 0, scene.safety_plane + _TILE_HEIGHT],
+        material="floor_tiles",
+        contype=0,
+        conaffinity=0,
+        mass=0,
+        castshadow=False,
+    )
+
+
+def _tiles() -> tuple[Array, NDArray[np.int32]]:
+    """Every second tile of the floor: vertices (4 n, 3) in m, and triangles (2 n, 3) that face up."""
+    row, column = np.meshgrid(*2 * [np.arange(round(2 * _FLOOR / _TILE))], indexing="ij")
+    low = np.stack([row, column], axis=-1)[(row + column) % 2 == 0] * _TILE - _FLOOR
+    square = _TILE * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    flat = (low[:, None] + square).reshape(-1, 2)
+    corner = 4 * np.arange(len(low), dtype=np.int32)[:, None, None]
+    halves = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return np.pad(flat, ((0, 0), (0, 1))), (corner + halves).reshape(-1, 3)
 
 
 def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] | Array) -> None:
@@ -76,7 +101,9 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
         floor: height of the floor, m.
         bases: pose (4, 4) of each arm's base in `world`.
     """
-    material = spec.add_material(name="table", rgba=table.rgba, specular=0.1, shininess=0.1)
+    material = spec.add_material(
+        name="table", rgba=table.rgba, specular=0.1, shininess=0.1, reflectance=table.reflectance
+    )
     spec.worldbody.add_geom(
         name="table",
         type=mujoco.mjtGeom.mjGEOM_BOX,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from types import TracebackType
+from typing import Any
 
+import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +17,12 @@ from ..geometry.camera import Intrinsics
 Image = NDArray[np.uint8]
 GeomIds = NDArray[np.int32]
 
-# A plain number: numpy would compare each pixel with MuJoCo's enum by a Python call, seconds a picture.
+# More geoms than any scene has.
+_MAX_GEOMS = 10_000
+_FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
+# Plain numbers: numpy takes no enum for an index.
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+_BY_NUMBER = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 
 
 def _opengl_name() -> str:
@@ -31,65 +37,136 @@ def _opengl_name() -> str:
 class SceneRenderer:
     """Colour images of a scene's cameras. Close it, or use it as a context manager: teardown at exit is noisy.
 
+    All memory is taken once: drawing a frame takes none beyond the image it returns, and not that if it is given one.
+
     Attributes:
         description: name of the OpenGL implementation that draws.
 
     Args:
-        model: what to draw.
-        size: width and height in pixels; the model's offscreen buffer has to be at least as large.
+        model: what to draw; its offscreen buffer has to be large enough, see `scene.quality.apply_quality`.
+        size: width and height of images in pixels.
+        fine: the size in which colour images are drawn, and averaged to their own; without, that is the one.
 
     Raises:
         ResourceError: no OpenGL context could be made.
     """
 
-    def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
+        self._gl: Any = None
+        self._context: mujoco.MjrContext | None = None
         self._model = model
         self._width, self._height = size
+        fine = fine or size
         try:
-            self._renderer = mujoco.Renderer(model, height=self._height, width=self._width)
+            self._open(fine)
         # What PyOpenGL and MuJoCo raise differs by backend, driver and what is missing.
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
+            self.close()
             raise ResourceError(
                 f"no OpenGL context for rendering: {' '.join(str(error).split())}; see README, 'No GL backend'"
             ) from error
+        self._rect, self._fine_rect = mujoco.MjrRect(0, 0, *size), mujoco.MjrRect(0, 0, *fine)
+        self._pixels = np.empty((fine[1], fine[0], 3), np.uint8)
+        self._averaged = np.empty((size[1], size[0], 3), np.uint8)
         self._option = mujoco.MjvOption()
+        self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self.description = _opengl_name()
+
+    def _open(self, size: tuple[int, int]) -> None:
+        self._gl = mujoco.GLContext(*size)
+        self._gl.make_current()
+        self._context = mujoco.MjrContext(self._model, _FONT)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        if self._context.offWidth < size[0] or self._context.offHeight < size[1]:
+            raise ValueError(f"the model's offscreen buffer is smaller than {size[0]} x {size[1]} pixels")
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def intrinsics(self, camera: str) -> Intrinsics:
         """The pinhole camera that a camera's images were taken with."""
         fovy = math.radians(float(self._model.cam(camera).fovy[0]))
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
-    def draw(self, data: mujoco.MjData, camera: str) -> Image:
-        """An RGB image (height, width, 3) of the scene as `data` has it."""
-        self._renderer.update_scene(data, camera, self._option)
-        image: Image = self._renderer.render()
-        return image
+    def draw(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
+        """An RGB image (height, width, 3) of the scene as `data` has it, written into `out` if given."""
+        self._update(data, camera)
+        return self._colours(out)
 
     def segment(self, data: mujoco.MjData, camera: str) -> GeomIds:
         """The id of the geom seen at each pixel, (height, width) of int32; -1 where there is none."""
-        self._renderer.update_scene(data, camera, self._option)
-        self._renderer.enable_segmentation_rendering()
-        try:
-            objects, kinds = np.moveaxis(self._renderer.render(), 2, 0)
-        finally:
-            self._renderer.disable_segmentation_rendering()
-        ids: GeomIds = np.where(kinds == _GEOM, objects, -1).astype(np.int32)
-        return ids
+        self._update(data, camera)
+        colours = np.empty((self._height, self._width, 3), np.uint8)
+        self._render_ids(colours, None)
+        # What is drawn carries its number plus one as a colour; 0 is nothing.
+        number = colours.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
+        ids = np.full(self._scene.ngeom + 1, -1, np.int32)
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.objtype == _GEOM and geom.segid >= 0:
+                ids[geom.segid + 1] = geom.objid
+        seen: GeomIds = ids[number[::-1]]
+        return seen
 
     def depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
         """The distance z (height, width) along the camera's axis of what is seen at each pixel, m."""
-        self._renderer.update_scene(data, camera, self._option)
-        self._renderer.enable_depth_rendering()
+        self._update(data, camera)
+        buffer = np.empty((self._height, self._width), np.float32)
+        self._render_ids(None, buffer)
+        extent = self._model.stat.extent
+        near, far = self._model.vis.map.znear * extent, self._model.vis.map.zfar * extent
+        # The buffer holds 1 at the near plane and 0 at the far one, and is linear in 1 / z.
+        z: NDArray[np.float32] = (near * far / (buffer[::-1].astype(np.float64) * (far - near) + near)).astype(
+            np.float32
+        )
+        return z
+
+    def _update(self, data: mujoco.MjData, camera: str) -> None:
+        self._camera.fixedcamid = self._model.cam(camera).id
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, everything, self._scene)
+        # So that rounding the fine picture's size never widens or narrows what it shows.
+        for view in self._scene.camera:
+            view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
+
+    def _colours(self, out: Image | None) -> Image:
+        assert self._context is not None, "closed"
+        image = np.empty((self._height, self._width, 3), np.uint8) if out is None else out
+        self._gl.make_current()
+        mujoco.mjr_render(self._fine_rect, self._scene, self._context)
+        mujoco.mjr_readPixels(self._pixels, None, self._fine_rect, self._context)
+        pixels = self._pixels
+        if pixels.shape != image.shape:
+            size = (self._width, self._height)
+            pixels = np.asarray(cv2.resize(pixels, size, self._averaged, interpolation=cv2.INTER_AREA), np.uint8)
+        # OpenGL's first row is the lowest.
+        cv2.flip(pixels, 0, image)
+        return image
+
+    def _render_ids(self, colours: Image | None, depth: NDArray[np.float32] | None) -> None:
+        """Draw each geom in the colour of its number, without light or smoothing, and read what is asked for."""
+        assert self._context is not None, "closed"
+        flags = self._scene.flags.copy()
+        self._scene.flags[_BY_NUMBER] = 1
         try:
-            depth: NDArray[np.float32] = self._renderer.render()
+            self._gl.make_current()
+            mujoco.mjr_render(self._rect, self._scene, self._context)
+            mujoco.mjr_readPixels(colours, depth, self._rect, self._context)
         finally:
-            self._renderer.disable_depth_rendering()
-        return depth
+            self._scene.flags[:] = flags
 
     def close(self) -> None:
         """Free the OpenGL context; safe to call twice."""
-        self._renderer.close()
+        if self._context is not None:
+            self._gl.make_current()
+            self._context.free()
+            self._context = None
+        if self._gl is not None:
+            self._gl.free()
+            self._gl = None
+
+    def __del__(self) -> None:
+        # Freed by the garbage collector, the context would take whatever other one is current with it.
+        self.close()
 
     def __enter__(self) -> SceneRenderer:
         return self

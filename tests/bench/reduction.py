@@ -1,0 +1,61 @@
+"""How few faces each mesh can do with: what assets.lock.json says of reductions was found by this.
+
+    python -m tests.bench.reduction [model2.stl ...]
+
+Slow: each try is drawn and measured. The lock takes a file's smallest count, and slivers_mm unless that is 0.1.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from yamsim_cli.core.gl import choose_backend
+
+# What is aimed at, a little better than what the tests ask for (0.5 mm and 0.995).
+FARTHEST_MM = 0.475
+LEAST_OVERLAP = 0.9952
+SLIVERS_MM = (0.0, 0.05, 0.08, 0.1)
+SAMPLES = 20_000
+
+
+def main() -> None:
+    """Search by bisection, for every tolerance of the slivers, and print what was found."""
+    os.environ.setdefault("MUJOCO_GL", choose_backend(os.environ) or "")
+
+    from tests.silhouettes import Silhouettes, overlap
+    from yamsim_cli.core.assets import AssetStore, Reduction, load_lock
+    from yamsim_cli.core.assets.reduction import cleared, collapsed
+    from yamsim_cli.core.geometry.deviation import deviation
+    from yamsim_cli.core.geometry.stl import read_stl
+    from yamsim_cli.core.resources import Locations
+
+    where = Locations.find(os.environ)
+    store = AssetStore(where.assets)
+    for assets in load_lock(where).sets.values():
+        folder = store.resolve(assets)
+        if folder is None:
+            print(f"{assets.name}: not here, run yamsim assets fetch")
+            continue
+        for file in (name for name in assets.files if not sys.argv[1:] or name in sys.argv[1:]):
+            vertices, faces = read_stl((folder / file).read_bytes())
+            source = vertices * 1000, faces
+            camera = Silhouettes(source[0])
+            outlines = camera.of(*source)
+            print(f"{file}: {len(faces)} faces")
+            for slivers in SLIVERS_MM:
+                low, high, best = 40, len(cleared(source, slivers)[1]), "nothing fits"
+                while high - low > max(16, 0.02 * low):
+                    middle = (low + high) // 2
+                    reduced = collapsed(source, Reduction(faces=middle, slivers_mm=slivers))
+                    far = deviation(source, reduced, 1.0, SAMPLES)
+                    same = overlap(outlines, camera.of(*reduced)) if far <= FARTHEST_MM else 0.0
+                    if same >= LEAST_OVERLAP:
+                        high, best = min(middle, len(reduced[1])), f"{len(reduced[1])} faces, {far:.3f} mm, {same:.4f}"
+                    else:
+                        low = middle
+                print(f"    slivers_mm {slivers}: {best}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

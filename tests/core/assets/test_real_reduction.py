@@ -1,0 +1,65 @@
+"""The acceptance test of reduced meshes, on the real ones: how far they stray, and whether their outlines stay."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.silhouettes import DIRECTIONS, PIXELS, Silhouettes, overlap
+from yamsim_cli.core.assets import AssetStore, load_lock, make_reduced
+from yamsim_cli.core.geometry.deviation import deviation
+from yamsim_cli.core.geometry.stl import read_stl
+from yamsim_cli.core.resources import Locations
+
+LOCATIONS = Locations.find(os.environ)
+LOCK = load_lock(LOCATIONS)
+FILES = [(name, file) for name, assets in LOCK.sets.items() for file in assets.files]
+
+# Faces of the whole set at most: the crank arm has 104,574, banana and plate 16,384 each.
+MOST = {"i2rt_yam_crank": 15_000, "i2rt_yam_linear_4310": 5_600, "ycb": 4_600}
+
+
+@cache
+def folders(name: str) -> tuple[Path, Path]:
+    """A set's own folder and that of its reduced meshes."""
+    assets, store = LOCK.sets[name], AssetStore(LOCATIONS.assets)
+    source = store.resolve(assets)
+    if source is None:
+        pytest.skip(f"the meshes of {name} are not here: yamsim assets fetch")
+    return source, make_reduced(store, assets, source, LOCK.notices[assets.notice]).directory
+
+
+def meshes(name: str, file: str) -> list[tuple]:
+    """Source and reduced mesh, in mm."""
+    read = [read_stl((folder / file).read_bytes()) for folder in folders(name)]
+    return [(vertices * 1000, faces) for vertices, faces in read]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "file"), FILES)
+def test_no_point_strays_by_half_a_millimetre(name: str, file: str) -> None:
+    source, reduced = meshes(name, file)
+    assert len(reduced[1]) < 0.45 * len(source[1])
+    assert deviation(source, reduced, 1.0, 20_000) <= 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.render
+@pytest.mark.parametrize(("name", "file"), FILES)
+def test_outlines_stay(name: str, file: str) -> None:
+    """Each mesh by itself, filling the picture: in a scene it would be a tenth as large."""
+    source, reduced = meshes(name, file)
+    camera = Silhouettes(source[0])
+    outlines = camera.of(*source)
+    assert outlines.shape == (DIRECTIONS, PIXELS, PIXELS) == (12, 512, 512)
+    assert outlines.any(axis=(1, 2)).all()
+    assert overlap(outlines, camera.of(*reduced)) >= 0.995
+
+
+@pytest.mark.parametrize("name", LOCK.sets)
+def test_few_faces_are_left(name: str) -> None:
+    folder = folders(name)[1]
+    assert sum(len(read_stl(path.read_bytes())[1]) for path in folder.glob("*.stl")) <= MOST[name]

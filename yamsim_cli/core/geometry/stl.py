@@ -1,0 +1,46 @@
+"""Binary STL: triangles, each with three corners of its own. Whatever they share has to be found again on reading."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import ResourceError
+from .se3 import Array
+
+Faces = NDArray[np.int32]
+
+_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
+_HEADER = 80
+
+
+def stl_bytes(vertices: ArrayLike, faces: ArrayLike) -> bytes:
+    """A binary STL of triangles (m, 3) over vertices (n, 3), in the vertices' unit; equal meshes give equal bytes."""
+    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    records = np.zeros(len(corners), dtype=_FACE)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    # A triangle without area has no normal; zeros say so.
+    records["normal"] = normals / np.where(lengths > 0, lengths, 1.0)
+    records["corners"] = corners
+    return bytes(_HEADER) + len(records).to_bytes(4, "little") + records.tobytes()
+
+
+def read_stl(data: bytes) -> tuple[Array, Faces]:
+    """Read a binary STL: vertices (n, 3), in the file's unit, and triangles (m, 3) over them.
+
+    Corners with equal coordinates become one vertex, and triangles that lose a corner by that are left out.
+
+    Raises:
+        ResourceError: it is no binary STL.
+    """
+    count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
+    if not count or len(data) != _HEADER + 4 + count * _FACE.itemsize:
+        raise ResourceError(f"{len(data)} bytes are no binary STL")
+    corners = np.frombuffer(data, _FACE, count, _HEADER + 4)["corners"].astype(np.float64)
+    if not np.isfinite(corners).all():
+        raise ResourceError("an STL with coordinates that are no numbers")
+    vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    faces = index.reshape(-1, 3).astype(np.int32)
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return vertices, faces[whole]
