@@ -45,6 +45,10 @@ def record(
     rig: Rig = None,
     grasp: Annotated[str | None, typer.Option(help="How the object is held: weld.")] = None,
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
+    boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
+    truth: Annotated[
+        bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
+    ] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")] = None,
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     quality: Quality = None,
@@ -73,6 +77,8 @@ def record(
     where = locations()
     flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
         "--wrist": (("wrist",), wrist),
+        "--boards": (("boards",), boards),
+        "--truth": (("truth",), truth),
         "--size": (("image", "size_px"), parse_size(size) if size else None),
         "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
         "--quality": (("render",), quality),

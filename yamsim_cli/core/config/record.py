@@ -57,6 +57,8 @@ class RecordConfig(Config):
         workers: how many processes; it never changes the data.
         seed: with an attempt's number, decides everything random in it.
         wrist: also record the wrist camera.
+        boards: also show the base boards and their mounts, as they are on a real arm.
+        truth: also record ground truth for every image, see `core.dataset.truth`.
     """
 
     rig: Annotated[RigConfig, Reference("rigs")]
@@ -67,6 +69,8 @@ class RecordConfig(Config):
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
     wrist: bool
+    boards: bool = False
+    truth: bool = False
     image: ImageConfig
     render: Annotated[RenderConfig, Reference("quality")]
 

@@ -82,6 +82,7 @@ class EpisodeRecord(Record):
     frames: int
     frame_period_s: float
     cameras: dict[str, tuple[int, int]]
+    truth: bool = False
     objects: list[str]
     outcome: OutcomeRecord
     max_height_m: float

@@ -30,7 +30,9 @@ from ..tasks.pickplace import candidate_plans, judge, knocked, sample_layout
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, StepState
 from ..vision.jpeg import encode_jpeg
+from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import Image, SceneRenderer
+from .truth import EpisodeTruth
 
 # A plan that misses a waypoint by more than this is out of the arm's reach.
 _REACH_TOLERANCE = 0.005
@@ -79,6 +81,10 @@ class EpisodeRunner:
         self._start_joints = np.array(config.task.start_joints)
         self._replica = Replica(self._scene)
         self._renderer: SceneRenderer | None = None
+        self._labels: SceneLabels | None = None
+        if config.truth:
+            objects = (config.task.object.name, config.task.target.name)
+            self._labels = scene_labels(self._scene.model, config.rig, objects, boards=config.boards)
 
     @property
     def scene(self) -> CompiledScene:
@@ -182,7 +188,7 @@ class EpisodeRunner:
         )
 
     def images(self, positions: Iterable[Array]) -> dict[str, bytes]:
-        """Path inside the episode -> JPEG, of every camera for each of MuJoCo's positions (nq,).
+        """Path inside the episode -> JPEG, of every camera for each of MuJoCo's positions (nq,), and the truth on it.
 
         Raises:
             ResourceError: no OpenGL context could be made.
@@ -190,12 +196,15 @@ class EpisodeRunner:
         width, height = self._config.image.size_px
         image = np.empty((height, width, 3), np.uint8)
         files: dict[str, bytes] = {}
+        truth = EpisodeTruth(self._labels, self._scene.cameras, self._scene.T_base_in_world) if self._labels else None
         for k, qpos in enumerate(positions):
             self._replica.show(qpos)
             for camera in self._scene.cameras:
                 self.renderer.draw(self._replica.data, camera, image)
                 files[image_name(camera, k)] = encode_jpeg(image, self._config.image.jpeg_quality)
-        return files
+                if truth:
+                    truth.add(self._replica.data, camera, self.renderer)
+        return files | (truth.files if truth else {})
 
     def draw(self, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
         """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,). Raises as `images`."""

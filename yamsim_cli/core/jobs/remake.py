@@ -13,7 +13,7 @@ import numpy as np
 from ..config.record import RecordConfig
 from ..dataset.actions import recorded_actions
 from ..dataset.compare import Comparison, Difference, compare_frames, compare_values
-from ..dataset.layout import image_name, lowdim_name
+from ..dataset.layout import TRUTH_FOLDERS, image_name, lowdim_name
 from ..dataset.reader import StoredEpisode, open_episode
 from ..dataset.records import OutcomeRecord
 from ..errors import DatasetError
@@ -206,7 +206,18 @@ def _compare_images(episode: StoredEpisode, drawn: Mapping[str, bytes], limit: f
             if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first is None:
                 shown = [f"{len(data)} bytes" for data in (stored, made)]
                 result.first = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
+    if limit == 0.0 and result.first is None:
+        result.first = _first_other_truth(episode, drawn)
     return result
+
+
+def _first_other_truth(episode: StoredEpisode, drawn: Mapping[str, bytes]) -> Difference | None:
+    """The first file of ground truth that is not the same byte for byte; None if all are."""
+    for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
+        stored, made = episode.read(name), drawn.get(name, b"")
+        if stored != made:
+            return Difference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
+    return None
 
 
 def _pixels_apart(stored: bytes, made: bytes) -> float | None:

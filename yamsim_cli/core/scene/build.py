@@ -34,7 +34,7 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
         SimulationError: MuJoCo refused the composed model.
     """
     task, arm = config.task, config.rig.arms[0]
-    contents = Contents(boards=False, objects=(task.object, task.target))
+    contents = Contents(boards=config.boards, objects=(task.object, task.target))
     spec = compose(config.rig, config.scene, contents, locations, meshes)
     spec.modelname = f"{config.rig.name}_{config.scene.name}_{task.name}"
     spec.option.timestep = task.timing.timestep
