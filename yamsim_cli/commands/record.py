@@ -45,6 +45,10 @@ def record(
     rig: Rig = None,
     grasp: Annotated[str | None, typer.Option(help="How the object is held: weld.")] = None,
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
+    randomize: Annotated[
+        bool | None,
+        typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more."),
+    ] = None,
     boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
@@ -84,7 +88,11 @@ def record(
         "--quality": (("render",), quality),
     }
     # Once without OpenGL: what is wrong with it is told at once.
-    record_config(config, where, flags)
+    checked = record_config(config, where, flags)
+    if randomize is not None:
+        # A config of one's own keeps its ranges.
+        chosen = ("default" if not checked.randomization.parts else None) if randomize else "none"
+        flags["--randomize"] = (("randomization",), chosen)
     settings = record_config(config, use_gl(where, workers=True), flags)
 
     from yamsim_cli.core.jobs.collect import Watch

@@ -158,5 +158,5 @@ def scene_meshes(config: RecordConfig, where: Locations) -> dict[str, Path | Non
     """The meshes of everything that a recording shows, see `resolve_meshes`."""
     from yamsim_cli.core.scene.compose import mesh_sets
 
-    names = mesh_sets(config.rig, (config.task.object, config.task.target))
+    names = mesh_sets(config.rig, (config.task.object, config.task.target, *config.randomization.extras))
     return resolve_meshes(names, where, reduced=config.render.reduced_meshes)

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import DatasetError
 from ..files import sha256_bytes
-from ..types import EpisodePayload, Outcome
+from ..types import EpisodePayload, Outcome, Randomized
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 
 Pose2D = tuple[float, float, float, float]
@@ -64,6 +64,7 @@ class AttemptRecord(Record):
     episode: int | None
     outcome: OutcomeRecord
     layout: dict[str, Pose2D]
+    randomized: Randomized = Randomized()
 
 
 class EpisodeRecord(Record):
@@ -87,6 +88,7 @@ class EpisodeRecord(Record):
     outcome: OutcomeRecord
     max_height_m: float
     layout: dict[str, Pose2D]
+    randomized: Randomized = Randomized()
     versions: dict[str, str]
     renderer: str
     content_sha256: str
@@ -149,6 +151,7 @@ def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecor
         episode=episode,
         outcome=OutcomeRecord.of(payload.outcome),
         layout=dict(payload.layout),
+        randomized=payload.randomized,
     )
 
 

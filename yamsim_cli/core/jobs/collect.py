@@ -220,6 +220,7 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
         outcome=attempt.outcome,
         max_height_m=config.task.success.max_height,
         layout=attempt.layout,
+        randomized=attempt.randomized,
         versions=dict(payload.versions),
         renderer=payload.renderer,
         content_sha256=payload.content_sha256,

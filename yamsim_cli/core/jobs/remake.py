@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -111,8 +111,10 @@ class EpisodeVerifier:
         layout, outcome, rollout = self._runner.simulate(EpisodeJob(record.seed, record.attempt))
         made = self._runner.frames(rollout.states) if rollout else []
         once = compare_values(
-            {"outcome": _judgement(record.outcome), "start": _arrays(record.layout)},
-            {"outcome": _judgement(OutcomeRecord.of(outcome)), "start": _arrays(start_poses(layout))},
+            {"outcome": _judgement(record.outcome), "start": _arrays(record.layout)}
+            | {"randomized": asdict(record.randomized)},
+            {"outcome": _judgement(OutcomeRecord.of(outcome)), "start": _arrays(start_poses(layout))}
+            | {"randomized": asdict(self._runner.randomized)},
             self._limits.values,
         )
         checks = {SEED: _together(compare_frames(frames, made, self._limits.values), once)}
@@ -155,6 +157,7 @@ def repeat_actions(
     recorded = recorded_actions(frames, model.nq, model.nu)
     if recorded is None:
         return None
+    vary(runner, episode)
     stored = episode.record.outcome
     outcome, rollout = runner.repeat(*recorded, stored.plan_error_m or 0.0, stored.tilt_rad or 0.0)
     # What the plan knew of itself, its actions cannot tell.
@@ -163,6 +166,12 @@ def repeat_actions(
     )
     once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, tolerance)
     return _together(compare_frames(frames, runner.frames(rollout.states), tolerance), once)
+
+
+def vary(runner: EpisodeRunner, episode: StoredEpisode) -> None:
+    """Let a runner's scene be as it was in a recorded episode."""
+    record = episode.record
+    runner.vary(EpisodeJob(record.seed, record.attempt), record.randomized)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:

@@ -88,6 +88,12 @@ class SceneRenderer:
         fovy = math.radians(float(self._model.cam(camera).fovy[0]))
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
+    def upload_texture(self, texture: int) -> None:
+        """Take a texture's pixels from the model again, after they have changed there."""
+        assert self._context is not None, "closed"
+        self._gl.make_current()
+        mujoco.mjr_uploadTexture(self._model, self._context, texture)
+
     def draw(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
         """An RGB image (height, width, 3) of the scene as `data` has it, written into `out` if given."""
         self._update(data, camera)
