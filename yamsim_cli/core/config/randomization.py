@@ -61,14 +61,14 @@ class SurfaceRanges(Config):
     Attributes:
         saturation, value: of its colours; their hue is any.
         contrast: how much lighter or darker the second colour of a pattern is, in `value`.
-        textures: of which one is drawn; one that is named twice comes up twice as often. A checkered floor is its tiles
-            and costs nothing. Other patterns are textures, and a look-up for every pixel: see the README for its cost.
+        textures: how likely each is, in any unit. A checkered floor is its tiles and costs nothing. Other patterns are
+            textures, and a look-up for every pixel: see the README for its cost.
     """
 
     saturation: Share
     value: Share
     contrast: Share
-    textures: tuple[Texture, ...] = Field(default=("plain",), min_length=1)
+    textures: dict[Texture, Positive] = Field(default={"plain": 1.0}, min_length=1)
 
 
 class LookRanges(Config):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import colorsys
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..config.randomization import LightRanges, LookRanges, RandomizationConfig, SurfaceRanges
+from ..config.randomization import LightRanges, LookRanges, RandomizationConfig, SurfaceRanges, Texture
 from ..config.scene import ObjectConfig
 from ..types import DrawnLight, DrawnLook, DrawnSurface, EpisodeJob, Randomized
 from .randomness import Stream, generator
@@ -83,7 +83,7 @@ def _moved(shift: float, turn: float, rng: np.random.Generator) -> tuple[float, 
 
 
 def _surface(ranges: SurfaceRanges, rng: np.random.Generator) -> DrawnSurface:
-    texture = ranges.textures[int(rng.integers(len(ranges.textures)))]
+    texture = _choice(ranges.textures, float(rng.uniform()))
     hue, saturation, value = float(rng.uniform()), float(rng.uniform(*ranges.saturation)), rng.uniform(*ranges.value)
     contrast = float(rng.uniform(*ranges.contrast))
     # Towards the side on which there is room.
@@ -91,6 +91,16 @@ def _surface(ranges: SurfaceRanges, rng: np.random.Generator) -> DrawnSurface:
     first, second = (colorsys.hsv_to_rgb(hue, saturation, float(np.clip(v, 0, 1))) for v in (value, other))
     colours = (first, first) if texture == "plain" else (first, second)
     return DrawnSurface(texture, colours, int(rng.integers(*_REPEATS)), int(rng.integers(_SEEDS)))
+
+
+def _choice(weights: Mapping[Texture, float], share: float) -> Texture:
+    """The name at a share (0 to 1) of the weights' sum, whatever order they are written in."""
+    rest = share * sum(weights.values())
+    for name in sorted(weights):
+        if rest < weights[name]:
+            return name
+        rest -= weights[name]
+    return max(weights)
 
 
 def _looks(ranges: LookRanges, objects: Sequence[ObjectConfig], rng: np.random.Generator) -> dict[str, DrawnLook]:
