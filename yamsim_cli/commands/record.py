@@ -22,6 +22,7 @@ from .session import (
     job_flags,
     locations,
     parse_size,
+    randomization,
     record_config,
     scene_meshes,
     use_gl,
@@ -89,10 +90,7 @@ def record(
     }
     # Once without OpenGL: what is wrong with it is told at once.
     checked = record_config(config, where, flags)
-    if randomize is not None:
-        # A config of one's own keeps its ranges.
-        chosen = ("default" if not checked.randomization.parts else None) if randomize else "none"
-        flags["--randomize"] = (("randomization",), chosen)
+    flags["--randomize"] = (("randomization",), randomization(randomize, checked))
     settings = record_config(config, use_gl(where, workers=True), flags)
 
     from yamsim_cli.core.jobs.collect import Watch

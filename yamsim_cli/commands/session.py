@@ -78,6 +78,16 @@ def rig_config(name: str, where: Locations, margin: float | None = None) -> RigC
     return load_config(RigConfig, "rigs", name, where, overrides)
 
 
+def randomization(flag: bool | None, config: RecordConfig) -> str | None:
+    """The randomization that --randomize or --no-randomize asks for; None for what the config says.
+
+    A config with ranges of its own keeps them under --randomize.
+    """
+    if flag is None or (flag and config.randomization.parts):
+        return None
+    return "default" if flag else "none"
+
+
 # What MuJoCo and OpenCV can be asked for without a machine running out of memory.
 _SIZES = range(16, 4097)
 
