@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import math
 import weakref
 from types import TracebackType
@@ -43,6 +44,7 @@ class _Held:
         self.context: mujoco.MjrContext | None = None
 
     def free(self) -> None:
+        atexit.unregister(self.free)
         if self.context is not None:
             self.gl.make_current()
             self.context.free()
@@ -70,8 +72,8 @@ class SceneRenderer:
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
         self._held = _Held()
-        # Freed at the latest before the display is, which is closed as the interpreter ends.
         self._free = weakref.finalize(self, self._held.free)
+        self._free.atexit = False
         self._model = model
         self._width, self._height = size
         fine = fine or size
@@ -94,6 +96,8 @@ class SceneRenderer:
 
     def _open(self, size: tuple[int, int]) -> None:
         self._held.gl = mujoco.GLContext(*size)
+        # Asked for after MuJoCo has asked for the display to be closed, and so done before that.
+        atexit.register(self._held.free)
         self._held.gl.make_current()
         context = self._held.context = mujoco.MjrContext(self._model, _FONT)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
