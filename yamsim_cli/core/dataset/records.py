@@ -15,6 +15,8 @@ from ..types import EpisodePayload, Outcome, Randomized
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 
 Pose2D = tuple[float, float, float, float]
+# Left out where nothing was drawn.
+Drawn = Annotated[Randomized, Field(exclude_if=lambda drawn: drawn == Randomized())]
 
 
 class Record(BaseModel):
@@ -64,7 +66,7 @@ class AttemptRecord(Record):
     episode: int | None
     outcome: OutcomeRecord
     layout: dict[str, Pose2D]
-    randomized: Randomized = Randomized()
+    randomized: Drawn = Randomized()
 
 
 class EpisodeRecord(Record):
@@ -88,7 +90,7 @@ class EpisodeRecord(Record):
     outcome: OutcomeRecord
     max_height_m: float
     layout: dict[str, Pose2D]
-    randomized: Randomized = Randomized()
+    randomized: Drawn = Randomized()
     versions: dict[str, str]
     renderer: str
     content_sha256: str

@@ -112,9 +112,9 @@ class SceneRenderer:
 
     def upload_texture(self, texture: int) -> None:
         """Take a texture's pixels from the model again, after they have changed there."""
-        assert self._context is not None, "closed"
-        self._gl.make_current()
-        mujoco.mjr_uploadTexture(self._model, self._context, texture)
+        assert self._held.context is not None, "closed"
+        self._held.gl.make_current()
+        mujoco.mjr_uploadTexture(self._model, self._held.context, texture)
 
     def draw(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
         """An RGB image (height, width, 3) of the scene as `data` has it, written into `out` if given."""
