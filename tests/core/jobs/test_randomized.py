@@ -148,6 +148,24 @@ def test_an_attempt_is_the_same_whatever_was_made_before(
 
 
 @pytest.mark.render
+def test_a_distractor_is_seen_where_it_was_put(visual: EpisodeRunner, config: RecordConfig) -> None:
+    rollout = visual.simulate(JOBS[0])[2]
+    assert rollout is not None
+    qpos, images = rollout.states[0].qpos, []
+    model = visual.scene.model
+    for y in (-0.25, 0.25):
+        place = (0.6, y, config.table.top, 0.0)
+        visual.vary(JOBS[0], replace(visual.randomized, distractors={"apple": place}))
+        images.append(visual.draw(qpos, ["scene_camera"])["scene_camera"].astype(int))
+        numbers = visual.renderer.segment(visual._replica.data, "scene_camera")
+        columns = np.nonzero(np.isin(numbers, np.flatnonzero(model.geom_bodyid == model.body("apple").id)))[1]
+        # The camera looks back at the arm, so that +y is on its right.
+        assert len(columns) > 10
+        assert (columns > 48).all() == (y > 0)
+    assert np.abs(images[0] - images[1]).max() > 60
+
+
+@pytest.mark.render
 def test_lowdim_tells_the_camera_that_was(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     config = make_config({("randomization",): "default"} | SMALL)
     with EpisodeRunner(config, locations, {}, draw=True) as runner:

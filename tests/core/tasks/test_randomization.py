@@ -11,6 +11,7 @@ import pytest
 from yamsim_cli.core.config.randomization import RandomizationConfig, SurfaceRanges
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, OutcomeRecord, from_json, to_json
+from yamsim_cli.core.tasks import randomization
 from yamsim_cli.core.tasks.randomization import draw
 from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.types import EpisodeJob, Outcome, Randomized
@@ -66,6 +67,18 @@ def test_distractors_change_no_other_draw_but_have_looks_of_their_own(randomized
     assert {name: whole.looks[name] for name in less.looks} == less.looks
     assert list(less.looks) == ["banana", "plate"]
     assert "apple" in whole.looks
+
+
+def test_no_two_parts_share_a_stream(randomized: RecordConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    used: list[Stream] = []
+
+    def noted(job: EpisodeJob, stream: Stream) -> np.random.Generator:
+        used.append(stream)
+        return generator(job, stream)
+
+    monkeypatch.setattr(randomization, "generator", noted)
+    drawn(randomized)
+    assert len(used) == len(set(used)) == 11
 
 
 def test_every_part_is_covered(randomized: RecordConfig) -> None:

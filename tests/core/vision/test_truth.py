@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.dataset.truth import Visibility
+from yamsim_cli.core.dataset.truth import KeypointRecord, Visibility
 from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.resources import Locations
@@ -19,9 +19,9 @@ from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.sim.replica import Replica
 from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
 from yamsim_cli.core.vision.label_images import decode_labels, encode_labels
-from yamsim_cli.core.vision.labels import SceneLabels, scene_labels
+from yamsim_cli.core.vision.labels import Keypoint, SceneLabels, scene_labels
 from yamsim_cli.core.vision.renderer import SceneRenderer
-from yamsim_cli.core.vision.truth import FrameTruth, instance_boxes, measure_frame
+from yamsim_cli.core.vision.truth import FrameTruth, instance_boxes, is_seen, measure_frame
 
 pytestmark = pytest.mark.render
 
@@ -293,3 +293,22 @@ def test_label_images_come_back(stage: Stage) -> None:
     np.testing.assert_array_equal(found, labels)
     assert decode_labels(encode_labels(labels)[:-1]) is None
     assert decode_labels(b"") is None
+
+
+@pytest.mark.parametrize(
+    ("nearer_mm", "slant", "seen"),
+    [(0, 0.0, True), (1, 0.0, True), (5, 0.0, False), (-5, 0.0, False), (0, 1.0, True), (5, 1.0, False)],
+)
+def test_the_same_body_in_front_of_a_point_hides_it(nearer_mm: int, slant: float, seen: bool) -> None:
+    """A plane of one body fills the picture; the point lies on it, or behind what is drawn of it."""
+    K = np.array([[100.0, 0, 15.5], [0, 100.0, 11.5], [0, 0, 1]])
+    p, normal = np.array([0.004, 0.003, 1.0]), np.array([slant, 0.0, -1.0]) / np.hypot(slant, 1.0)
+    v, u = np.mgrid[:24, :32]
+    rays = np.stack([(u - 15.5) / 100, (v - 11.5) / 100, np.ones(u.shape)], axis=-1)
+    depth = np.rint(1000 * (normal @ p) / (rays @ normal)) - nearer_mm
+    point = Keypoint(KeypointRecord(name="point", body="link", kind="axis"), 1, np.zeros(3), normal, (7,))
+    pixel = tuple(np.rint(project(K, p)[0]).astype(int).tolist())
+    labels = np.full((24, 32), 7, np.uint8)
+    assert is_seen(point, p, normal, K, pixel, labels, depth.astype(np.uint16)) == seen
+    assert not is_seen(point, p, -normal, K, pixel, labels, depth.astype(np.uint16))
+    assert not is_seen(point, p, normal, K, pixel, labels + np.uint8(1), depth.astype(np.uint16))

@@ -111,12 +111,12 @@ def _keypoints(
         u, v = np.rint(places[k])
         if 0 <= u < width and 0 <= v < height:
             normal = None if point.normal is None else T[:3, :3] @ point.normal
-            seen = _is_seen(point, p, normal, K, (int(u), int(v)), labels, depth_mm)
+            seen = is_seen(point, p, normal, K, (int(u), int(v)), labels, depth_mm)
             visibility[k] = Visibility.VISIBLE if seen else Visibility.HIDDEN
     return places, depths, visibility
 
 
-def _is_seen(
+def is_seen(
     point: Keypoint, p: Array, normal: Array | None, K: Array, pixel: tuple[int, int], labels: Image, depth_mm: Depth
 ) -> bool:
     """Whether nothing hides a point (3,) in the camera.
