@@ -14,9 +14,9 @@ from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
 from .compiled import CompiledScene
-from .compose import Contents, Meshes, compile_spec, compose
+from .compose import Contents, compile_spec, compose
 from .quality import apply_quality
-from .robot import ACTUATORS, GRIPPER_JOINT, JOINTS
+from .robot import ACTUATORS, JOINTS, Meshes, fingers
 
 SCENE_CAMERA = "scene_camera"
 WELD = "grasp_weld"
@@ -95,11 +95,13 @@ def _addresses(model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, 
     drives = [model.actuator(name).id for name in ACTUATORS]
     arm = np.array(drives[:6])
     objects = (config.task.object.name, config.task.target.name)
+    gripper_qpos, gripper_sign = fingers(model)
     return CompiledScene(
         model=model,
         joint_qpos=np.array([model.joint(name).qposadr[0] for name in JOINTS]),
         joint_dof=np.array([model.joint(name).dofadr[0] for name in JOINTS]),
-        gripper_qpos=np.array([model.joint(name).qposadr[0] for name in (GRIPPER_JOINT, "right_finger")]),
+        gripper_qpos=gripper_qpos,
+        gripper_sign=gripper_sign,
         arm_ctrl=arm,
         gripper_ctrl=drives[6],
         kp=model.actuator_gainprm[arm, 0].copy(),

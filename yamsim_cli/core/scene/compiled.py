@@ -22,7 +22,8 @@ class CompiledScene:
     Attributes:
         model: the compiled MuJoCo model; treat as constant outside an attempt (the weld's target is written into it).
         joint_qpos, joint_dof: addresses (6,) of the arm's joints in `qpos` and `qvel`.
-        gripper_qpos: addresses (2,) of the left and right finger in `qpos`.
+        gripper_qpos, gripper_sign: addresses (2,) of the left and right finger in `qpos`, and whether each counts its
+            opening up there (1) or down (-1).
         arm_ctrl, gripper_ctrl: the drives' places in `ctrl`.
         kp, kv: gains (6,) of the arm's drives, N m/rad and N m s/rad.
         ctrl_range: (6, 2) of the arm's drives, rad.
@@ -37,6 +38,7 @@ class CompiledScene:
     joint_qpos: Ids
     joint_dof: Ids
     gripper_qpos: Ids
+    gripper_sign: Array
     arm_ctrl: Ids
     gripper_ctrl: int
     kp: Array
@@ -56,7 +58,7 @@ class CompiledScene:
         """MuJoCo's positions (nq,) with the arm at `joints` (6,), both fingers at `gripper`, and the objects placed."""
         qpos: Array = self.model.qpos0.copy()
         qpos[self.joint_qpos] = joints
-        qpos[self.gripper_qpos] = gripper, -gripper
+        qpos[self.gripper_qpos] = gripper * self.gripper_sign
         for name, T in layout.T_in_world.items():
             address = self.object_qpos[name]
             qpos[address : address + 3] = T[:3, 3]
