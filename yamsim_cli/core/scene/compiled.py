@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
 import mujoco
 import numpy as np
@@ -13,6 +14,25 @@ from ..geometry.se3 import Array, quat_from_rotation
 from ..types import Layout
 
 Ids = NDArray[np.int_]
+
+
+class Kind(IntEnum):
+    """What a geom belongs to."""
+
+    OTHER = 0
+    ARM = 1
+    LEFT_FINGER = 2
+    RIGHT_FINGER = 3
+    TABLE = 4
+    OBJECT = 5
+    TARGET = 6
+
+
+# Which kinds of geoms must not touch: the arm, fingers included, and what the object lies on or is to lie on.
+FORBIDDEN = np.zeros((len(Kind), len(Kind)), dtype=bool)
+for _part in (Kind.ARM, Kind.LEFT_FINGER, Kind.RIGHT_FINGER):
+    for _thing in (Kind.TABLE, Kind.TARGET):
+        FORBIDDEN[_part, _thing] = FORBIDDEN[_thing, _part] = True
 
 
 @dataclass(frozen=True)
@@ -32,6 +52,10 @@ class CompiledScene:
         object_dof: object name -> address of its free joint in `qvel`.
         T_base_in_world: pose (4, 4) of the arm's base.
         cameras: names of the cameras to record, in order.
+        geom_kind: `Kind` of every geom (ngeom,).
+        joint_range, motor_speed, most_torque: of the arm's joints (6, 2) in rad, (6,) in rad/s and (6,) in N m.
+        grip_gain: of the gripper's drive, N/m; both fingers share its force.
+        grip_range: of what that drive can be told (2,), m.
     """
 
     model: mujoco.MjModel
@@ -49,6 +73,12 @@ class CompiledScene:
     object_dof: Mapping[str, int]
     T_base_in_world: Array
     cameras: tuple[str, ...]
+    geom_kind: Ids
+    joint_range: Array
+    motor_speed: Array
+    most_torque: Array
+    grip_gain: float
+    grip_range: Array
 
     def start(self, data: mujoco.MjData, layout: Layout, joints: Array, gripper: float) -> None:
         """Reset `data` wholly and put arm and objects in place: bit for bit the same however `data` was used before."""
