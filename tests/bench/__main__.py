@@ -40,15 +40,16 @@ def measure(episodes: int) -> dict[str, float]:
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.record import RecordConfig
     from yamsim_cli.core.jobs.episode import EpisodeRunner
+    from yamsim_cli.core.planning.choice import PathChooser
     from yamsim_cli.core.planning.dynamics import ArmDynamics
     from yamsim_cli.core.planning.ik import IkSolver
-    from yamsim_cli.core.planning.path import best_plan, plan_path
     from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.scene.build import build_scene
     from yamsim_cli.core.scene.compose import mesh_sets
     from yamsim_cli.core.scene.robot import arm_spec, bare_arm
     from yamsim_cli.core.sim.rollout import roll_out
-    from yamsim_cli.core.tasks.pickplace import OPEN, candidate_plans, sample_layout
+    from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
+    from yamsim_cli.core.tasks.plans import phases
     from yamsim_cli.core.tasks.randomness import Stream, generator
     from yamsim_cli.core.types import EpisodeJob
     from yamsim_cli.core.vision.jpeg import encode_jpeg
@@ -63,7 +64,7 @@ def measure(episodes: int) -> dict[str, float]:
     arm, task = config.rig.arms[0], config.task
     scene = build_scene(config, where, meshes)
     ik = IkSolver(bare_arm(arm, where), scene.T_base_in_world)
-    dynamics = ArmDynamics(arm_spec(arm, where, None).compile())
+    chooser = PathChooser(ik, ArmDynamics(arm_spec(arm, where, None).compile()), scene, task, config.grasp)
     start = np.array(task.start_joints)
 
     layouts = []
@@ -73,15 +74,13 @@ def measure(episodes: int) -> dict[str, float]:
         layouts.append(layout)
 
     def plan(k: int) -> object:
-        T = scene.T_base_in_world
-        chosen = best_plan(ik, task, candidate_plans(task, layouts[k], T), layouts[k], T)
-        return plan_path(ik, dynamics, chosen, start, task.timing)
+        return chooser.choose(layouts[k])
 
-    paths = [plan(k) for k in range(episodes + 1)]
+    paths = [chooser.choose(layout)[1] for layout in layouts]
     figures = {"compose and compile the scene": median_seconds(lambda _: build_scene(config, where, meshes), 3)}
     figures["plan a trial (IK and feedforward)"] = median_seconds(plan, episodes)
     figures["simulate a trial"] = median_seconds(
-        lambda k: roll_out(scene, layouts[k], paths[k], task.object.name, task.timing),  # type: ignore[arg-type]
+        lambda k: roll_out(scene, layouts[k], paths[k], task.object.name, task.timing, phases(task, config.grasp)),
         episodes,
     )
     with EpisodeRunner(config, where, meshes, draw=False) as runner:

@@ -126,7 +126,7 @@ class Grasp(GraspPoint):
         friction: how friction alone holds it; without, a weld must.
     """
 
-    clearance: Positive
+    clearance: Positive = 0.010
     friction: FrictionGrasp | None = None
 
     def fingers(self, open_by: float) -> tuple[tuple[float, float, float], ...]:

@@ -40,8 +40,8 @@ class Timing(Config):
 
     Attributes:
         ticks_per_waypoint: control ticks from one waypoint to the next.
-        grip_ticks: control ticks in which the hand stands still for the fingers to close, or to open, where friction is to
-            hold the object.
+        grip_ticks: control ticks in which the hand stands still for the fingers to close, or to open, where friction is
+            to hold the object.
         settle_ticks: control ticks after the last waypoint, in which the arm goes back to where it started.
         physics_steps_per_tick, timestep: so a tick lasts 16 x 2 ms = 32 ms.
         ticks_per_frame: every how many ticks a frame is recorded.

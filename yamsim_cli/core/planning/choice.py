@@ -11,7 +11,6 @@ import numpy as np
 from ..config.record import GraspKind
 from ..config.scene import GraspPoint
 from ..config.task import TaskConfig
-from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..tasks.plans import Hold, grasp_points, make_plan
 from ..types import JointPath, Layout, Plan
@@ -27,12 +26,12 @@ _ITERATIONS = 100
 _POSITION = 1e-3
 _ROTATION = math.radians(1.0)
 
-# How far the hand may lean, its fingers pointing outwards, in the order in which that is tried. A little suits the arm best
-# everywhere; it needs the more, the farther away something lies or the higher it is carried; and some things stand in the way
-# of a hand that leans far.
+# How far the hand may lean, its fingers pointing outwards, in the order in which that is tried. A little suits the arm
+# best everywhere; it needs the more, the farther away something lies or the higher it is carried; and some things stand
+# in the way of a hand that leans far.
 _LEANS = tuple(math.radians(angle) for angle in (15, 20, 10, 25, 5, 30, 0))
 
-# How far joints should stay from their stops, rad; and the largest shares of the motors' speed and of the drives' torque that
+# How far joints should stay from their stops, rad; and the largest shares of the motors' speed and the drives' torque that
 # a path should need.
 _FREE = 0.15
 _SPEED = 0.9
@@ -80,10 +79,11 @@ class PathChooser:
         self._start = np.array(task.start_joints)
 
     def choose(self, layout: Layout) -> tuple[Plan, JointPath]:
-        """The first way to hold the object in which the arm reaches everything with ease and touches nothing, else the least
-        bad; and the path.
+        """The first way to hold the object in which the arm reaches everything with ease and touches nothing, else the
+        least bad; and the path.
 
-        Tried are the object's grasp points in their order, at each of them the hand leaning more and more, either way round.
+        Tried are the object's grasp points in their order, at each of them the hand either way round, leaning more or
+        less.
         """
         best: tuple[tuple[bool, bool, float], Plan, JointPath] | None = None
         for candidate in self._candidates(layout):

@@ -28,14 +28,15 @@ _REJECTED = 10.0
 _SOLVER = "daqp"
 _CONVERGED = 1e-5
 
-# A cost of nothing: 10 nm and a thousandth of a degree. From there on rounding would turn steps down, one after the other.
+# A cost of nothing: 10 nm and a thousandth of a degree. From there on rounding would turn down one step after another.
 _EXACT = 1e-14
 
 
 @dataclass(frozen=True)
 class IkSolution:
-    """Joints (6,) in rad; what is left of the error, position in m, tilt and heading in rad; and how far the joint that is
-    nearest to one of its stops is from it, rad."""
+    """Joints (6,) in rad; what is left of the error, position in m, tilt and heading in rad; and how far the joint that
+    is nearest to one of its stops is from it, rad.
+    """
 
     joints: Array
     position_error: float

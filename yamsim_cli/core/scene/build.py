@@ -41,8 +41,8 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     spec.modelname = f"{config.rig.name}_{config.scene.name}_{task.name}"
     spec.option.timestep = task.timing.timestep
     if config.grasp == "contact":
-        # MuJoCo's friction creeps a little; so much less that what is held stays where it is. Source: MuJoCo's documentation of
-        # `impratio`, which asks for elliptic cones with it.
+        # MuJoCo's friction creeps, and with its defaults an object turns by a few degrees a second in the hand. Source:
+        # MuJoCo's documentation of `impratio`, which asks for elliptic cones with it.
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10
     apply_quality(spec, config.render, config.image.size_px)

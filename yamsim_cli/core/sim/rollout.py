@@ -47,7 +47,7 @@ def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
 
 
 def grip_command(scene: CompiledScene, path: JointPath) -> Array:
-    """What the gripper's drive (n,) is told, m: the opening, less what makes each finger press with its half of the force."""
+    """What the gripper's drive (n,) is told, m: the opening, less what makes each finger press with half its force."""
     clipped: Array = np.clip(path.gripper - 2 * path.grip / scene.grip_gain, *scene.grip_range)
     return clipped
 

@@ -1,4 +1,4 @@
-"""What is watched while an attempt runs: how near the arm comes to its limits, what it touches, and how the object is held."""
+"""What is watched while an attempt runs: the arm's limits, what it touches, and how the object is held."""
 
 from __future__ import annotations
 

@@ -32,8 +32,12 @@ _STOP_SLACK = 0.01
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses (4, 4) in `world` that an episode is judged by: of the object at the start, when the hand had reached it and at
-    the end, and of the target at the end."""
+    """What an episode is judged by, (4, 4) in `world`.
+
+    Attributes:
+        T_object_at_start, T_object_before_grasp, T_object_at_end: the second when the hand had reached it.
+        T_target_at_end: where it was put.
+    """
 
     T_object_at_start: Array
     T_object_before_grasp: Array

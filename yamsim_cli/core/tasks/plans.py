@@ -11,8 +11,8 @@ from ..config.task import TaskConfig, Timing
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..types import Layout, Phases, Plan, Waypoint
 
-# A weld's fingers close, and open, in the last part of the way to the grasp, and to the place: the hand never stands still to
-# wait for them, and the weld lets go only once they are open.
+# A weld's fingers close, and open, in the last part of the way to the grasp, and to the place: the hand never stands
+# still to wait for them, and the weld lets go only once they are open.
 _WELD_FINGERS_FROM = 0.7
 
 
@@ -47,11 +47,19 @@ def phases(task: TaskConfig, grasp: GraspKind) -> Phases:
     return Phases(reached=2 * way, held=range(2 * way + grip, 6 * way + grip))
 
 
+def ticks(task: TaskConfig, grasp: GraspKind) -> int:
+    """Control ticks of an attempt."""
+    # From the release, the fingers open as long as they took to close.
+    held = phases(task, grasp).held
+    grip = held.start - 2 * task.timing.ticks_per_waypoint
+    return held.stop + grip + task.timing.ticks_per_waypoint + task.timing.settle_ticks
+
+
 def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_world: Array, hold: Hold) -> Plan:
     """Pick up, carry and put down, held in one way.
 
-    The object is turned on its way as far as the arm turns about its base, so that the wrist hardly has to, and a hand that
-    leans outwards does so all the way.
+    The object is turned on its way as far as the arm turns about its base, so that the wrist hardly has to, and a hand
+    that leans outwards does so all the way.
     """
     heights = task.heights
     T_start = layout.T_in_world[task.object.name]
