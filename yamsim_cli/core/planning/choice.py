@@ -31,8 +31,8 @@ _ROTATION = math.radians(1.0)
 # in the way of a hand that leans far.
 _LEANS = tuple(math.radians(angle) for angle in (15, 20, 10, 25, 5, 30, 0))
 
-# How far joints should stay from their stops, rad; and the largest shares of the motors' speed and the drives' torque that
-# a path should need.
+# How far joints should stay from their stops, rad; and the largest shares of the motors' speed and the drives' torque
+# that a path should need.
 _FREE = 0.15
 _SPEED = 0.9
 _TORQUE = 0.8
