@@ -14,7 +14,7 @@ _STRETCH = 2.0
 
 
 def distances(
-    edges: Sequence[float], counts: Sequence[int], limits: Sequence[float], title: str, counted: str = "episodes"
+    edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
 ) -> Markup:
     """A histogram of distances in metres, drawn in mm, with a line at every limit; one far out is only pointed at.
 
