@@ -23,6 +23,7 @@ from .session import (
     job_flags,
     locations,
     parse_size,
+    randomization,
     record_config,
     scene_meshes,
     use_gl,
@@ -46,6 +47,14 @@ def record(
     rig: Rig = None,
     grasp: Grasp = None,
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
+    randomize: Annotated[
+        bool | None,
+        typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more."),
+    ] = None,
+    boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
+    truth: Annotated[
+        bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
+    ] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")] = None,
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     quality: Quality = None,
@@ -74,12 +83,15 @@ def record(
     where = locations()
     flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
         "--wrist": (("wrist",), wrist),
+        "--boards": (("boards",), boards),
+        "--truth": (("truth",), truth),
         "--size": (("image", "size_px"), parse_size(size) if size else None),
         "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
         "--quality": (("render",), quality),
     }
     # Once without OpenGL: what is wrong with it is told at once.
-    record_config(config, where, flags)
+    checked = record_config(config, where, flags)
+    flags["--randomize"] = (("randomization",), randomization(randomize, checked))
     settings = record_config(config, use_gl(where, workers=True), flags)
 
     from yamsim_cli.core.jobs.collect import Watch
@@ -111,8 +123,8 @@ def _executors(kind: str, address: str | None, attempt_timeout: float) -> Execut
         return LocalProcesses(attempt_timeout)
     # Ray reports its use over the network unless told not to.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    backend = os.environ.get("MUJOCO_GL")
-    return RayCluster(address, {"MUJOCO_GL": backend} if backend else {}, attempt_timeout)
+    how_to_draw = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
+    return RayCluster(address, how_to_draw, attempt_timeout)
 
 
 def _show(report: RecordReport, json: bool) -> None:

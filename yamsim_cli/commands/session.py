@@ -86,6 +86,16 @@ def rig_config(name: str, where: Locations, margin: float | None = None) -> RigC
     return load_config(RigConfig, "rigs", name, where, overrides)
 
 
+def randomization(flag: bool | None, config: RecordConfig) -> str | None:
+    """The randomization that --randomize or --no-randomize asks for; None for what the config says.
+
+    A config with ranges of its own keeps them under --randomize.
+    """
+    if flag is None or (flag and config.randomization.parts):
+        return None
+    return "default" if flag else "none"
+
+
 # What MuJoCo and OpenCV can be asked for without a machine running out of memory.
 _SIZES = range(16, 4097)
 
@@ -140,7 +150,10 @@ def resolve_meshes(names: Iterable[str], where: Locations, *, reduced: bool = Fa
     lock, store = load_lock(where), AssetStore(where.assets)
     meshes = {assets.name: store.resolve(assets) for assets in lock.select(names)}
     if missing := [name for name, folder in meshes.items() if folder is None]:
-        note(f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`.")
+        note(
+            f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`, "
+            "or `yamsim doctor`."
+        )
     if reduced:
         meshes |= {name: _reduced(lock, store, name, folder) for name, folder in meshes.items() if folder}
     return meshes
@@ -166,5 +179,5 @@ def scene_meshes(config: RecordConfig, where: Locations) -> dict[str, Path | Non
     """The meshes of everything that a recording shows, see `resolve_meshes`."""
     from yamsim_cli.core.scene.compose import mesh_sets
 
-    names = mesh_sets(config.rig, (config.task.object, config.task.target))
+    names = mesh_sets(config.rig, (config.task.object, config.task.target, *config.randomization.extras))
     return resolve_meshes(names, where, reduced=config.render.reduced_meshes)
