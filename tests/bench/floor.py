@@ -11,6 +11,7 @@ from tests.bench.setting import Setting, Stopwatch
 from yamsim_cli.core.files import publish_directory
 from yamsim_cli.core.jobs.episode import EpisodeRunner
 from yamsim_cli.core.sim.rollout import Rollout, simulate
+from yamsim_cli.core.tasks.plans import phases
 from yamsim_cli.core.types import Actions
 from yamsim_cli.core.vision.jpeg import encode_jpeg
 
@@ -34,7 +35,8 @@ def floor_seconds(using: Setting, runner: EpisodeRunner, rollout: Rollout, place
     config, scene = using.config, runner.scene
     physics, drawing, encoding, writing = (Stopwatch() for _ in range(4))
     with physics:
-        simulate(scene, rollout.states[0].qpos, actions_of(rollout), config.task.object.name, config.task.timing)
+        held = phases(config.task, config.grasp)
+        simulate(scene, rollout.states[0].qpos, actions_of(rollout), config.task.object.name, config.task.timing, held)
     data = mujoco.MjData(scene.model)
     width, height = config.image.size_px
     image = np.empty((height, width, 3), np.uint8)

@@ -10,8 +10,10 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
+from .pages import require_free
 from .session import (
     ConfigOption,
+    Grasp,
     Json,
     Rig,
     Seed,
@@ -24,6 +26,7 @@ from .session import (
     skip_gl,
     use_gl,
 )
+from .trials import trials_table
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.record import RecordConfig
@@ -48,16 +51,19 @@ def batch(
     threshold: Annotated[
         float | None, typer.Option(help="Largest distance from the target's centre, m.  [default: the task's, 0.05]")
     ] = None,
-    grasp: Annotated[str | None, typer.Option(help="How the object is held: weld.")] = None,
+    grasp: Grasp = None,
     workers: Workers = None,
     out: Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Also write a page with plots, over the sampling box too.")] = None,
     video: Annotated[
         Path | None, typer.Option(help="Film trials: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
     ] = None,
     video_trials: Annotated[
         int, typer.Option(min=1, metavar="N", help="With --video: how many at most, failures first.")
     ] = 10,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move older videos aside.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Move older videos aside, and replace an older page.")
+    ] = False,
     task: Task = None,
     rig: Rig = None,
     config: ConfigOption = "default",
@@ -67,8 +73,10 @@ def batch(
 
     Example: yamsim pickplace batch --n 200 --seed 2 --json
     """
-    if overwrite and video is None:
-        raise UsageError("--overwrite is for videos: give --video")
+    if overwrite and video is None and html is None:
+        raise UsageError("--overwrite is for videos and pages: give --video or --html")
+    if html:
+        require_free(html, overwrite)
     where = locations()
     flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
         "--threshold": (("task", "success", "threshold"), threshold)
@@ -92,10 +100,16 @@ def batch(
     if out is not None:
         write_report(report, out)
         note(f"Written to {out}.")
+    if html:
+        from yamsim_cli.core.jobs.report import write_trials_page
+
+        write_trials_page(report, settings.task.sampling, html)
+        report["html"] = str(html)
+        note(f"The page is in {html}.")
     if json:
         print_json(report)
     else:
-        print_table(_table(report))
+        print_table(trials_table(report))
 
 
 def _film(
@@ -111,29 +125,3 @@ def _film(
     if films.moved_aside:
         note(f"What was at {films.path} is now at {films.moved_aside}.")
     return [{"trial": film.trial, "path": str(film.path)} for film in shown]
-
-
-def _table(report: dict[str, Any]) -> object:
-    from rich.table import Table
-
-    table = Table("trials", str(report["n"]), title="pick and place", title_justify="left")
-    low, high = report["wilson95"]
-    table.add_row(
-        f"success within {report['threshold_m'] * 100:g} cm",
-        f"{report['n_success']} ({report['success_rate']:.1%}; 95 % interval {low:.1%} to {high:.1%})",
-    )
-    for limit, rate in report["rates"].items():
-        table.add_row(f"within {float(limit) * 100:g} cm", f"{rate:.1%}")
-    if spread := report["dxy_m"]:
-        figures = ", ".join(f"{name} {value * 1000:.1f} mm" for name, value in spread.items())
-        table.add_row("distance from the centre", figures)
-    for cause, count in report["causes"].items():
-        table.add_row(f"failed: {cause}", str(count))
-    for trial in report["trials"]:
-        if not trial["outcome"]["success"]:
-            table.add_row(f"trial {trial['trial']}", trial["outcome"]["detail"])
-    if films := report.get("videos"):
-        paths = list(dict.fromkeys(film["path"] for film in films))
-        table.add_row("videos", f"{len(films)} trials, {paths[0]}" + (" and so on" if len(paths) > 1 else ""))
-    table.add_row("time", f"{report['seconds']:.1f} s, {report['core_seconds_per_trial']:.2f} s of one core a trial")
-    return table

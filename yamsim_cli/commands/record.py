@@ -13,6 +13,7 @@ from yamsim_cli.core.errors import UsageError
 from .console import note, print_json, print_line, progress_bar
 from .session import (
     ConfigOption,
+    Grasp,
     Json,
     Quality,
     Rig,
@@ -44,7 +45,7 @@ def record(
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("dataset"),
     task: Task = None,
     rig: Rig = None,
-    grasp: Annotated[str | None, typer.Option(help="How the object is held: weld.")] = None,
+    grasp: Grasp = None,
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
     randomize: Annotated[
         bool | None,

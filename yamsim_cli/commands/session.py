@@ -29,6 +29,14 @@ Rig = Annotated[str | None, typer.Option(help="Rig: a name from configs/rigs/ or
 RigName = Annotated[str, typer.Option("--rig", help="Rig: a name from configs/rigs/ or a YAML file.")]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
 Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
+Grasp = Annotated[
+    str | None,
+    typer.Option(
+        metavar="weld|contact",
+        help="What holds the object: a weld that is switched on, or friction alone, which needs a gripper with pads "
+        "(--rig single_linear).  [default: weld]",
+    ),
+]
 Seed = Annotated[int | None, typer.Option(help="Everything random follows from it.")]
 Quality = Annotated[
     str | None, typer.Option(help="fast, balanced, high, auto (by what draws), or a YAML file.  [default: auto]")

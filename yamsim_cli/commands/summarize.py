@@ -11,6 +11,7 @@ import typer
 from yamsim_cli.core.errors import DatasetError, UsageError
 
 from .console import note, print_json, print_table, progress_bar
+from .pages import require_free
 from .session import Json, locations
 
 # Source: the lab reports both.
@@ -39,7 +40,7 @@ def summarize(
         if not 0 < value < math.inf:
             raise UsageError(f"--threshold {value:g} is not valid: give a distance in metres above 0")
     if html:
-        _require_free(html, overwrite)
+        require_free(html, overwrite)
 
     from yamsim_cli.core.dataset.summary import summarize as count
     from yamsim_cli.core.jobs.summarize import survey_dataset
@@ -66,16 +67,6 @@ def summarize(
             note(f"The report is in {html}.")
     if report["errors"] or (strict and report["warnings"]):
         raise DatasetError(_verdict(dataset, report, strict))
-
-
-def _require_free(path: Path, overwrite: bool) -> None:
-    """Refuse a report's path before the work rather than after it."""
-    if path.is_dir():
-        raise UsageError(f"--html {path} is a directory; give a file, such as {path / 'report.html'}")
-    if path.exists() and not overwrite:
-        raise UsageError(f"--html {path} exists; replace it with --overwrite, or give another file")
-    if not path.absolute().parent.is_dir():
-        raise UsageError(f"--html {path}: there is no directory {path.absolute().parent}; make it first")
 
 
 def _verdict(dataset: Path, report: dict, strict: bool) -> str:

@@ -27,14 +27,33 @@ class Waypoint:
     Attributes:
         name: for messages and figures.
         T_object_in_world: where the grasped object is, or would be were it already held, (4, 4).
-        gripper: opening of one finger in metres on the way to this waypoint.
+        ticks: control ticks on the way to this waypoint.
         stop: whether the motion comes to rest here.
+        gripper: opening of one finger there, m.
+        grip: how hard each finger presses there, N.
+        fingers_from: part of the way (0..1) after which the fingers begin to move.
     """
 
     name: str
     T_object_in_world: Array
-    gripper: float
+    ticks: int
     stop: bool
+    gripper: float
+    grip: float = 0.0
+    fingers_from: float = 0.0
+
+
+@dataclass(frozen=True)
+class Phases:
+    """When, in control ticks, a plan has the object in hand.
+
+    Attributes:
+        reached: the first tick by which the hand must not have moved the object.
+        held: the ticks during which the object is to move with the hand.
+    """
+
+    reached: int
+    held: range
 
 
 @dataclass(frozen=True)
@@ -47,8 +66,10 @@ class Plan:
     Attributes:
         object: name of the object to carry.
         T_object_in_pinch: the object's pose (4, 4) in the pinch frame between the fingers once it is held.
-        waypoints: in order; each takes the same number of control ticks.
-        grasp, release: indices of the waypoints at whose end the object is attached and let go.
+        waypoints: in order.
+        grasp, release: indices of the waypoints at which the hand takes the object and lets go of it.
+        weld: whether a weld holds the object, or friction alone.
+        phases: when it is held.
     """
 
     object: str
@@ -56,6 +77,8 @@ class Plan:
     waypoints: tuple[Waypoint, ...]
     grasp: int
     release: int
+    weld: bool
+    phases: Phases
 
 
 @dataclass(frozen=True)
@@ -65,7 +88,8 @@ class JointPath:
     Attributes:
         joints: reference positions (n + 1, 6) at the ticks' boundaries, rad; the first row is where the arm starts.
         torques: what moving so takes (n, 6), in the middle of each tick, N m.
-        gripper: commanded opening (n,) of one finger, m.
+        gripper: opening (n,) of one finger, m.
+        grip: how hard each finger presses (n,), N.
         magnet: whether the weld holds during each tick, (n,) of bool.
         tick: length of a tick, s.
         position_error: largest distance in metres between the planned and the reached object position at a waypoint.
@@ -75,6 +99,7 @@ class JointPath:
     joints: Array
     torques: Array
     gripper: Array
+    grip: Array
     magnet: tuple[bool, ...]
     tick: float
     position_error: float
@@ -124,10 +149,47 @@ class Cause(StrEnum):
     NO_LAYOUT = "no_layout"
     UNREACHABLE = "unreachable"
     KNOCKED = "knocked"
+    SLIPPED = "slipped"
     DROPPED = "dropped"
+    COLLIDED = "collided"
+    LIMITS = "limits"
     OFF_TARGET = "off_target"
     UNSTABLE = "unstable"
     WORKER_LOST = "worker_lost"
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How near an attempt's motion came to what the arm can do, as simulated: the worst of all joints and all time.
+
+    Attributes:
+        velocity: of a joint, as a share of its motor's no-load speed.
+        torque: of a drive, as a share of the most that it gives.
+        joint: distance of a joint from its nearer stop, rad; negative beyond it.
+        slip: how far the object moved in the hand while it was held, m.
+        tilt: of the object while it was held, against how it lay, rad.
+    """
+
+    velocity: float
+    torque: float
+    joint: float
+    slip: float
+    tilt: float
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What was seen of an attempt's motion.
+
+    Attributes:
+        margins: how near it came to what the arm can do.
+        lost: when the fingers first did not both touch the object that they were to hold, s; None if they always did.
+        collision: what touched what it must not, and when; None if nothing did.
+    """
+
+    margins: Margins
+    lost: float | None
+    collision: str | None
 
 
 @dataclass(frozen=True)
@@ -142,6 +204,7 @@ class Outcome:
         dz: height of the object's origin above the target's, m; None if never simulated.
         speed: speed of the object at the end, m/s; None if never simulated.
         position_error, tilt: of the plan's inverse kinematics, m and rad; None if there is no plan.
+        margins: of the motion; None if never simulated.
     """
 
     success: bool
@@ -152,6 +215,7 @@ class Outcome:
     speed: float | None = None
     position_error: float | None = None
     tilt: float | None = None
+    margins: Margins | None = None
 
 
 @dataclass(frozen=True)

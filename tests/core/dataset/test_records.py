@@ -18,7 +18,7 @@ from yamsim_cli.core.dataset.records import (
     to_json,
 )
 from yamsim_cli.core.errors import DatasetError
-from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
+from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Margins, Outcome
 
 MANIFEST = Manifest(
     task="pickplace",
@@ -97,7 +97,15 @@ def test_an_attempt_is_written_down_with_its_outcome():
     payload = EpisodePayload(
         job=EpisodeJob(seed=7, attempt=4),
         outcome=Outcome(
-            False, Cause.DROPPED, "at 1.2 s", dxy=0.2, dz=-0.01, speed=0.3, position_error=0.001, tilt=0.02
+            False,
+            Cause.DROPPED,
+            "at 1.2 s",
+            dxy=0.2,
+            dz=-0.01,
+            speed=0.3,
+            position_error=0.001,
+            tilt=0.02,
+            margins=Margins(velocity=0.5, torque=0.4, joint=0.2, slip=0.001, tilt=0.01),
         ),
         layout={"banana": (1.0, 2.0, 3.0, 4.0)},
     )
@@ -115,6 +123,13 @@ def test_an_attempt_is_written_down_with_its_outcome():
             "speed_mps": 0.3,
             "plan_error_m": 0.001,
             "tilt_rad": 0.02,
+            "margins": {
+                "velocity_share": 0.5,
+                "torque_share": 0.4,
+                "joint_rad": 0.2,
+                "slip_m": 0.001,
+                "object_tilt_rad": 0.01,
+            },
         },
         "layout": {"banana": [1.0, 2.0, 3.0, 4.0]},
     }
@@ -133,6 +148,11 @@ def test_an_attempt_is_written_down_with_its_outcome():
         ({"dz_m": 0.0}, True),
         ({"dz_m": -0.001}, False),
         ({"cause": "unstable"}, False),
+        # Thrown onto the plate is not put onto it.
+        ({"cause": "dropped"}, False),
+        ({"cause": "slipped"}, False),
+        ({"cause": "collided"}, False),
+        ({"cause": "limits"}, False),
         ({"cause": "off_target", "success": False}, True),
         ({"dxy_m": None}, False),
         ({"dz_m": None}, False),

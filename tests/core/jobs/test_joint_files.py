@@ -115,6 +115,12 @@ def test_grippers_in_metres_or_shares(
     assert load_joints(npy(tmp_path, row), russet, locations)[0, :, 6] == pytest.approx(wanted)
 
 
+def test_a_wider_gripper_has_a_wider_full_opening(tmp_path: Path, locations: Locations) -> None:
+    rig = load_config(RigConfig, "rigs", "single_linear", locations)
+    for given, wanted in ((0.0475, 0.0475), (-0.005, 0.0), (1.0, 0.0475), (0.5, 0.02375)):
+        assert load_joints(npy(tmp_path, [*ARM, given]), rig, locations)[0, 0, 6] == pytest.approx(wanted)
+
+
 def test_a_joint_a_little_beyond_its_stop_is_believed(tmp_path: Path, single: RigConfig, locations: Locations) -> None:
     assert load_joints(npy(tmp_path, [0, -0.04, 0, 0, 0, 0]), single, locations)[0, 0, 1] == -0.04
 

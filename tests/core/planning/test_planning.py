@@ -6,19 +6,20 @@ import pytest
 
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_vector, rotation_z
+from yamsim_cli.core.planning.choice import PathChooser
 from yamsim_cli.core.planning.dynamics import ArmDynamics
 from yamsim_cli.core.planning.ik import IkSolver
-from yamsim_cli.core.planning.path import best_plan, plan_path
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
-from yamsim_cli.core.tasks.pickplace import candidate_plans, sample_layout
+from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
-from yamsim_cli.core.types import EpisodeJob, JointPath, Plan
+from yamsim_cli.core.types import EpisodeJob, JointPath, Layout, Plan
 
-# Source: I2RT YAM as in MuJoCo Menagerie i2rt_yam (ranges) and mjlab 1.6.0's yam_constants.py (motor speeds, rad/s).
+# Source: I2RT YAM as in MuJoCo Menagerie i2rt_yam (ranges) and DAMIAO's tables for its motors at 24 V (speeds, rad/s).
 LOW = np.array([-2.61799, 0, 0, -1.5708, -1.5708, -2.0944])
 HIGH = np.array([3.05433, 3.66519, 3.66519, 1.5708, 1.5708, 2.0944])
-MOTOR_SPEED = np.array([10, 10, 10, 30, 30, 30])
+MOTOR_SPEED = np.array([52.5] * 3 + [200] * 3) * 2 * np.pi / 60
 TORQUE = np.array([28, 28, 28, 10, 10, 10])
 
 
@@ -33,15 +34,19 @@ def dynamics(config: RecordConfig, locations: Locations) -> ArmDynamics:
 
 
 @pytest.fixture(scope="module")
-def paths(config: RecordConfig, ik: IkSolver, dynamics: ArmDynamics) -> list[tuple[Plan, JointPath]]:
-    made = []
-    for attempt in range(30):
-        layout = sample_layout(config.task, config.table, generator(EpisodeJob(3, attempt), Stream.LAYOUT))
-        assert layout is not None
-        plan = best_plan(ik, config.task, candidate_plans(config.task, layout, np.eye(4)), layout, np.eye(4))
-        start = np.array(config.task.start_joints)
-        made.append((plan, plan_path(ik, dynamics, plan, start, config.task.timing)))
-    return made
+def chooser(config: RecordConfig, locations: Locations, ik: IkSolver, dynamics: ArmDynamics) -> PathChooser:
+    return PathChooser(ik, dynamics, build_scene(config, locations, {}), config.task, config.grasp)
+
+
+def _layout(config: RecordConfig, seed: int, attempt: int) -> Layout:
+    layout = sample_layout(config.task, config.table, generator(EpisodeJob(seed, attempt), Stream.LAYOUT))
+    assert layout is not None
+    return layout
+
+
+@pytest.fixture(scope="module")
+def paths(config: RecordConfig, chooser: PathChooser) -> list[tuple[Plan, JointPath]]:
+    return [chooser.choose(_layout(config, 3, attempt)) for attempt in range(30)]
 
 
 def test_solution_is_where_forward_kinematics_says(ik: IkSolver) -> None:
@@ -82,16 +87,14 @@ def test_out_of_reach_is_said_not_hidden(ik: IkSolver) -> None:
 
 
 @pytest.mark.slow
-def test_the_whole_box_is_in_reach(config: RecordConfig, ik: IkSolver, dynamics: ArmDynamics) -> None:
+def test_the_whole_box_is_in_reach(config: RecordConfig, chooser: PathChooser) -> None:
     worst_tilt = 0.0
     for attempt in range(300):
-        layout = sample_layout(config.task, config.table, generator(EpisodeJob(11, attempt), Stream.LAYOUT))
-        assert layout is not None
-        plan = best_plan(ik, config.task, candidate_plans(config.task, layout, np.eye(4)), layout, np.eye(4))
-        path = plan_path(ik, dynamics, plan, np.array(config.task.start_joints), config.task.timing)
+        layout = _layout(config, 11, attempt)
+        _, path = chooser.choose(layout)
         assert path.position_error < 0.001, layout
         worst_tilt = max(worst_tilt, path.tilt)
-    assert np.degrees(worst_tilt) < 30
+    assert np.degrees(worst_tilt) < 30.1
 
 
 def test_path_has_the_tasks_number_of_ticks(paths: list[tuple[Plan, JointPath]]) -> None:
@@ -114,12 +117,26 @@ def test_path_stays_within_the_joints_and_motors_limits(paths: list[tuple[Plan, 
     for _, path in paths:
         assert (path.joints >= LOW - 1e-6).all()
         assert (path.joints <= HIGH + 1e-6).all()
-        assert (np.abs(path.velocities) < 0.7 * MOTOR_SPEED).all()
+        assert (np.abs(path.velocities) < 0.95 * MOTOR_SPEED).all()
 
 
 def test_path_does_not_jump(paths: list[tuple[Plan, JointPath]]) -> None:
+    """From one tick to the next no joint's speed changes by more than what it can do in a few ticks."""
     for _, path in paths:
-        assert np.abs(np.diff(path.joints, axis=0)).max() < 0.35
+        changes = np.diff(path.velocities, axis=0)
+        assert np.abs(changes).max() < 3.0
+        assert np.median(np.abs(changes)) < 0.2
+
+
+def test_the_arm_moves_all_the_time(paths: list[tuple[Plan, JointPath]]) -> None:
+    """No two frames, two ticks apart, have the same joints: no picture of a recording stands still."""
+    for _, path in paths:
+        assert np.abs(np.diff(path.joints[::2], axis=0)).max(axis=1).min() > 1e-5
+
+
+def test_the_arm_ends_where_it_started(paths: list[tuple[Plan, JointPath]]) -> None:
+    for _, path in paths:
+        np.testing.assert_allclose(path.joints[-1], path.joints[0])
 
 
 def test_the_arm_is_upright_while_it_holds(paths: list[tuple[Plan, JointPath]], ik: IkSolver) -> None:
@@ -128,7 +145,7 @@ def test_the_arm_is_upright_while_it_holds(paths: list[tuple[Plan, JointPath]], 
         for joints, held in zip(path.joints[1:], path.magnet, strict=True):
             if held:
                 tilt = rotation_vector(ik.pose_of(joints)[:3, :3])[:2]
-                assert np.degrees(np.linalg.norm(tilt)) < 40
+                assert np.degrees(np.linalg.norm(tilt)) < 5
 
 
 def test_magnet_holds_from_the_grasp_to_the_release(paths: list[tuple[Plan, JointPath]]) -> None:
@@ -141,9 +158,9 @@ def test_fingers_close_before_the_lift_and_open_before_the_retreat(paths: list[t
         opened, closed = path.gripper[0], path.gripper[30]
         assert closed < opened
         assert path.gripper[12] == opened
-        assert path.gripper[23] == closed
-        assert path.gripper[60] == closed
-        assert path.gripper[71] == opened
+        assert path.gripper[23] == pytest.approx(closed)
+        assert path.gripper[60] == pytest.approx(closed)
+        assert path.gripper[71] == pytest.approx(opened)
 
 
 def test_torques_stay_within_the_drives(paths: list[tuple[Plan, JointPath]]) -> None:

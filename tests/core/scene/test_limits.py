@@ -13,18 +13,25 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.resources import Locations
 
 
-@pytest.fixture(scope="module")
-def joints(locations: Locations) -> dict[str, tuple[float, float]]:
-    spec = mujoco.MjSpec.from_file(str(locations.file("robot_models/i2rt_yam/yam_crank.xml")))
-    return {joint.name: tuple(joint.range) for joint in spec.joints}
-
-
-def test_joint_ranges_are_the_models(locations: Locations, joints: dict[str, tuple[float, float]]) -> None:
+@pytest.mark.parametrize("gripper", ["crank", "linear_4310"])
+def test_ranges_are_the_models(locations: Locations, gripper: str) -> None:
+    spec = mujoco.MjSpec.from_file(str(locations.file(f"robot_models/i2rt_yam/yam_{gripper}.xml")))
+    joints = {joint.name: tuple(joint.range) for joint in spec.joints}
     limits = load_limits("i2rt_yam", locations)
     assert [joint.name for joint in limits.joints] == [f"joint{k}" for k in range(1, 7)]
-    for joint in limits.joints:
+    for joint in limits.joints_with(gripper):
         assert joint.range == joints[joint.name]
-    assert limits.fingers["crank"] == joints["left_finger"]
+    assert limits.fingers[gripper] == joints["left_finger"]
+
+
+def test_an_unknown_gripper_may_move_as_far_as_any(locations: Locations) -> None:
+    joints = load_limits("i2rt_yam", locations).joints_with(None)
+    assert [joint.range for joint in joints[:4]] == [
+        (-2.61799, 3.14159),
+        (0, 3.66519),
+        (0, 3.66519),
+        (-1.69297, 1.5708),
+    ]
 
 
 def test_every_gripper_has_its_limits(locations: Locations) -> None:

@@ -155,7 +155,7 @@ def test_physics_does_not_depend_on_the_meshes(config: RecordConfig, locations: 
     reduced = make_reduced(store, assets, meshes, lock.notices[assets.notice])
     faces, trajectories = [], []
     for folder in (None, meshes, reduced.directory):
-        model = arm_spec(config.rig.arms[0], locations, folder).compile()
+        model = arm_spec(config.rig.arms[0], locations, {assets.name: folder}).compile()
         data = mujoco.MjData(model)
         data.ctrl[:] = (0.5, 1.2, 1.0, -0.3, 0.2, 0.4, 0.02)
         mujoco.mj_step(model, data, 500)

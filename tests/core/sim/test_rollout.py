@@ -6,16 +6,18 @@ import pytest
 
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.planning.choice import PathChooser
 from yamsim_cli.core.planning.dynamics import ArmDynamics
 from yamsim_cli.core.planning.ik import IkSolver
-from yamsim_cli.core.planning.path import best_plan, plan_path
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 from yamsim_cli.core.sim.replica import Replica
-from yamsim_cli.core.sim.rollout import Rollout, attach, drive_command, object_pose, roll_out, simulate
-from yamsim_cli.core.tasks.pickplace import OPEN, candidate_plans, sample_layout
+from yamsim_cli.core.sim.rollout import Rollout, attach, drive_command, roll_out, simulate
+from yamsim_cli.core.sim.watch import object_pose
+from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
+from yamsim_cli.core.tasks.plans import phases
 from yamsim_cli.core.types import Actions, JointPath, Layout, StepState
 
 
@@ -32,15 +34,14 @@ def layout(config: RecordConfig) -> Layout:
 
 
 @pytest.fixture(scope="module")
-def path(config: RecordConfig, locations: Locations, layout: Layout) -> JointPath:
+def path(config: RecordConfig, locations: Locations, scene: CompiledScene, layout: Layout) -> JointPath:
     ik = IkSolver(bare_arm(config.rig.arms[0], locations), np.eye(4))
-    plan = best_plan(ik, config.task, candidate_plans(config.task, layout, np.eye(4)), layout, np.eye(4))
     dynamics = ArmDynamics(arm_spec(config.rig.arms[0], locations, None).compile())
-    return plan_path(ik, dynamics, plan, np.array(config.task.start_joints), config.task.timing)
+    return PathChooser(ik, dynamics, scene, config.task, config.grasp).choose(layout)[1]
 
 
 def _run(scene: CompiledScene, config: RecordConfig, layout: Layout, path: JointPath) -> Rollout:
-    return roll_out(scene, layout, path, "banana", config.task.timing)
+    return roll_out(scene, layout, path, "banana", config.task.timing, phases(config.task, config.grasp))
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +136,9 @@ def test_action_is_the_plan_and_ctrl_what_the_drives_got(
 def test_recorded_actions_give_the_same_bits_from_the_first_frame(
     scene: CompiledScene, config: RecordConfig, rollout: Rollout
 ) -> None:
-    again = simulate(scene, rollout.states[0].qpos, joined(rollout.states), "banana", config.task.timing)
+    again = simulate(
+        scene, rollout.states[0].qpos, joined(rollout.states), "banana", config.task.timing, phases(config.task, "weld")
+    )
     for before, after in zip(rollout.states, again.states, strict=True):
         assert (before.qpos == after.qpos).all()
     assert (rollout.T_in_world["banana"] == again.T_in_world["banana"]).all()
@@ -145,7 +148,7 @@ def test_one_action_a_frame_would_not_be_enough(scene: CompiledScene, config: Re
     """Why every tick's command is kept: the first one of each frame, held for both ticks, lets the arm drift off."""
     actions = joined(rollout.states)
     held = Actions(actions.ctrl[::2].repeat(2, axis=0), actions.magnet, actions.joints)
-    again = simulate(scene, rollout.states[0].qpos, held, "banana", config.task.timing)
+    again = simulate(scene, rollout.states[0].qpos, held, "banana", config.task.timing, phases(config.task, "weld"))
     apart = [
         np.abs((before.qpos - after.qpos)[scene.joint_qpos]).max()
         for before, after in zip(rollout.states, again.states, strict=True)

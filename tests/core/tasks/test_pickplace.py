@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.geometry.se3 import pose, rotation_z, yaw
-from yamsim_cli.core.tasks.pickplace import candidate_plans, judge, knocked, sample_layout
+from yamsim_cli.core.config.record import GraspKind, RecordConfig
+from yamsim_cli.core.geometry.se3 import pose, yaw
+from yamsim_cli.core.tasks.pickplace import Poses, judge, sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
-from yamsim_cli.core.types import Cause, EpisodeJob, Layout
+from yamsim_cli.core.types import Cause, EpisodeJob, Layout, Margins, Motion, Outcome
 
 
 def _layouts(config: RecordConfig, n: int) -> list[Layout]:
@@ -58,33 +58,18 @@ def test_a_box_too_small_for_both_gives_no_layout(make_config: Callable[..., Rec
     assert sample_layout(config.task, config.table, np.random.default_rng(0)) is None
 
 
-def test_plan_carries_the_object_not_the_hand_over_the_plate(config: RecordConfig) -> None:
-    (layout,) = _layouts(config, 1)
-    for plan in candidate_plans(config.task, layout, np.eye(4)):
-        assert [waypoint.name for waypoint in plan.waypoints] == [
-            "pre-grasp",
-            "grasp",
-            "lift",
-            "arc-top",
-            "pre-place",
-            "place",
-            "retract",
-        ]
-        grasp, place = plan.waypoints[plan.grasp], plan.waypoints[plan.release]
-        np.testing.assert_allclose(grasp.T_object_in_world, layout.T_in_world["banana"])
-        np.testing.assert_allclose(place.T_object_in_world[:2, 3], layout.T_in_world["plate"][:2, 3])
-        # Held upright, a finger's breadth above where it will lie.
-        np.testing.assert_allclose(place.T_object_in_world[2, :3], (0, 0, 1), atol=1e-12)
-        rest = layout.T_in_world["plate"][2, 3] + config.task.target.support_height + config.task.object.rest_height
-        assert place.T_object_in_world[2, 3] - rest == pytest.approx(config.task.heights.release)
+def _motion(**changes: object) -> Motion:
+    margins = Margins(velocity=0.5, torque=0.4, joint=0.2, slip=0.001, tilt=0.01)
+    named = {key: changes.pop(key) for key in list(changes) if key in ("velocity", "torque", "joint", "slip", "tilt")}
+    return Motion(**{"margins": replace(margins, **named), "lost": None, "collision": None, **changes})
 
 
-def test_the_two_candidates_take_the_object_from_opposite_sides(config: RecordConfig) -> None:
-    (layout,) = _layouts(config, 1)
-    one, other = candidate_plans(config.task, layout, np.eye(4))
-    # Held poses differ by half a turn about the approach direction.
-    half_turn = one.T_object_in_pinch[:3, :3] @ other.T_object_in_pinch[:3, :3].T
-    np.testing.assert_allclose(half_turn, rotation_z(np.pi), atol=1e-12)
+def _poses(end: np.ndarray, target: np.ndarray, pushed: float = 0.0) -> Poses:
+    return Poses(pose((0.4, 0, 0)), pose((0.4, pushed, 0)), end, target)
+
+
+def _judge(config: RecordConfig, grasp: GraspKind = "contact", motion: Motion | None = None, **poses: float) -> Outcome:
+    return judge(config.task, grasp, _poses(pose((0, 0, 0.02)), pose(), **poses), 0.0, motion or _motion(), 0.001, 0.2)
 
 
 @pytest.mark.parametrize(
@@ -101,19 +86,48 @@ def test_the_two_candidates_take_the_object_from_opposite_sides(config: RecordCo
 )
 def test_judge(config: RecordConfig, offset: tuple[float, ...], speed: float, cause: Cause | None) -> None:
     T_plate = pose((0.4, 0.1, 0.0))
-    outcome = judge(config.task, pose(T_plate[:3, 3] + offset), T_plate, speed, 0.0, 0.0)
+    poses = _poses(pose(T_plate[:3, 3] + offset), T_plate)
+    outcome = judge(config.task, "weld", poses, speed, _motion(), 0.0, 0.0)
     assert (outcome.success, outcome.cause) == (cause is None, cause)
     assert outcome.dxy == pytest.approx(np.hypot(*offset[:2]))
     assert outcome.dz == pytest.approx(offset[2])
     assert bool(outcome.detail) is (cause is not None)
 
 
-def test_knocked() -> None:
-    assert knocked(pose(), pose((0.019, 0, 0)), 0, 0) is None
-    outcome = knocked(pose(), pose((0.03, 0, 0)), 0, 0)
-    assert outcome is not None
+def test_knocked(config: RecordConfig) -> None:
+    assert _judge(config, pushed=0.019).success
+    outcome = _judge(config, pushed=0.03)
     assert outcome.cause is Cause.KNOCKED
     assert "30 mm" in outcome.detail
+
+
+@pytest.mark.parametrize(
+    ("motion", "cause", "told"),
+    [
+        (_motion(), None, ""),
+        (_motion(lost=1.472), Cause.DROPPED, "after 1.47 s"),
+        (_motion(slip=0.0151), Cause.SLIPPED, "15 mm in the hand"),
+        (_motion(collision="table and left_finger touch after 0.74 s"), Cause.COLLIDED, "table and left_finger"),
+        (_motion(velocity=1.01), Cause.LIMITS, "101%"),
+        (_motion(torque=1.0), Cause.LIMITS, "a drive at 100%"),
+        (_motion(joint=-0.02), Cause.LIMITS, "-1.1 deg"),
+        # Stops are soft.
+        (_motion(joint=-0.005, velocity=1.0, torque=0.999), None, ""),
+    ],
+)
+def test_a_bad_motion_fails_wherever_the_object_ends(
+    config: RecordConfig, motion: Motion, cause: Cause | None, told: str
+) -> None:
+    outcome = _judge(config, motion=motion)
+    assert outcome.cause is cause
+    assert told in outcome.detail
+    assert (outcome.dxy, outcome.dz) == (0.0, 0.02)
+    assert outcome.margins == motion.margins
+
+
+def test_a_weld_neither_slips_nor_lets_go(config: RecordConfig) -> None:
+    """The fingers only look as if they held it."""
+    assert _judge(config, "weld", _motion(lost=1.0, slip=0.02)).success
 
 
 def test_layout_leaves_room_for_the_fingers(config: RecordConfig) -> None:
@@ -125,8 +139,3 @@ def test_layout_leaves_room_for_the_fingers(config: RecordConfig) -> None:
         for x, y, radius in grasp.fingers(0.0375):
             finger = (T_banana @ (x, y, 0, 1))[:2]
             assert np.linalg.norm(finger - T_plate[:2, 3]) - radius >= 0.1305 + config.task.sampling.clearance - 1e-9
-
-
-def test_outcomes_are_values(config: RecordConfig) -> None:
-    outcome = judge(config.task, pose(), pose(), 0.0, 0.0, 0.0)
-    assert replace(outcome) == outcome

@@ -33,10 +33,26 @@ class JointLimits(Config):
 
 
 class ArmLimits(Config):
-    """A robot model's joints in order, and the opening (m) of one finger by gripper."""
+    """A robot model's joints in order, and what depends on the gripper.
+
+    Attributes:
+        fingers: gripper -> stops of one finger, m.
+        ranges: gripper -> joint -> stops, rad, where they are not those in `joints`.
+    """
 
     joints: Annotated[tuple[JointLimits, ...], Field(min_length=1)]
     fingers: dict[Name, Range]
+    ranges: dict[Name, dict[Name, Range]] = Field(default_factory=dict)
+
+    def joints_with(self, gripper: str | None) -> tuple[JointLimits, ...]:
+        """The joints with a gripper; with None, which stands for an unknown one, as far as they go with any."""
+        others = [self.ranges.get(gripper, {})] if gripper else [{}, *self.ranges.values()]
+
+        def stops(joint: JointLimits) -> tuple[float, float]:
+            found = [other.get(joint.name, joint.range) for other in others]
+            return min(low for low, _ in found), max(high for _, high in found)
+
+        return tuple(joint.model_copy(update={"range": stops(joint)}) for joint in self.joints)
 
 
 def load_limits(model: str, locations: Locations) -> ArmLimits:

@@ -49,11 +49,18 @@ class RenderConfig(Config):
         return round(size[0] * self.supersampling), round(size[1] * self.supersampling)
 
 
+GraspKind = Literal["weld", "contact"]
+
+# Grippers whose fingers can hold an object by friction.
+_PADS = ("linear_4310",)
+
+
 class RecordConfig(Config):
     """What `yamsim record` and `yamsim pickplace batch` run.
 
     Attributes:
-        grasp: "weld" holds the object by a constraint switched on at the grasp, as the lab's magnet does.
+        grasp: "weld" holds the object by a constraint switched on at the grasp, as the lab's magnet does; "contact" by
+            friction between a gripper's pads alone.
         episodes: how many successful episodes to record, or trials to run.
         workers: how many processes; it never changes the data.
         seed: with an attempt's number, decides everything random in it.
@@ -66,7 +73,7 @@ class RecordConfig(Config):
     rig: Annotated[RigConfig, Reference("rigs")]
     scene: Annotated[SceneConfig, Reference("scenes")]
     task: Annotated[TaskConfig, Reference("tasks")]
-    grasp: Literal["weld"]
+    grasp: GraspKind
     episodes: int = Field(default=500, ge=1, le=1_000_000)
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
@@ -85,6 +92,24 @@ class RecordConfig(Config):
         names = [self.task.object.name, self.task.target.name, *(item.name for item in self.randomization.extras)]
         if len(set(names)) < len(names):
             raise ValueError(f"distractors and the task's objects must all differ: {', '.join(names)}")
+        return self
+
+    @model_validator(mode="after")
+    def _can_be_held(self) -> RecordConfig:
+        if self.grasp != "contact":
+            return self
+        for arm in self.rig.arms:
+            if arm.gripper not in _PADS:
+                raise ValueError(
+                    f"grasp 'contact' needs a gripper with pads ({', '.join(_PADS)}), and {arm.name} of rig "
+                    f"{self.rig.name!r} has {arm.gripper}; use --rig single_linear, or grasp: weld"
+                )
+        grasp = self.task.object.grasp
+        if grasp is None or grasp.friction is None:
+            raise ValueError(
+                f"grasp 'contact' needs grasp.friction of object {self.task.object.name!r}, which has none; add it, or "
+                "use grasp: weld"
+            )
         return self
 
     @property

@@ -118,7 +118,7 @@ class ArmConfig(Config):
     side: Literal["left", "right"]
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
     model: Literal["i2rt_yam"] = "i2rt_yam"
-    gripper: Literal["crank"] = "crank"
+    gripper: Literal["crank", "linear_4310"] = "crank"
     base: BasePose = BasePose()
     grasp_offset: Positive | None = None
     wrist_camera: WristCamera

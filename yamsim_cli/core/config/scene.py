@@ -86,8 +86,8 @@ class Inertia(Config):
 _FINGER_RADIUS = 0.012
 
 
-class Grasp(Config):
-    """How the fingers take an object from above: where they meet, and along which axis they close.
+class GraspPoint(Config):
+    """Where the fingers may meet, and along which axis they close.
 
     Attributes:
         position: of the pinch point in the object's frame, m.
@@ -99,6 +99,36 @@ class Grasp(Config):
     axis_deg: float
     opening: NonNegative
 
+    def T_pinch_in_object(self, flipped: bool) -> Array:
+        """The pinch frame (4, 4) in the object's: z down into it, y along the closing axis, either way round."""
+        down = pose(rotation=[[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+        turn = math.radians(self.axis_deg) + math.pi / 2 + (math.pi if flipped else 0.0)
+        return pose(self.position, rotation_z(turn)) @ down
+
+
+class FrictionGrasp(Config):
+    """How two pads hold an object by friction alone.
+
+    Attributes:
+        force: with which each pad presses, N.
+        points: the places where the object can be held so, the best first.
+    """
+
+    force: Positive
+    points: Annotated[tuple[GraspPoint, ...], Field(min_length=1)]
+
+
+class Grasp(GraspPoint):
+    """How the fingers take an object from above: at this point where a weld holds it.
+
+    Attributes:
+        clearance: how much wider than closed each finger is before it closes and after it opened, m.
+        friction: how friction alone holds it; without, a weld must.
+    """
+
+    clearance: Positive = 0.010
+    friction: FrictionGrasp | None = None
+
     def fingers(self, open_by: float) -> tuple[tuple[float, float, float], ...]:
         """Discs (x, y, radius) in the object's frame where the tips of the open fingers come down around it, m."""
         angle = math.radians(self.axis_deg)
@@ -107,12 +137,6 @@ class Grasp(Config):
         return tuple(
             (x + side * reach * math.cos(angle), y + side * reach * math.sin(angle), _FINGER_RADIUS) for side in (-1, 1)
         )
-
-    def T_pinch_in_object(self, flipped: bool) -> Array:
-        """The pinch frame (4, 4) in the object's: z down into it, y along the closing axis, either way round."""
-        down = pose(rotation=[[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-        turn = math.radians(self.axis_deg) + math.pi / 2 + (math.pi if flipped else 0.0)
-        return pose(self.position, rotation_z(turn)) @ down
 
 
 class ObjectConfig(Config):

@@ -40,12 +40,15 @@ class Timing(Config):
 
     Attributes:
         ticks_per_waypoint: control ticks from one waypoint to the next.
-        settle_ticks: control ticks after the last waypoint.
+        grip_ticks: control ticks in which the hand stands still for the fingers to close, or to open, where friction is
+            to hold the object.
+        settle_ticks: control ticks after the last waypoint, in which the arm goes back to where it started.
         physics_steps_per_tick, timestep: so a tick lasts 16 x 2 ms = 32 ms.
         ticks_per_frame: every how many ticks a frame is recorded.
     """
 
     ticks_per_waypoint: int = Field(ge=2, le=1000)
+    grip_ticks: int = Field(default=8, ge=1, le=1000)
     settle_ticks: int = Field(ge=0, le=10_000)
     physics_steps_per_tick: int = Field(ge=1, le=1000)
     timestep: Annotated[float, Field(gt=0, le=0.01)]

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import DatasetError
 from ..files import sha256_bytes
-from ..types import EpisodePayload, Outcome, Randomized
+from ..types import Cause, EpisodePayload, Margins, Outcome, Randomized
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 
 Pose2D = tuple[float, float, float, float]
@@ -25,6 +25,27 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
+class MarginsRecord(Record):
+    """How near the motion came to what the arm can do, see `types.Margins`."""
+
+    velocity_share: float
+    torque_share: float
+    joint_rad: float
+    slip_m: float
+    object_tilt_rad: float
+
+    @classmethod
+    def of(cls, margins: Margins) -> MarginsRecord:
+        """From what was simulated."""
+        return cls(
+            velocity_share=margins.velocity,
+            torque_share=margins.torque,
+            joint_rad=margins.joint,
+            slip_m=margins.slip,
+            object_tilt_rad=margins.tilt,
+        )
+
+
 class OutcomeRecord(Record):
     """An outcome in continuous numbers, so that any threshold can be applied later: m, m/s and rad."""
 
@@ -36,6 +57,7 @@ class OutcomeRecord(Record):
     speed_mps: float | None
     plan_error_m: float | None
     tilt_rad: float | None
+    margins: MarginsRecord | None = None
 
     @classmethod
     def of(cls, outcome: Outcome) -> OutcomeRecord:
@@ -49,11 +71,13 @@ class OutcomeRecord(Record):
             speed_mps=outcome.speed,
             plan_error_m=outcome.position_error,
             tilt_rad=outcome.tilt,
+            margins=MarginsRecord.of(outcome.margins) if outcome.margins else None,
         )
 
     def within(self, threshold: float, max_height: float) -> bool:
         """Whether the object lay within `threshold` metres of the target's centre, and on it, at the end."""
-        if self.dxy_m is None or self.dz_m is None or self.cause == "unstable":
+        # Any other cause is none of distance: the object may have been thrown there.
+        if self.dxy_m is None or self.dz_m is None or self.cause not in (None, Cause.OFF_TARGET):
             return False
         return self.dxy_m <= threshold and 0.0 <= self.dz_m <= max_height
 

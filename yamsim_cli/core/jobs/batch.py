@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..config.record import RecordConfig
-from ..dataset.records import attempt_record, plain
+from ..dataset.records import MarginsRecord, attempt_record, plain
 from ..dataset.statistics import spread, wilson95
 from ..errors import InterruptedJobError, ResourceError
 from ..files import write_file
@@ -33,7 +33,8 @@ def run_batch(
         thresholds: in metres, by which the outcomes are scored beside the task's own.
 
     Returns:
-        JSON-ready: n, n_success, success_rate, wilson95, rates per threshold, dxy_m, causes, seconds, trials.
+        JSON-ready: n, n_success, success_rate, wilson95, rates per threshold, dxy_m, margins, causes, rig, task, grasp,
+        seconds, trials.
 
     Raises:
         ConfigError: the rig has more than one arm.
@@ -78,11 +79,28 @@ def run_batch(
         "threshold_m": config.task.success.threshold,
         "rates": {f"{t:g}": sum(record.outcome.within(t, height) for record in records) / n for t in thresholds},
         "dxy_m": spread([record.outcome.dxy_m for record in records if record.outcome.dxy_m is not None]),
+        "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
         "causes": dict(Counter(record.outcome.cause for record in records if record.outcome.cause)),
+        "rig": config.rig.name,
+        "task": config.task.name,
+        "grasp": config.grasp,
         "seed": config.seed,
         "seconds": seconds,
         "core_seconds_per_trial": seconds * min(config.workers, n) / n,
         "trials": trials,
+    }
+
+
+def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float] | None:
+    """The worst of each margin over all trials; None if nothing ever moved."""
+    if not margins:
+        return None
+    return {
+        "velocity_share": max(margin.velocity_share for margin in margins),
+        "torque_share": max(margin.torque_share for margin in margins),
+        "joint_rad": min(margin.joint_rad for margin in margins),
+        "slip_m": max(margin.slip_m for margin in margins),
+        "object_tilt_rad": max(margin.object_tilt_rad for margin in margins),
     }
 
 

@@ -15,11 +15,10 @@ from ..dataset.stage import MAX_WAITING, StagedWriter
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import InterruptedJobError
 from ..mounts import Mount, network_mount, read_mounts
+from ..tasks.plans import ticks
 from .collect import Sink, Watch
 from .stop import Stop
 
-# Waypoints of the one kind of task there is; only estimates depend on it.
-_WAYPOINTS = 7
 # To make, write, flush and close a file. Source: measured over sshfs, 60 ms a file at 10 ms a round trip.
 _ROUND_TRIPS_A_FILE = 6
 _POLL_SECONDS = 0.5
@@ -154,8 +153,7 @@ def _files(config: RecordConfig) -> int:
 
 
 def _frames(config: RecordConfig) -> int:
-    timing = config.task.timing
-    return math.ceil((_WAYPOINTS * timing.ticks_per_waypoint + timing.settle_ticks) / timing.ticks_per_frame)
+    return math.ceil(ticks(config.task, config.grasp) / config.task.timing.ticks_per_frame)
 
 
 def _cameras(config: RecordConfig) -> int:

@@ -19,7 +19,7 @@ from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
 from ..scene.compose import Contents, Meshes, compile_spec, compose
 from ..scene.quality import apply_quality
-from ..scene.robot import GRIPPER_JOINT, JOINTS
+from ..scene.robot import JOINTS, fingers
 from ..vision.lens import LensWarp
 from ..vision.renderer import SceneRenderer
 
@@ -122,8 +122,8 @@ class ArmDrawer:
                 model.body_quat[root] = quat_from_rotation(T_base_in_cam[k][:3, :3])
             for name, angle in zip(JOINTS, joints[k], strict=False):
                 data.qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
-            for finger, sign in ((GRIPPER_JOINT, 1.0), ("right_finger", -1.0)):
-                data.qpos[model.joint(arm.prefix + finger).qposadr[0]] = sign * joints[k, 6]
+            addresses, signs = fingers(model, arm.prefix)
+            data.qpos[addresses] = joints[k, 6] * signs
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)

@@ -17,16 +17,18 @@ from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..errors import ConfigError
 from ..geometry.se3 import Array, yaw
+from ..planning.choice import PathChooser
 from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolver
-from ..planning.path import best_plan, plan_path
 from ..resources import Locations
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene
 from ..scene.robot import arm_spec, bare_arm
 from ..sim.replica import Replica
-from ..sim.rollout import Rollout, object_pose, roll_out, simulate
-from ..tasks.pickplace import candidate_plans, judge, knocked, sample_layout
+from ..sim.rollout import Rollout, roll_out, simulate
+from ..sim.watch import object_pose
+from ..tasks.pickplace import Poses, judge, sample_layout
+from ..tasks.plans import phases
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
 from ..vision.jpeg import encode_jpeg
@@ -77,9 +79,9 @@ class EpisodeRunner:
         self._draw = draw
         self._scene = build_scene(config, locations, meshes)
         arm = config.rig.arms[0]
-        self._ik = IkSolver(bare_arm(arm, locations), self._scene.T_base_in_world)
-        self._dynamics = ArmDynamics(arm_spec(arm, locations, None).compile())
-        self._start_joints = np.array(config.task.start_joints)
+        ik = IkSolver(bare_arm(arm, locations), self._scene.T_base_in_world)
+        dynamics = ArmDynamics(arm_spec(arm, locations, None).compile())
+        self._chooser = PathChooser(ik, dynamics, self._scene, config.task, config.grasp)
         self._replica = Replica(self._scene)
         self._renderer: SceneRenderer | None = None
         self._labels: SceneLabels | None = None
@@ -121,15 +123,13 @@ class EpisodeRunner:
     def simulate(self, job: EpisodeJob) -> tuple[Layout | None, Outcome, Rollout | None]:
         """One attempt in physics alone: where things stood, how it ended, and what happened, if anything moved."""
         task = self._config.task
-        T_base = self._scene.T_base_in_world
         self._variation.begin(job)
         layout = sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
         if layout is None:
             detail = f"no free place for the {task.target.name} in the sampling box"
             return None, Outcome(False, Cause.NO_LAYOUT, detail), None
 
-        plan = best_plan(self._ik, task, candidate_plans(task, layout, T_base), layout, T_base)
-        path = plan_path(self._ik, self._dynamics, plan, self._start_joints, task.timing)
+        plan, path = self._chooser.choose(layout)
         if path.position_error > _REACH_TOLERANCE:
             detail = (
                 f"the hand ends {path.position_error * 1000:.0f} mm from where it should be "
@@ -138,7 +138,7 @@ class EpisodeRunner:
             outcome = Outcome(False, Cause.UNREACHABLE, detail, position_error=path.position_error, tilt=path.tilt)
             return layout, outcome, None
 
-        rollout = roll_out(self._scene, layout, path, plan.object, task.timing)
+        rollout = roll_out(self._scene, layout, path, plan.object, task.timing, plan.phases)
         outcome = self._judge(rollout, layout.T_in_world[plan.object], path.position_error, path.tilt)
         if outcome.success:
             self._variation.place(job, [state.qpos for state in rollout.states])
@@ -161,21 +161,21 @@ class EpisodeRunner:
             plan_error, tilt: of the plan that the actions came from, m and rad; they are passed on to the outcome.
         """
         task = self._config.task
-        rollout = simulate(self._scene, start, actions, task.object.name, task.timing)
+        held = phases(task, self._config.grasp)
+        rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
         return self._judge(rollout, T_at_start, plan_error, tilt), rollout
 
     def _judge(self, rollout: Rollout, T_at_start: Array, plan_error: float, tilt: float) -> Outcome:
         task = self._config.task
-        return knocked(T_at_start, rollout.T_object_before_grasp, plan_error, tilt) or judge(
-            task,
+        poses = Poses(
+            T_at_start,
+            rollout.T_object_before_grasp,
             rollout.T_in_world[task.object.name],
             rollout.T_in_world[task.target.name],
-            rollout.object_speed,
-            plan_error,
-            tilt,
         )
+        return judge(task, self._config.grasp, poses, rollout.object_speed, rollout.motion, plan_error, tilt)
 
     def frames(self, states: Sequence[StepState]) -> list[dict[str, Any]]:
         """The low-dimensional data of recorded states, see `dataset.lowdim`; nothing is drawn for it."""

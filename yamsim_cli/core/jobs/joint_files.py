@@ -13,13 +13,12 @@ from ..dataset.lowdim import load_frame
 from ..errors import ConfigError, DatasetError
 from ..geometry.se3 import Array
 from ..resources import Locations
-from ..scene.robot import HOME, JOINTS, bare_arm
+from ..scene.robot import HOME, JOINTS, bare_arm, gripper
 
 # Encoders and calibrations are off by a little: so far outside its range a joint is still believed.
 _SLACK = math.radians(3.0)
-# A finger's opening, m, and the most that its drive is ever told: a file with more in it gives shares of the opening.
-_FULL_OPENING = 0.0375
-_MOST_METRES = 0.041
+# Beyond this part of the full opening, which no finger reaches, a file gives shares of the opening and not metres.
+_MOST_OPENING = 1.1
 
 _KINDS = (".npy", ".yaml", ".yml", ".pkl")
 # Fixed by the real recorder: the left arm's six joints and gripper, then the right arm's.
@@ -37,7 +36,7 @@ def load_joints(path: Path, rig: RigConfig, locations: Locations) -> Array:
     What a file may hold: `.npy`, an array of one row or of a row for each photo; `.pkl`, a recorded frame's lowdim;
     YAML, either `joints: [...]` or a list under each arm's name. A row has 6 or 7 numbers for a rig of one arm, and 14
     (left arm's six joints and gripper, then the right arm's) for any. A gripper is the opening of one finger in m;
-    where any in the file is above 0.041, all are shares of the full opening.
+    where any in the file is more than a tenth above the full opening, all are shares of it.
 
     Raises:
         ConfigError: unreadable, another shape, not finite, or outside the joints' ranges.
@@ -52,21 +51,23 @@ def load_joints(path: Path, rig: RigConfig, locations: Locations) -> Array:
     if not np.isfinite(rows).all():
         raise ConfigError(f"--joints {path}: has values that are not finite; give radians")
     _check_ranges(rows, rig, locations, path)
-    rows[..., 6] = _openings(rows[..., 6], path)
+    rows[..., 6] = _openings(rows[..., 6], rig, path)
     return rows
 
 
-def _openings(values: Array, path: Path) -> Array:
+def _openings(values: Array, rig: RigConfig, path: Path) -> Array:
     """Openings (rows, arms) in m, from metres or shares."""
-    full = 1.0 if (values > _MOST_METRES).any() else _FULL_OPENING
-    # Drives report a little beyond both ends.
-    if values.min() < -0.1 * full or values.max() > 1.1 * full:
-        worst = values.flat[np.abs(values - full / 2).argmax()]
+    opened_fully = np.array([gripper(arm).full_opening for arm in rig.arms])
+    full = np.ones_like(opened_fully) if (values > _MOST_OPENING * opened_fully).any() else opened_fully
+    shares = values / full
+    # Drives report a little beyond both ends, and some grippers close beyond 0 to squeeze.
+    if shares.min() < -0.15 or shares.max() > _MOST_OPENING:
+        worst = values.flat[np.abs(shares - 0.5).argmax()]
         raise ConfigError(
-            f"--joints {path}: gripper {worst:.4g} is no opening: give that of one finger, 0..{_FULL_OPENING} m, or a "
-            "share of it, 0..1"
+            f"--joints {path}: gripper {worst:.4g} is no opening: give that of one finger, "
+            f"0..{opened_fully.max()} m, or a share of it, 0..1"
         )
-    opened: Array = np.clip(values / full, 0.0, 1.0) * _FULL_OPENING
+    opened: Array = np.clip(shares, 0.0, 1.0) * opened_fully
     return opened
 
 

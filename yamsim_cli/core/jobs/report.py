@@ -1,4 +1,4 @@
-"""Write a dataset's report: pick the pictures, make the page, publish it whole or not at all."""
+"""Write reports of datasets and of batches: make the page, publish it whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from ... import __version__
+from ..config.task import Sampling
 from ..dataset.checks.facts import EpisodeFacts
 from ..dataset.survey import Survey
 from ..errors import ResourceError
 from ..files import write_file
 from ..report.page import Strip, page
+from ..report.trials_page import trials_page
 from ..vision.jpeg import thumbnail
 
 _STRIPS = 6
@@ -26,8 +28,19 @@ def write_report(survey: Survey, summary: Mapping[str, Any], path: Path) -> None
     Raises:
         ResourceError: the file cannot be written.
     """
-    made = f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
-    text = page(survey, summary, contact_sheet(survey), made)
+    _write(page(survey, summary, contact_sheet(survey), _made()), path)
+
+
+def write_trials_page(report: Mapping[str, Any], sampling: Sampling, path: Path) -> None:
+    """Write a batch's page, replacing what is there. Raises as `write_report`."""
+    _write(trials_page(report, (sampling.x, sampling.y), _made()), path)
+
+
+def _made() -> str:
+    return f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
+
+
+def _write(text: str, path: Path) -> None:
     try:
         write_file(path, text.encode())
     except OSError as error:

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array
+from ..scene.robot import fingers
 
 
 class ArmDynamics:
@@ -18,6 +19,7 @@ class ArmDynamics:
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
         self._data = mujoco.MjData(model)
+        self._fingers, self._signs = fingers(model)
         # Nothing along a path is touched on purpose; what is, is for the controller to feel.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
@@ -37,7 +39,7 @@ class ArmDynamics:
         for k, opening in enumerate(gripper):
             mujoco.mj_resetData(self._model, data)
             data.qpos[:6], data.qvel[:6], data.qacc[:6] = positions[k], velocities[k], accelerations[k]
-            data.qpos[6:8] = opening, -opening
+            data.qpos[self._fingers] = opening * self._signs
             mujoco.mj_inverse(self._model, data)
             torques[k] = data.qfrc_inverse[:6]
         return torques

@@ -2,52 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from ..config.task import TaskConfig, Timing
-from ..geometry.se3 import Array, interpolate_rotation, inverse, pose
-from ..types import JointPath, Layout, Plan
+from ..config.task import Timing
+from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, tilt
+from ..types import JointPath, Plan
 from .dynamics import ArmDynamics
-from .ik import IkSolution, IkSolver
+from .ik import IkSolver
 
 # From a cold start the iteration may have to cross the workspace; along a path each tick starts next to its solution.
 _COLD_ITERATIONS = 100
-_WARM_ITERATIONS = 12
-
-# The fingers begin to close, or to open, in the last part of the way to the grasp, or to the place: the hand never
-# stands still to wait for them, and the weld lets go only once they are open.
-_FINGERS_MOVE_FROM = 0.7
-
-
-def best_plan(ik: IkSolver, task: TaskConfig, plans: Sequence[Plan], layout: Layout, T_base_in_world: Array) -> Plan:
-    """The plan whose grasp and release the arm reaches best: position first, then the least tilt and turn."""
-    start = np.array(task.start_joints)
-    x, y = (inverse(T_base_in_world) @ layout.T_in_world[task.object.name])[:2, 3]
-    start[0] += np.arctan2(y, x)
-
-    def badness(plan: Plan) -> tuple[float, float]:
-        ik.hold(plan.T_object_in_pinch)
-        solutions = _solve_waypoints(ik, plan, start)
-        key = (solutions[plan.grasp], solutions[plan.release])
-        # To the millimetre: below that the two ways round are equally good.
-        position = max(round(solution.position_error, 3) for solution in solutions)
-        return position, max(solution.tilt_error + solution.heading_error for solution in key)
-
-    return min(plans, key=badness)
-
-
-def _solve_waypoints(ik: IkSolver, plan: Plan, start: Array) -> list[IkSolution]:
-    solutions: list[IkSolution] = []
-    for waypoint in plan.waypoints:
-        solutions.append(ik.solve(waypoint.T_object_in_world, start, _COLD_ITERATIONS))
-        start = solutions[-1].joints
-    return solutions
+_ITERATIONS = 12
 
 
 def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Array, timing: Timing) -> JointPath:
-    """Solve a plan tick by tick.
+    """Solve a plan tick by tick, and let the arm go back to where it started while everything settles.
 
     Args:
         start_joints: the arm's joints (6,) at rest before the first tick, rad.
@@ -56,62 +28,77 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
         The path; whether its errors are small enough is for the caller to say.
     """
     ik.hold(plan.T_object_in_pinch)
-    ticks = timing.ticks_per_waypoint
+    T_pinch_in_object = inverse(plan.T_object_in_pinch)
     knots = [ik.pose_of(start_joints), *(waypoint.T_object_in_world for waypoint in plan.waypoints)]
-    velocities = _knot_velocities(plan, knots, ticks * timing.tick)
+    durations = [waypoint.ticks * timing.tick for waypoint in plan.waypoints]
+    velocities = _knot_velocities(plan, knots, durations)
 
-    joints, gripper, magnet = [start_joints], [], []
-    position_error, tilt = 0.0, 0.0
+    first = ik.solve(plan.waypoints[0].T_object_in_world, start_joints, _COLD_ITERATIONS)
+    joints, gripper, grip = [start_joints], [], []
+    position_error, leaned = 0.0, 0.0
+    before = plan.waypoints[0]
     for index, waypoint in enumerate(plan.waypoints):
-        following = plan.waypoints[min(index + 1, len(plan.waypoints) - 1)]
-        for k in range(1, ticks + 1):
-            target = _interpolate(
-                knots[index], knots[index + 1], velocities[index], velocities[index + 1], k / ticks, ticks * timing.tick
-            )
-            solution = ik.solve(target, joints[-1], _WARM_ITERATIONS)
-            joints.append(solution.joints)
-            early = index in (plan.grasp, plan.release) and k / ticks > _FINGERS_MOVE_FROM
-            gripper.append(following.gripper if early else waypoint.gripper)
-            magnet.append(plan.grasp < index <= plan.release)
-        position_error = max(position_error, solution.position_error)
+        for k in range(1, waypoint.ticks + 1):
+            done = k / waypoint.ticks
+            if index == 0:
+                # Nothing is held yet and nothing is near: the joints go straight, which takes least speed of them.
+                joints.append(start_joints + _ease(done) * (first.joints - start_joints))
+            else:
+                between = (knots[index], knots[index + 1], velocities[index], velocities[index + 1])
+                solution = ik.solve(_interpolate(*between, done, durations[index]), joints[-1], _ITERATIONS)
+                joints.append(solution.joints)
+            moved = _ease(max(0.0, done - waypoint.fingers_from) / (1 - waypoint.fingers_from))
+            gripper.append(before.gripper + moved * (waypoint.gripper - before.gripper))
+            grip.append(before.grip + moved * (waypoint.grip - before.grip))
+        before = waypoint
+        position_error = max(position_error, (solution if index else first).position_error)
         if index in (plan.grasp, plan.release):
-            tilt = max(tilt, solution.tilt_error)
-    for _ in range(timing.settle_ticks):
-        joints.append(joints[-1])
+            # The pinch frame's z axis points where the fingers do.
+            leaned = max(leaned, math.pi - tilt((ik.pose_of(joints[-1]) @ T_pinch_in_object)[:3, :3]))
+    last = joints[-1]
+    for k in range(1, timing.settle_ticks + 1):
+        joints.append(last + _ease(k / timing.settle_ticks) * (start_joints - last))
         gripper.append(gripper[-1])
-        magnet.append(False)
+        grip.append(grip[-1])
 
     path, opening = np.array(joints), np.array(gripper)
     return JointPath(
         joints=path,
         torques=dynamics.torques(path, opening, timing.tick),
         gripper=opening,
-        magnet=tuple(magnet),
+        grip=np.array(grip),
+        magnet=tuple(plan.weld and tick in plan.phases.held for tick in range(len(opening))),
         tick=timing.tick,
         position_error=position_error,
-        tilt=tilt,
+        tilt=leaned,
     )
 
 
-def _knot_velocities(plan: Plan, knots: Sequence[Array], segment: float) -> list[Array]:
+def _ease(fraction: float) -> float:
+    """Minimum jerk from 0 to 1."""
+    u = fraction
+    return u**3 * (10 - 15 * u + 6 * u**2)
+
+
+def _knot_velocities(plan: Plan, knots: Sequence[Array], durations: Sequence[float]) -> list[Array]:
     """Linear velocity (3,) at each knot, m/s: zero where the motion stops, else along the chord of its neighbours."""
     velocities = [np.zeros(3)]
     for index, waypoint in enumerate(plan.waypoints, start=1):
         if waypoint.stop:
             velocities.append(np.zeros(3))
         else:
-            velocities.append((knots[index + 1][:3, 3] - knots[index - 1][:3, 3]) / (2 * segment))
+            around = durations[index - 1] + durations[index]
+            velocities.append((knots[index + 1][:3, 3] - knots[index - 1][:3, 3]) / around)
     return velocities
 
 
-def _interpolate(T0: Array, T1: Array, v0: Array, v1: Array, fraction: float, segment: float) -> Array:
+def _interpolate(T0: Array, T1: Array, v0: Array, v1: Array, fraction: float, duration: float) -> Array:
     """A pose between two knots: quintic in position with the given end velocities (m/s), minimum jerk in rotation.
 
     Accelerations vanish at both ends, so the whole path's acceleration is continuous.
     """
-    u = fraction
-    ease = u**3 * (10 - 15 * u + 6 * u**2)
+    u, ease = fraction, _ease(fraction)
     leave = u - 6 * u**3 + 8 * u**4 - 3 * u**5
     arrive = -4 * u**3 + 7 * u**4 - 3 * u**5
-    position = T0[:3, 3] + ease * (T1[:3, 3] - T0[:3, 3]) + segment * (leave * v0 + arrive * v1)
+    position = T0[:3, 3] + ease * (T1[:3, 3] - T0[:3, 3]) + duration * (leave * v0 + arrive * v1)
     return pose(position, interpolate_rotation(T0[:3, :3], T1[:3, :3], ease))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 from ..dataset.survey import Survey
 from . import findings, plots
 from .axes import percent
-from .markup import Markup, style, tag
+from .markup import Child, Markup, style, tag
 from .places import workspace_section
 
 # Nothing but what is in the page itself: no script, no font, no picture from anywhere, whatever the dataset holds.
@@ -48,29 +48,36 @@ def page(survey: Survey, summary: Mapping[str, Any], strips: Sequence[Strip], ma
         _contact_sheet(strips),
         _details(summary),
     ]
-    head = [
-        tag("meta", charset="utf-8"),
-        tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
-        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", name="referrer", content="no-referrer"),
-        tag("title", f"{name}: dataset report"),
-        style(_STYLE.read_text(encoding="utf-8")),
-    ]
     body = [
         tag("p", "Dataset report", class_="kicker"),
         tag("h1", name),
         tag("p", str(survey.path.absolute()), class_="where"),
         findings.verdict(summary),
         sections,
-        tag("footer", made),
     ]
-    return "<!doctype html>\n" + tag("html", tag("head", head), tag("body", tag("main", body)), lang="en") + "\n"
+    return document(f"{name}: dataset report", body, made)
+
+
+def document(title: str, body: Iterable[Child], made: str) -> str:
+    """A whole page: its head with the style sheet, and `body` in it; `made` is for its foot."""
+    head = [
+        tag("meta", charset="utf-8"),
+        tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="referrer", content="no-referrer"),
+        tag("title", title),
+        style(_STYLE.read_text(encoding="utf-8")),
+    ]
+    main = tag("main", body, tag("footer", made))
+    return "<!doctype html>\n" + tag("html", tag("head", head), tag("body", main), lang="en") + "\n"
+
+
+def figure(value: str, label: str) -> Markup:
+    """One of the large figures at the top of a page."""
+    return tag("div", tag("b", value), tag("span", label))
 
 
 def _figures(summary: Mapping[str, Any]) -> Markup:
-    def figure(value: str, label: str) -> Markup:
-        return tag("div", tag("b", value), tag("span", label))
-
     cells = [
         figure(f"{summary['episodes']:,}", "episodes"),
         figure(f"{summary['frames']:,}", "frames"),
@@ -110,7 +117,7 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
     if rows:
         whose = "Of the episodes, and of all attempts made for them" if attempts["n"] else "Of the episodes"
         caption = f"{whose}; lines are {_WILSON}."
-        figures.append(_figure("Success by threshold", plots.rates(rows), caption))
+        figures.append(captioned("Success by threshold", plots.rates(rows), caption))
     limits = [float(limit) for limit in summary["success_rate"]]
     for key, title, shown in (
         ("dxy_m", "Distance from the target's centre", limits),
@@ -120,14 +127,14 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
             found = spread["histogram"]
             caption = ", ".join(f"{word} {spread[k] * 1000:.1f} mm" for k, word in _SPREAD.items())
             figures.append(
-                _figure(
+                captioned(
                     title, plots.distances(found["edges"], found["counts"], shown, title), caption.capitalize() + "."
                 )
             )
     if causes := attempts["causes"]:
         kept = dict(list(causes.items())[:_MOST_CAUSES])
         caption = f"{sum(causes.values()):,} of {attempts['n']:,} attempts failed."
-        figures.append(_figure("Failures by cause", plots.bars(kept), caption))
+        figures.append(captioned("Failures by cause", plots.bars(kept), caption))
     if not figures:
         return None
     return tag("section", tag("h2", "Success"), tag("div", figures, class_="columns"))
@@ -136,7 +143,8 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
 _SPREAD = {"median": "median", "p95": "95 %", "max": "largest"}
 
 
-def _figure(title: str, picture: Markup, caption: str) -> Markup:
+def captioned(title: str, picture: Markup, caption: str) -> Markup:
+    """A plot with its title and what there is to say about it."""
     return tag("figure", tag("h3", title), picture, tag("figcaption", caption))
 
 

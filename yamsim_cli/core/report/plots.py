@@ -13,8 +13,14 @@ _WIDTH = 460.0
 _STRETCH = 2.0
 
 
-def distances(edges: Sequence[float], counts: Sequence[int], limits: Sequence[float], title: str) -> Markup:
-    """A histogram of distances in metres, drawn in mm, with a line at every limit; one far out is only pointed at."""
+def distances(
+    edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
+) -> Markup:
+    """A histogram of distances in metres, drawn in mm, with a line at every limit; one far out is only pointed at.
+
+    Args:
+        counted: what the counts are of.
+    """
     height, right = 240.0, _WIDTH - 12
     low, high = edges[0] * 1000, edges[-1] * 1000
     near = [limit for limit in limits if limit * 1000 < _STRETCH * high]
@@ -44,7 +50,7 @@ def distances(edges: Sequence[float], counts: Sequence[int], limits: Sequence[fl
     if far := [f"{limit * 1000:g} mm" for limit in limits if limit not in near]:
         text = f"{', '.join(far)} \N{RIGHTWARDS ARROW}"
         parts.append(tag("text", text, x=right, y=17, class_="tick", text_anchor="end"))
-    return axes.svg(title, axes.draw("mm", "episodes", x_grid=False), *parts)
+    return axes.svg(title, axes.draw("mm", counted, x_grid=False), *parts)
 
 
 def bars(counts: Mapping[str, int], bad: bool = True) -> Markup:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
+from ..config.limits import JointLimits, load_limits
 from ..config.record import RecordConfig
 from ..config.rig import ArmConfig
 from ..config.scene import FixedCamera
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
-from .compiled import CompiledScene
-from .compose import Contents, Meshes, compile_spec, compose
+from .compiled import CompiledScene, Ids, Kind
+from .compose import Contents, compile_spec, compose
 from .quality import apply_quality
 from .randomize import prepare_randomization
-from .robot import ACTUATORS, GRIPPER_JOINT, JOINTS
+from .robot import ACTUATORS, FINGERS, JOINTS, Meshes, fingers
 
 SCENE_CAMERA = "scene_camera"
 WELD = "grasp_weld"
@@ -39,6 +41,11 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     spec = compose(config.rig, config.scene, contents, locations, meshes)
     spec.modelname = f"{config.rig.name}_{config.scene.name}_{task.name}"
     spec.option.timestep = task.timing.timestep
+    if config.grasp == "contact":
+        # MuJoCo's friction creeps, and with its defaults an object turns by a few degrees a second in the hand. Source:
+        # MuJoCo's documentation of `impratio`, which asks for elliptic cones with it.
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = 10
     prepare_randomization(spec, config.randomization, meshes)
     apply_quality(spec, config.render, config.image.size_px)
     add_grasp_weld(spec, task.object.name)
@@ -49,7 +56,8 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     if config.wrist:
         _add_wrist_camera(spec, arm)
         cameras.append(arm.wrist_camera_name)
-    return _addresses(compile_spec(spec), config, tuple(cameras))
+    limits = load_limits(arm.model, locations).joints_with(arm.gripper)
+    return _addresses(compile_spec(spec), config, tuple(cameras), limits)
 
 
 def add_grasp_weld(spec: mujoco.MjSpec, item: str) -> None:
@@ -93,15 +101,19 @@ def _add_wrist_camera(spec: mujoco.MjSpec, arm: ArmConfig) -> None:
     )
 
 
-def _addresses(model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, ...]) -> CompiledScene:
+def _addresses(
+    model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, ...], limits: Sequence[JointLimits]
+) -> CompiledScene:
     drives = [model.actuator(name).id for name in ACTUATORS]
     arm = np.array(drives[:6])
     objects = (config.task.object.name, config.task.target.name)
+    gripper_qpos, gripper_sign = fingers(model)
     return CompiledScene(
         model=model,
         joint_qpos=np.array([model.joint(name).qposadr[0] for name in JOINTS]),
         joint_dof=np.array([model.joint(name).dofadr[0] for name in JOINTS]),
-        gripper_qpos=np.array([model.joint(name).qposadr[0] for name in (GRIPPER_JOINT, "right_finger")]),
+        gripper_qpos=gripper_qpos,
+        gripper_sign=gripper_sign,
         arm_ctrl=arm,
         gripper_ctrl=drives[6],
         kp=model.actuator_gainprm[arm, 0].copy(),
@@ -112,4 +124,22 @@ def _addresses(model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, 
         object_dof={name: int(model.joint(name).dofadr[0]) for name in objects},
         T_base_in_world=config.rig.T_base_in_world(0),
         cameras=cameras,
+        geom_kind=_geom_kinds(model, config),
+        joint_range=np.array([joint.range for joint in limits]),
+        motor_speed=np.array([joint.motor_rad_s for joint in limits]),
+        most_torque=model.actuator_forcerange[arm, 1].copy(),
+        grip_gain=float(model.actuator_gainprm[drives[6], 0]),
+        grip_range=model.actuator_ctrlrange[drives[6]].copy(),
     )
+
+
+def _geom_kinds(model: mujoco.MjModel, config: RecordConfig) -> Ids:
+    """`Kind` of every geom (ngeom,)."""
+    arm, left, right = (model.body(name).id for name in ("arm", *FINGERS))
+    of_body = np.where(model.body_rootid == arm, int(Kind.ARM), int(Kind.OTHER))
+    of_body[left], of_body[right] = Kind.LEFT_FINGER, Kind.RIGHT_FINGER
+    of_body[model.body(config.task.object.name).id] = Kind.OBJECT
+    of_body[model.body(config.task.target.name).id] = Kind.TARGET
+    kinds: Ids = of_body[model.geom_bodyid]
+    kinds[model.geom("table").id] = Kind.TABLE
+    return kinds

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -16,10 +15,9 @@ from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
 from .fiducials import add_base_board
 from .objects import add_object
-from .robot import HOME, JOINTS, MESH_SETS, arm_spec
+from .robot import HOME, JOINTS, arm_spec, gripper
+from .robot import Meshes as Meshes
 from .surroundings import add_background, add_lights, add_table
-
-Meshes = Mapping[str, Path | None]
 
 # How far from the middle of its base and its table an arm stretches, seen along any of the lights, m.
 _REACH = 0.8
@@ -43,7 +41,7 @@ class Contents:
 
 def mesh_sets(rig: RigConfig, objects: Sequence[ObjectConfig] = ()) -> tuple[str, ...]:
     """Names of the asset sets whose meshes a scene shows."""
-    robots = {MESH_SETS[arm.model, arm.gripper] for arm in rig.arms}
+    robots = {name for arm in rig.arms for name in gripper(arm).mesh_sets}
     return tuple(sorted(robots | {item.mesh.set for item in objects}))
 
 
@@ -93,7 +91,7 @@ def compose(
 
 def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
     """All arms in one spec: the one without a prefix is its root, since attaching would need one."""
-    specs = [arm_spec(arm, locations, meshes.get(MESH_SETS[arm.model, arm.gripper])) for arm in rig.arms]
+    specs = [arm_spec(arm, locations, meshes) for arm in rig.arms]
     root = mujoco.MjSpec()
     for arm, child, T in zip(rig.arms, specs, bases, strict=True):
         if not arm.prefix:

@@ -2,26 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from ..config.rig import ArmConfig
+from ..geometry.se3 import Array
 from ..resources import Locations
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4", "joint5", "joint6")
-GRIPPER_JOINT = "left_finger"
+FINGER_JOINTS = ("left_finger", "right_finger")
 ACTUATORS = (*JOINTS, "gripper")
 FINGERS = ("link_left_finger", "link_right_finger")
+
+# Asset set -> folder of its files, or None where they are not here.
+Meshes = Mapping[str, Path | None]
 
 # The arms' resting joints. Source: MuJoCo Menagerie i2rt_yam, keyframe `home`.
 HOME = (0.0, 1.047, 1.047, 0.0, 0.0, 0.0)
 
-# Asset set with the visual meshes of each (model, gripper).
-MESH_SETS = {("i2rt_yam", "crank"): "i2rt_yam_crank"}
+
+@dataclass(frozen=True)
+class Gripper:
+    """What is not in a gripper's MJCF.
+
+    Attributes:
+        mesh_sets: the asset sets that its MJCF takes meshes from, the arm's own links included.
+        full_opening: of one finger, m.
+    """
+
+    mesh_sets: tuple[str, ...]
+    full_opening: float
+
+
+# By model and gripper. Source of the openings: MuJoCo Menagerie i2rt_yam and yam_linear_4310, `left_finger` range.
+GRIPPERS = {
+    ("i2rt_yam", "crank"): Gripper(("i2rt_yam_crank",), 0.0375),
+    ("i2rt_yam", "linear_4310"): Gripper(("i2rt_yam_crank", "i2rt_yam_linear_4310"), 0.0475),
+}
 
 # Geom groups: what a viewer shows by default (2) and what it hides (3).
 _SEEN_GROUP = 2
+
+
+def gripper(arm: ArmConfig) -> Gripper:
+    """What there is to know of an arm's gripper."""
+    return GRIPPERS[arm.model, arm.gripper]
 
 
 def _load(arm: ArmConfig, locations: Locations) -> mujoco.MjSpec:
@@ -34,19 +64,23 @@ def _load(arm: ArmConfig, locations: Locations) -> mujoco.MjSpec:
     return spec
 
 
-def arm_spec(arm: ArmConfig, locations: Locations, meshes: Path | None) -> mujoco.MjSpec:
+def arm_spec(arm: ArmConfig, locations: Locations, meshes: Meshes | None) -> mujoco.MjSpec:
     """The whole arm, for scenes.
 
     Args:
-        meshes: folder with the visual meshes; None shows the collision primitives instead, with the same physics.
+        meshes: the visual meshes; without all of the arm's, the collision primitives are shown instead, with the same
+            physics.
     """
     spec = _load(arm, locations)
-    if meshes is not None:
+    folders = {name: (meshes or {}).get(name) for name in gripper(arm).mesh_sets}
+    if all(folders.values()):
         files: dict[str, bytes] = {}
         for mesh in spec.meshes:
-            name = f"meshes/{MESH_SETS[arm.model, arm.gripper]}/{mesh.file}"
-            files[name] = (meshes / mesh.file).read_bytes()
-            mesh.file = name
+            assets, _, file = mesh.file.partition("/")
+            folder = folders[assets]
+            assert folder is not None
+            mesh.file = f"meshes/{assets}/{file}"
+            files[mesh.file] = (folder / file).read_bytes()
         spec.assets = files
         return spec
     for body in spec.bodies:
@@ -83,3 +117,14 @@ def bare_arm(arm: ArmConfig, locations: Locations) -> mujoco.MjModel:
     # is moved to later.
     model.site_sameframe[model.site("tool").id] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     return model
+
+
+def fingers(model: mujoco.MjModel, prefix: str = "") -> tuple[NDArray[np.int_], Array]:
+    """Where an arm's two fingers are in `qpos` (2,), and what each is there when both are open by 1 m (2,).
+
+    Some grippers' models count both openings up, some count the right finger's down.
+    """
+    addresses = np.array([model.joint(prefix + name).qposadr[0] for name in FINGER_JOINTS])
+    # The coupling says: left = factor x right.
+    factor = float(model.eq_data[model.equality(f"{prefix}finger_coupling").id, 1])
+    return addresses, np.array([1.0, 1.0 / factor])

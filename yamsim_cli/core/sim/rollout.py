@@ -8,9 +8,10 @@ import mujoco
 import numpy as np
 
 from ..config.task import Timing
-from ..geometry.se3 import Array, pose
+from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
-from ..types import Actions, JointPath, Layout, StepState
+from ..types import Actions, JointPath, Layout, Motion, Phases, StepState
+from .watch import Watch, object_pose
 
 
 @dataclass(frozen=True)
@@ -19,21 +20,17 @@ class Rollout:
 
     Attributes:
         states: one a recorded frame, taken before its command acts.
-        T_object_before_grasp: pose (4, 4) of the object in `world` when it was attached.
+        T_object_before_grasp: pose (4, 4) of the object in `world` when the hand had reached it.
         T_in_world: object name -> pose (4, 4) at the end.
         object_speed: of the carried object at the end, m/s.
+        motion: what was seen on the way.
     """
 
     states: tuple[StepState, ...]
     T_object_before_grasp: Array
     T_in_world: dict[str, Array]
     object_speed: float
-
-
-def object_pose(data: mujoco.MjData, name: str) -> Array:
-    """Pose (4, 4) of a body in `world`, as of the last forward kinematics."""
-    body = data.body(name)
-    return pose(body.xpos, body.xmat.reshape(3, 3))
+    motion: Motion
 
 
 def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
@@ -49,41 +46,54 @@ def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
     return clipped
 
 
+def grip_command(scene: CompiledScene, path: JointPath) -> Array:
+    """What the gripper's drive (n,) is told, m: the opening, less what makes each finger press with half its force."""
+    clipped: Array = np.clip(path.gripper - 2 * path.grip / scene.grip_gain, *scene.grip_range)
+    return clipped
+
+
 def path_actions(scene: CompiledScene, path: JointPath) -> Actions:
     """What makes the arm follow a path."""
     ctrl = np.zeros((len(path.gripper), scene.model.nu))
     ctrl[:, scene.arm_ctrl] = [drive_command(scene, path, tick) for tick in range(len(ctrl))]
-    ctrl[:, scene.gripper_ctrl] = path.gripper
+    ctrl[:, scene.gripper_ctrl] = grip_command(scene, path)
     return Actions(ctrl, path.magnet, np.column_stack([path.joints[1:], path.gripper]))
 
 
-def roll_out(scene: CompiledScene, layout: Layout, path: JointPath, carried: str, timing: Timing) -> Rollout:
+def roll_out(
+    scene: CompiledScene, layout: Layout, path: JointPath, carried: str, timing: Timing, phases: Phases
+) -> Rollout:
     """Simulate one attempt from a full reset; the same inputs give the same bits on one machine.
 
     Args:
-        carried: name of the object the weld takes.
+        carried: name of the object that is picked up.
+        phases: when it is held.
     """
     start = scene.start_qpos(layout, path.joints[0], float(path.gripper[0]))
-    return simulate(scene, start, path_actions(scene, path), carried, timing)
+    return simulate(scene, start, path_actions(scene, path), carried, timing, phases)
 
 
-def simulate(scene: CompiledScene, start: Array, actions: Actions, carried: str, timing: Timing) -> Rollout:
+def simulate(
+    scene: CompiledScene, start: Array, actions: Actions, carried: str, timing: Timing, phases: Phases
+) -> Rollout:
     """Let actions act from a full reset at `start` (nq,), everything at rest; the same inputs give the same bits.
 
     Args:
-        carried: name of the object the weld takes.
+        carried: name of the object that is picked up.
+        phases: when it is held.
     """
     model = scene.model
     data = mujoco.MjData(model)
     scene.reset(data, start)
+    steps = timing.physics_steps_per_tick
+    watch = Watch(scene, data, carried, phases, steps * len(actions.ctrl))
     states: list[StepState] = []
-    T_before_grasp = object_pose(data, carried)
     for tick, ctrl in enumerate(actions.ctrl):
+        # mj_step leaves the poses of the step before.
+        mujoco.mj_kinematics(model, data)
+        watch.tick(tick, data)
         if actions.magnet[tick] != bool(data.eq_active[scene.weld]):
             if actions.magnet[tick]:
-                # mj_step leaves the poses of the step before.
-                mujoco.mj_kinematics(model, data)
-                T_before_grasp = object_pose(data, carried)
                 attach(scene, data, carried)
             data.eq_active[scene.weld] = actions.magnet[tick]
         data.ctrl[:] = ctrl
@@ -91,14 +101,17 @@ def simulate(scene: CompiledScene, start: Array, actions: Actions, carried: str,
             until = slice(tick, tick + timing.ticks_per_frame)
             acting = Actions(actions.ctrl[until], actions.magnet[until], actions.joints[until])
             states.append(StepState(data.time, data.qpos.copy(), acting))
-        mujoco.mj_step(model, data, timing.physics_steps_per_tick)
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
+            watch.step(data)
     mujoco.mj_kinematics(model, data)
     dof = scene.object_dof[carried]
     return Rollout(
         states=tuple(states),
-        T_object_before_grasp=T_before_grasp,
+        T_object_before_grasp=watch.T_object_before_grasp,
         T_in_world={name: object_pose(data, name) for name in scene.object_qpos},
         object_speed=float(np.linalg.norm(data.qvel[dof : dof + 3])),
+        motion=watch.motion(),
     )
 
 

@@ -1,15 +1,17 @@
-"""Pick an object up and put it onto another: where they start, what the hand does, and whether it worked."""
+"""Pick an object up and put it onto another: where they start, and whether it worked."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
+from ..config.record import GraspKind
 from ..config.scene import ObjectConfig, Table
 from ..config.task import TaskConfig
-from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_z, yaw
-from ..types import Cause, Layout, Outcome, Plan, Waypoint
+from ..geometry.se3 import Array, pose, rotation_z
+from ..types import Cause, Layout, Motion, Outcome
 
 # The crank fingers' joint ends at 37.5 mm. Source: MuJoCo Menagerie i2rt_yam, `left_finger` range.
 OPEN = 0.0375
@@ -20,8 +22,27 @@ SPAWN_GAP = 2e-4
 # Enough that a draw fails only for a box too small for both objects.
 _MAX_DRAWS = 1000
 
-# An object that moved this far before the grasp was knocked by the hand.
+# An object that moved this far before the grasp was knocked by the hand, and this far in the hand, slipped; m.
 KNOCK_DISTANCE = 0.02
+SLIP_DISTANCE = 0.015
+
+# Stops are soft in physics, rad.
+_STOP_SLACK = 0.01
+
+
+@dataclass(frozen=True)
+class Poses:
+    """What an episode is judged by, (4, 4) in `world`.
+
+    Attributes:
+        T_object_at_start, T_object_before_grasp, T_object_at_end: the second when the hand had reached it.
+        T_target_at_end: where it was put.
+    """
+
+    T_object_at_start: Array
+    T_object_before_grasp: Array
+    T_object_at_end: Array
+    T_target_at_end: Array
 
 
 def sample_layout(task: TaskConfig, table: Table, rng: np.random.Generator) -> Layout | None:
@@ -66,87 +87,70 @@ def _gap(item: ObjectConfig, T_item: Array, other: ObjectConfig, T_other: Array)
     return float((centres - discs_a[:, None, 2] - discs_b[None, :, 2]).min())
 
 
-def candidate_plans(task: TaskConfig, layout: Layout, T_base_in_world: Array) -> tuple[Plan, ...]:
-    """The plans to try: the hand may take the object either way round.
+def judge(
+    task: TaskConfig,
+    grasp: GraspKind,
+    poses: Poses,
+    speed: float,
+    motion: Motion,
+    plan_error: float,
+    tilt: float,
+) -> Outcome:
+    """Tell how an episode ended.
 
-    The object is turned on its way as far as the arm turns about its base, so that the wrist hardly has to.
+    Args:
+        poses: where object and target were and are.
+        speed: of the object at the end, m/s.
+        motion: what was seen on the way.
+        plan_error, tilt: the plan's own figures, m and rad.
     """
-    return tuple(_plan(task, layout, T_base_in_world, flipped) for flipped in (False, True))
-
-
-def _plan(task: TaskConfig, layout: Layout, T_base_in_world: Array, flipped: bool) -> Plan:
-    grasp = task.object.grasp
-    assert grasp is not None  # checked when the config was loaded
-    heights = task.heights
-    T_start = layout.T_in_world[task.object.name]
-    T_target = layout.T_in_world[task.target.name]
-
-    turn = _azimuth(T_target, T_base_in_world) - _azimuth(T_start, T_base_in_world)
-    T_goal = T_target.copy()
-    T_goal[:3, :3] = rotation_z(yaw(T_start) + turn)
-    T_goal[2, 3] += task.target.support_height + task.object.rest_height
-
-    T_arc = pose(
-        [*(T_start[:2, 3] + T_goal[:2, 3]) / 2, max(T_start[2, 3], T_goal[2, 3]) + heights.arc],
-        interpolate_rotation(T_start[:3, :3], T_goal[:3, :3], 0.5),
+    dx, dy, dz = (float(d) for d in poses.T_object_at_end[:3, 3] - poses.T_target_at_end[:3, 3])
+    dxy = math.hypot(dx, dy)
+    cause, detail = (
+        _before_the_grasp(poses) or _on_the_way(grasp, motion) or _at_the_end(task, dxy, dz, speed) or (None, "")
     )
-    closed = grasp.opening
-    return Plan(
-        object=task.object.name,
-        T_object_in_pinch=inverse(grasp.T_pinch_in_object(flipped)),
-        waypoints=(
-            Waypoint("pre-grasp", _raised(T_start, heights.approach), OPEN, stop=True),
-            Waypoint("grasp", T_start, OPEN, stop=True),
-            Waypoint("lift", _raised(T_start, heights.lift), closed, stop=False),
-            Waypoint("arc-top", T_arc, closed, stop=False),
-            Waypoint("pre-place", _raised(T_goal, heights.approach), closed, stop=True),
-            Waypoint("place", _raised(T_goal, heights.release), closed, stop=True),
-            Waypoint("retract", _raised(T_goal, heights.approach), OPEN, stop=True),
-        ),
-        grasp=1,
-        release=5,
-    )
+    return Outcome(cause is None, cause, detail, dxy, dz, speed, plan_error, tilt, motion.margins)
 
 
-def _raised(T: Array, height: float) -> Array:
-    raised = T.copy()
-    raised[2, 3] += height
-    return raised
-
-
-def _azimuth(T_in_world: Array, T_base_in_world: Array) -> float:
-    x, y = (inverse(T_base_in_world) @ T_in_world)[:2, 3]
-    return math.atan2(y, x)
-
-
-def knocked(T_at_start: Array, T_before_grasp: Array, plan_error: float, tilt: float) -> Outcome | None:
-    """The failure of an attempt whose hand pushed the object away before it took it; None if it did not."""
-    distance = float(np.linalg.norm(T_before_grasp[:3, 3] - T_at_start[:3, 3]))
+def _before_the_grasp(poses: Poses) -> tuple[Cause, str] | None:
+    distance = float(np.linalg.norm(poses.T_object_before_grasp[:3, 3] - poses.T_object_at_start[:3, 3]))
     if distance <= KNOCK_DISTANCE:
         return None
-    detail = f"pushed {distance * 1000:.0f} mm away before the grasp (at most {KNOCK_DISTANCE * 1000:.0f})"
-    return Outcome(False, Cause.KNOCKED, detail, position_error=plan_error, tilt=tilt)
+    most = f"at most {KNOCK_DISTANCE * 1000:.0f}"
+    return Cause.KNOCKED, f"pushed {distance * 1000:.0f} mm away before the grasp ({most})"
 
 
-def judge(
-    task: TaskConfig, T_object_in_world: Array, T_target_in_world: Array, speed: float, plan_error: float, tilt: float
-) -> Outcome:
-    """Tell how an episode ended from the final poses (4, 4), the object's speed (m/s) and the plan's own figures."""
+def _on_the_way(grasp: GraspKind, motion: Motion) -> tuple[Cause, str] | None:
+    """What makes a bad demonstration, wherever the object ends."""
+    margins = motion.margins
+    if motion.collision is not None:
+        return Cause.COLLIDED, motion.collision
+    if grasp == "contact" and motion.lost is not None:
+        return Cause.DROPPED, f"out of the fingers after {motion.lost:.2f} s, before it was put down"
+    if grasp == "contact" and margins.slip > SLIP_DISTANCE:
+        most = f"at most {SLIP_DISTANCE * 1000:.0f}"
+        return Cause.SLIPPED, f"moved {margins.slip * 1000:.0f} mm in the hand while it was held ({most})"
+    if margins.velocity > 1 or margins.torque >= 1 or margins.joint < -_STOP_SLACK:
+        detail = (
+            f"a joint at {margins.velocity:.0%} of its motor's speed, a drive at {margins.torque:.0%} of its torque, "
+            f"{math.degrees(margins.joint):.1f} deg from the nearest stop"
+        )
+        return Cause.LIMITS, detail
+    return None
+
+
+def _at_the_end(task: TaskConfig, dxy: float, dz: float, speed: float) -> tuple[Cause, str] | None:
     limits = task.success
-    dx, dy, dz = (float(d) for d in T_object_in_world[:3, 3] - T_target_in_world[:3, 3])
-    dxy = math.hypot(dx, dy)
-    cause, detail = None, ""
     if speed > limits.max_speed:
-        cause, detail = Cause.UNSTABLE, f"still moving at {speed:.3f} m/s, at most {limits.max_speed:g}"
-    elif dz < 0.0:
-        cause, detail = (
+        return Cause.UNSTABLE, f"still moving at {speed:.3f} m/s, at most {limits.max_speed:g}"
+    if dz < 0.0:
+        return (
             Cause.DROPPED,
             f"{-dz * 1000:.0f} mm below the {task.target.name}, {dxy * 1000:.0f} mm beside its centre",
         )
-    elif dxy > limits.threshold or dz > limits.max_height:
-        cause = Cause.OFF_TARGET
-        detail = (
+    if dxy > limits.threshold or dz > limits.max_height:
+        return Cause.OFF_TARGET, (
             f"{dxy * 1000:.0f} mm from the {task.target.name}'s centre (at most {limits.threshold * 1000:.0f}), "
             f"{dz * 1000:.0f} mm above it (at most {limits.max_height * 1000:.0f})"
         )
-    return Outcome(cause is None, cause, detail, dxy, dz, speed, plan_error, tilt)
+    return None

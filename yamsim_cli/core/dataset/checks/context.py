@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...config.limits import ArmLimits, load_limits
+from ...config.limits import JointLimits, load_limits
 from ...config.loader import validate_file
 from ...config.record import RecordConfig
 from ...config.task import Sampling
@@ -38,7 +38,8 @@ class Context:
 
     Attributes:
         recorded: whether yamsim recorded it; otherwise it has rgb/ and lowdim/ alone.
-        limits: of the arm; `fingers` is the stops (m) of one finger, None where the gripper is not known.
+        joints: what the arm's joints can do.
+        fingers: stops (m) of one finger; None where the gripper is not known.
         T_base_in_world: pose (4, 4) of the arm's base.
         object, target: what is carried, and whereto.
         sampling: where objects were drawn from, in `world`; None where it is not known.
@@ -46,7 +47,7 @@ class Context:
     """
 
     recorded: bool
-    limits: ArmLimits
+    joints: tuple[JointLimits, ...]
     fingers: tuple[float, float] | None
     T_base_in_world: Array
     object: str = _OBJECT
@@ -115,12 +116,12 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         except ConfigError as error:
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
     if parsed is None:
-        return Context(recorded, load_limits(_MODEL, locations), None, pose())
+        return Context(recorded, load_limits(_MODEL, locations).joints_with(None), None, pose())
     arm, task = parsed.rig.arms[0], parsed.task
     limits = load_limits(arm.model, locations)
     return Context(
         recorded,
-        limits,
+        limits.joints_with(arm.gripper),
         limits.fingers.get(arm.gripper),
         parsed.rig.T_base_in_world(0),
         task.object.name,

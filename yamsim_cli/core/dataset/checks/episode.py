@@ -185,7 +185,7 @@ class _EpisodeCheck:
 
     def _check_joints(self, values: Values, cameras: Mapping[str, CameraChecks], period: float | None) -> None:
         joints = numbered(values, "joints")
-        limits, fingers = self._context.limits, self._context.fingers
+        limits, fingers = self._context.joints, self._context.fingers
         arms = arm_joints(joints, limits)
         for arm in arms:
             check_limits(arm, limits, self._frame_name, self._problems)

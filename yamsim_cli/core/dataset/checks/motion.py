@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from ...config.limits import ArmLimits
+from ...config.limits import JointLimits
 from ...geometry.se3 import Array
 from .problem import Problems
 
@@ -51,21 +51,21 @@ def check_times(times: Mapping[int, float], period: float | None, name: Named, p
     return period
 
 
-def arm_joints(joints: Mapping[int, Array], limits: ArmLimits) -> list[dict[int, Array]]:
+def arm_joints(joints: Mapping[int, Array], limits: Sequence[JointLimits]) -> list[dict[int, Array]]:
     """Frame -> the joints (n,) of one arm, for each arm in a frame's `joints`; none if they are of no known order.
 
     An arm has its joints and then its gripper; two arms come one after the other, the left one first.
     """
-    n = len(limits.joints)
+    n = len(limits)
     length = next((len(values) for values in joints.values() if values.ndim == 1), 0)
     starts = [0] if length == n else [*range(0, length, n + 1)] if length and length % (n + 1) == 0 else []
     return [{k: values[start : start + n] for k, values in joints.items()} for start in starts]
 
 
-def check_limits(joints: Mapping[int, Array], limits: ArmLimits, name: Named, problems: Problems) -> None:
+def check_limits(joints: Mapping[int, Array], limits: Sequence[JointLimits], name: Named, problems: Problems) -> None:
     """Note joints beyond their stops. `joints` is frame -> angles (n,), rad."""
     for k, values in sorted(joints.items()):
-        for value, joint in zip(values, limits.joints, strict=True):
+        for value, joint in zip(values, limits, strict=True):
             low, high = joint.range
             if not low - _LIMIT_SLACK_RAD <= value <= high + _LIMIT_SLACK_RAD:
                 text, valid = f"{joint.name} at {value:.3f} rad", f"{low:g} to {high:g} rad"
@@ -82,7 +82,7 @@ def check_fingers(openings: Mapping[int, float], stops: tuple[float, float], nam
 
 
 def check_speeds(
-    joints: Mapping[int, Array], period: float | None, limits: ArmLimits, name: Named, problems: Problems
+    joints: Mapping[int, Array], period: float | None, limits: Sequence[JointLimits], name: Named, problems: Problems
 ) -> None:
     """Note joints that move faster than their drive could report, or than their motor turns.
 
@@ -95,7 +95,7 @@ def check_speeds(
     frames = sorted(joints)
     angles = np.array([joints[k] for k in frames], dtype=np.float64)
     speeds = np.abs(np.diff(angles, axis=0)) / (np.diff(frames)[:, None] * period)
-    for column, joint in enumerate(limits.joints):
+    for column, joint in enumerate(limits):
         over = np.flatnonzero(speeds[:, column] > joint.motor_rad_s)
         for row in over:
             speed = speeds[row, column]

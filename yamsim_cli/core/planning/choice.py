@@ -1,0 +1,137 @@
+"""Which of the ways to hold the object the arm can do, and the path that does it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config.record import GraspKind
+from ..config.scene import GraspPoint
+from ..config.task import TaskConfig
+from ..scene.compiled import CompiledScene
+from ..tasks.plans import Hold, grasp_points, make_plan
+from ..types import JointPath, Layout, Plan
+from .clearance import Clearance
+from .dynamics import ArmDynamics
+from .ik import IkSolution, IkSolver
+from .path import plan_path
+
+# From a cold start the iteration may have to cross the workspace.
+_ITERATIONS = 100
+
+# A solution this near to its pose is it, m and rad.
+_POSITION = 1e-3
+_ROTATION = math.radians(1.0)
+
+# How far the hand may lean, its fingers pointing outwards, in the order in which that is tried. A little suits the arm
+# best everywhere; it needs the more, the farther away something lies or the higher it is carried; and some things stand
+# in the way of a hand that leans far.
+_LEANS = tuple(math.radians(angle) for angle in (15, 20, 10, 25, 5, 30, 0))
+
+# How far joints should stay from their stops, rad; and the largest shares of the motors' speed and the drives' torque
+# that a path should need.
+_FREE = 0.15
+_SPEED = 0.9
+_TORQUE = 0.8
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A plan, what the arm makes of its waypoints, and what the hand would touch at them."""
+
+    hold: Hold
+    plan: Plan
+    solutions: Sequence[IkSolution]
+    touched: str | None
+
+    @property
+    def badness(self) -> tuple[bool, bool, float]:
+        """Out of reach, in touch with something, and how much it lacks otherwise."""
+        near = max(0.0, _FREE - min(solution.margin for solution in self.solutions))
+        turned = max(solution.tilt_error + solution.heading_error for solution in self.solutions)
+        return not self._reached, self.touched is not None, round(near + turned, 2)
+
+    @property
+    def _reached(self) -> bool:
+        # The grasp and the release have to be as planned; elsewhere the hand may lean a little more.
+        key = (self.solutions[self.plan.grasp], self.solutions[self.plan.release])
+        return (
+            max(solution.position_error for solution in self.solutions) <= _POSITION
+            and max(solution.tilt_error + solution.heading_error for solution in key) <= _ROTATION
+        )
+
+
+class PathChooser:
+    """Plans attempts: for one scene, task and kind of grasp."""
+
+    def __init__(
+        self, ik: IkSolver, dynamics: ArmDynamics, scene: CompiledScene, task: TaskConfig, grasp: GraspKind
+    ) -> None:
+        self._ik = ik
+        self._dynamics = dynamics
+        self._clearance = Clearance(scene)
+        self._scene = scene
+        self._task = task
+        self._grasp: GraspKind = grasp
+        self._start = np.array(task.start_joints)
+
+    def choose(self, layout: Layout) -> tuple[Plan, JointPath]:
+        """The first way to hold the object in which the arm reaches everything with ease and touches nothing, else the
+        least bad; and the path.
+
+        Tried are the object's grasp points in their order, at each of them the hand either way round, leaning more or
+        less.
+        """
+        best: tuple[tuple[bool, bool, float], Plan, JointPath] | None = None
+        for candidate in self._candidates(layout):
+            if best is not None and candidate.badness >= best[0]:
+                continue
+            path = plan_path(self._ik, self._dynamics, candidate.plan, self._start, self._task.timing)
+            *faults, lacking = candidate.badness
+            badness = (faults[0], faults[1], round(lacking + self._strain(path), 2))
+            if best is None or badness < best[0]:
+                best = badness, candidate.plan, path
+            if not any(badness):
+                break
+        assert best is not None  # there is at least one point
+        return best[1:]
+
+    def _candidates(self, layout: Layout) -> Iterator[_Candidate]:
+        for point in grasp_points(self._task, self._grasp):
+            for flipped in self._ways_round(layout, point):
+                for lean in _LEANS:
+                    yield self._candidate(layout, Hold(point, flipped, lean))
+
+    def _ways_round(self, layout: Layout, point: GraspPoint) -> list[bool]:
+        """Both ways round, the better one first. That is a matter of the last joint, however the hand leans."""
+        margins = {}
+        for flipped in (False, True):
+            plan = make_plan(
+                self._task, self._grasp, layout, self._scene.T_base_in_world, Hold(point, flipped, _LEANS[0])
+            )
+            self._ik.hold(plan.T_object_in_pinch)
+            solution = self._ik.solve(plan.waypoints[plan.grasp].T_object_in_world, self._start, _ITERATIONS)
+            margins[flipped] = round(solution.margin - solution.tilt_error - solution.heading_error, 3)
+        return sorted(margins, key=lambda flipped: -margins[flipped])
+
+    def _candidate(self, layout: Layout, hold: Hold) -> _Candidate:
+        plan = make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
+        self._ik.hold(plan.T_object_in_pinch)
+        joints, solutions = self._start, list[IkSolution]()
+        for waypoint in plan.waypoints:
+            solutions.append(self._ik.solve(waypoint.T_object_in_world, joints, _ITERATIONS))
+            joints = solutions[-1].joints
+        return _Candidate(hold, plan, solutions, self._clearance.touched(plan, solutions, layout))
+
+    def _strain(self, path: JointPath) -> float:
+        """By how much a path needs more than the arm should give; 0 if it does not."""
+        scene = self._scene
+        low, high = scene.joint_range.T
+        # The start is the task's and not the path's.
+        free = float(np.minimum(path.joints[1:] - low, high - path.joints[1:]).min())
+        speed = float((np.abs(path.velocities) / scene.motor_speed).max())
+        torque = float((np.abs(path.torques) / scene.most_torque).max())
+        return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)

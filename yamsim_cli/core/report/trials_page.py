@@ -1,0 +1,109 @@
+"""A batch's report: one page with its rates, where things stood and what became of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..dataset.statistics import coverage, histogram
+from ..dataset.summary import CELL_M
+from . import plots
+from .axes import percent
+from .markup import Markup, tag
+from .page import captioned, document, figure
+from .plan import Places, Point, workspace
+
+
+def trials_page(report: Mapping[str, Any], box: tuple[Point, Point], made: str) -> str:
+    """The page as HTML.
+
+    Args:
+        report: as `jobs.batch.run_batch` gives it.
+        box: the sampling box in `world`, as x and y ranges.
+        made: by what, and when; for the foot of the page.
+    """
+    good = [trial for trial in report["trials"] if trial["outcome"]["success"]]
+    failed = [trial for trial in report["trials"] if not trial["outcome"]["success"]]
+    body = [
+        tag("p", "Trials", class_="kicker"),
+        tag("h1", f"{report['task']} on {report['rig']}, held by {report['grasp']}"),
+        _figures(report),
+        _distances(report),
+        _workspace(good, failed, box),
+        _failures(failed),
+    ]
+    return document(f"{report['task']}: trials", body, made)
+
+
+def _figures(report: Mapping[str, Any]) -> Markup:
+    low, high = report["wilson95"]
+    limit = f"within {report['threshold_m'] * 100:g} cm ({percent(low)} to {percent(high)})"
+    cells = [figure(f"{report['n']:,}", "trials"), figure(percent(report["success_rate"]), limit)]
+    if spread := report["dxy_m"]:
+        cells.append(figure(f"{spread['median'] * 1000:.1f} mm", "median distance from the target's centre"))
+    if margins := report["margins"]:
+        cells += [
+            figure(percent(margins["velocity_share"], 0), "of a motor's speed at most"),
+            figure(percent(margins["torque_share"], 0), "of a drive's torque at most"),
+            figure(f"{margins['joint_rad']:.2f} rad", "from a joint's stop at least"),
+        ]
+    return tag("div", cells, class_="figures")
+
+
+def _distances(report: Mapping[str, Any]) -> Markup | None:
+    distances = [trial["outcome"]["dxy_m"] for trial in report["trials"] if trial["outcome"]["dxy_m"] is not None]
+    figures = []
+    if found := histogram(distances):
+        title = "Distance from the target's centre"
+        picture = plots.distances(found["edges"], found["counts"], [report["threshold_m"]], title, "trials")
+        spread = report["dxy_m"]
+        caption = f"Median {spread['median'] * 1000:.1f} mm, largest {spread['max'] * 1000:.1f} mm."
+        figures.append(captioned(title, picture, caption))
+    if causes := report["causes"]:
+        count = sum(causes.values())
+        caption = f"{count:,} of {report['n']:,} trials failed."
+        figures.append(captioned("Failures by cause", plots.bars(causes), caption))
+    if not figures:
+        return None
+    return tag("section", tag("h2", "Success"), tag("div", figures, class_="columns"))
+
+
+def _workspace(
+    good: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]], box: tuple[Point, Point]
+) -> Markup | None:
+    """Where each object stood at the start."""
+    panels = []
+    for name in dict.fromkeys(name for trial in (*good, *failed) for name in trial["layout"]):
+        stood, fell = (
+            [_start(trial, name) for trial in trials if name in trial["layout"]] for trials in (good, failed)
+        )
+        grid = coverage(stood, *box, CELL_M)
+        title = f"{name}, start"
+        caption = f"{grid.cells_hit} of {grid.cells} cells with a success"
+        panels.append(captioned(title, workspace(Places(stood, (), fell, grid), box, "world", title), caption))
+    if not panels:
+        return None
+    entries = [tag("span", tag("i"), "success")]
+    if failed:
+        entries.append(tag("span", tag("i", class_="failed"), "failure"))
+    entries.append(tag("span", tag("i", class_="cell"), f"cell of {CELL_M * 100:g} cm with a success"))
+    legend = tag("div", entries, class_="legend")
+    return tag("section", tag("h2", "Workspace"), legend, tag("div", panels, class_="plans"))
+
+
+def _start(trial: Mapping[str, Any], name: str) -> Point:
+    x, y, *_ = trial["layout"][name]
+    return x, y
+
+
+def _failures(failed: Sequence[Mapping[str, Any]]) -> Markup | None:
+    if not failed:
+        return None
+    rows = [
+        tag(
+            "tr", tag("th", str(trial["trial"]), scope="row"), tag("td", outcome["cause"]), tag("td", outcome["detail"])
+        )
+        for trial in failed
+        for outcome in (trial["outcome"],)
+    ]
+    return tag("section", tag("h2", "Failures"), tag("table", tag("tbody", rows)))
