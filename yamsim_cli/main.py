@@ -10,7 +10,7 @@ import typer
 from typer.exceptions import TyperException
 
 from . import __version__
-from .commands import assets, config, pickplace
+from .commands import assets, config, export, pickplace
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
 from .commands.overlay import overlay
@@ -39,6 +39,7 @@ app.command("render-views")(render_views)
 app.command()(overlay)
 app.command()(boards)
 app.command()(view)
+app.add_typer(export.app, name="export")
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(assets.app, name="assets")
