@@ -49,6 +49,7 @@ CONFINED = {
     "viser": {"core.viewers"},
     "ray": {"core.jobs.ray_workers"},
     "av": {"core.vision.video"},
+    "pyarrow": {"core.jobs.exports"},
 }
 
 

@@ -44,6 +44,23 @@ def raiden(
     _show(done, json)
 
 
+@app.command()
+def lerobot(
+    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
+) -> None:
+    """LeRobotDataset v3.0: Parquet, and H.264 with exact times.
+
+    Example: yamsim export lerobot dataset/ lerobot_dataset/
+    """
+    source, _ = _source(dataset, episodes)
+
+    from yamsim_cli.core.jobs.exports.lerobot import export_lerobot
+
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_lerobot(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
+    _show(done, json)
+
+
 def _source(dataset: Path, episodes: str | None) -> tuple[Source, Locations]:
     """The chosen episodes; nothing is drawn for an export."""
     skip_gl()

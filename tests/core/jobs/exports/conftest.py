@@ -20,10 +20,10 @@ CAMERAS = ("scene_camera", "right_wrist_camera")
 
 
 def picture(camera: str, episode: int, frame: int) -> NDArray[np.uint8]:
-    """Smooth, and another one for every frame: RGB (height, width, 3)."""
+    """Smooth, and quite another one for every frame: RGB (height, width, 3)."""
     x, y = np.meshgrid(np.linspace(0, 1, SIZE[0]), np.linspace(0, 1, SIZE[1]))
-    base = 60 + 100 * x + 2 * frame + 20 * (camera == "scene_camera")
-    channels = [base, 30 + 120 * y + 20 * episode, np.full_like(x, 200 - 2.5 * frame)]
+    base = 90 + 30 * x + 20 * (camera == "scene_camera")
+    channels = [base, 60 + 30 * y + 20 * episode, np.full_like(x, 20 + 37 * frame % 200)]
     return np.stack(channels, axis=-1).clip(0, 255).astype(np.uint8)
 
 
