@@ -13,10 +13,12 @@ from . import __version__
 from .commands import assets, config, export, pickplace
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
+from .commands.evaluate import evaluate
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
+from .commands.serve_policy import serve_policy
 from .commands.signals import raise_signals
 from .commands.summarize import summarize
 from .commands.verify import verify
@@ -34,6 +36,8 @@ app.command()(record)
 app.command()(summarize)
 app.command()(verify)
 app.command()(replay)
+app.command("eval")(evaluate)
+app.command("serve-policy")(serve_policy)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)
@@ -62,7 +66,7 @@ def _root(
 
 _INTERRUPTED = 130
 # Commands with no other end than a signal: for them it is no failure.
-_ENDED_BY_SIGNAL = ("view",)
+_ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
