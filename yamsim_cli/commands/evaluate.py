@@ -23,6 +23,7 @@ from .session import (
     parse_size,
     record_config,
     scene_meshes,
+    skip_gl,
     use_gl,
 )
 
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from yamsim_cli.core.jobs.evaluate import Evaluation
     from yamsim_cli.core.jobs.films import TrialFilms
     from yamsim_cli.core.resources import Locations
+
+# Policies that see no images: nothing is drawn for them.
+_BLIND = ("scripted", "hold_still", "replay")
 
 # Scored beside the threshold asked for. Source: the lab reports both.
 _THRESHOLDS = (0.05, 0.08)
@@ -85,7 +89,10 @@ def evaluate(
         "wrist": (("wrist",), True),
     }
     record_config(config, where, flags)
-    where = use_gl(where, workers=True)
+    if video is None and policy.partition(":")[0] in _BLIND:
+        skip_gl()
+    else:
+        where = use_gl(where, workers=True)
     settings = record_config(config, where, flags)
 
     from yamsim_cli.core.jobs.batch import write_report

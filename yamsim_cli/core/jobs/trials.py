@@ -1,4 +1,4 @@
-"""One trial of a policy: the start that `pickplace batch` makes of the same numbers, the policy, and the same judgement."""
+"""One trial of a policy: from the start that `pickplace batch` makes of the same numbers, and judged as there."""
 
 from __future__ import annotations
 
