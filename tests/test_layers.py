@@ -15,6 +15,7 @@ FLOORS: dict[str, int] = {
     "core.errors": 1,
     "core.files": 2,
     "core.mounts": 2,
+    "core.machine": 2,
     "core.resources": 2,
     "core.gl": 2,
     "core.geometry": 2,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import platform
 import sys
 from collections.abc import Callable
+from importlib.metadata import version
 from typing import Annotated, NoReturn
 
 import typer
@@ -13,6 +15,7 @@ from . import __version__
 from .commands import assets, config, export, pickplace
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
+from .commands.doctor import doctor
 from .commands.evaluate import evaluate
 from .commands.overlay import overlay
 from .commands.record import record
@@ -43,22 +46,30 @@ app.command("render-views")(render_views)
 app.command()(overlay)
 app.command()(boards)
 app.command()(view)
+app.command()(doctor)
 app.add_typer(export.app, name="export")
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(assets.app, name="assets")
 
+# What decides, beside yamsim itself, what it does; `yamsim doctor` tells all.
+_VERSIONS = ("mujoco", "mink", "numpy", "opencv-python-headless")
+
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        sys.stdout.write(f"yamsim {__version__}\n")
+        packages = ", ".join(f"{name} {version(name)}" for name in _VERSIONS)
+        sys.stdout.write(f"yamsim {__version__}\nPython {platform.python_version()}, {packages}\n")
         raise typer.Exit
 
 
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the versions that matter and exit."
+        ),
     ] = False,
 ) -> None:
     """Simulation toolkit for the I2RT YAM arm: recorded demonstrations on MuJoCo."""

@@ -1,8 +1,8 @@
-"""`make bench`: what each part of the main job costs on this machine, in one process.
+"""`make bench`: what the main job costs on this machine, against a plain pipeline and against the least it could cost.
 
-    python -m tests.bench [--episodes N] [--json FILE]
+    python -m tests.bench [--episodes N] [--plain-episodes N] [--json FILE]
 
-Every figure is the median over its repetitions, after a warm-up. Nothing here is a test: a slow machine fails nothing.
+Nothing here is a test: a slow machine fails nothing. Leave the machine alone meanwhile.
 """
 
 from __future__ import annotations
@@ -10,105 +10,93 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import statistics
-import time
-from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from yamsim_cli.core.gl import choose_backend
+from rich.console import Console
+from rich.table import Table
 
+from tests.bench.setting import use_gl
 
-def median_seconds(work: Callable[[int], object], repetitions: int) -> float:
-    """Median time of `work(k)` for k = 1, 2, ...; call 0 warms up and does not count."""
-    work(0)
-    times = []
-    for k in range(1, repetitions + 1):
-        began = time.perf_counter()
-        work(k)
-        times.append(time.perf_counter() - began)
-    return statistics.median(times)
+if TYPE_CHECKING:
+    from tests.bench.pipeline import PipelineFigures
 
-
-def measure(episodes: int) -> dict[str, float]:
-    """Figure -> seconds."""
-    os.environ.setdefault("MUJOCO_GL", choose_backend(os.environ) or "")
-
-    import mujoco
-    import numpy as np
-
-    from yamsim_cli.core.assets import AssetStore, load_lock
-    from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.record import RecordConfig
-    from yamsim_cli.core.jobs.episode import EpisodeRunner
-    from yamsim_cli.core.planning.dynamics import ArmDynamics
-    from yamsim_cli.core.planning.ik import IkSolver
-    from yamsim_cli.core.planning.path import best_plan, plan_path
-    from yamsim_cli.core.resources import Locations
-    from yamsim_cli.core.scene.build import build_scene
-    from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.scene.robot import arm_spec, bare_arm
-    from yamsim_cli.core.sim.rollout import roll_out
-    from yamsim_cli.core.tasks.pickplace import OPEN, candidate_plans, sample_layout
-    from yamsim_cli.core.tasks.randomness import Stream, generator
-    from yamsim_cli.core.types import EpisodeJob
-    from yamsim_cli.core.vision.jpeg import encode_jpeg
-    from yamsim_cli.core.vision.renderer import SceneRenderer
-
-    where = Locations.find(os.environ)
-    config = load_config(RecordConfig, "record", "default", where)
-    lock, store = load_lock(where), AssetStore(where.assets)
-    meshes = {
-        name: store.resolve(lock.sets[name]) for name in mesh_sets(config.rig, (config.task.object, config.task.target))
-    }
-    arm, task = config.rig.arms[0], config.task
-    scene = build_scene(config, where, meshes)
-    ik = IkSolver(bare_arm(arm, where), scene.T_base_in_world)
-    dynamics = ArmDynamics(arm_spec(arm, where, None).compile())
-    start = np.array(task.start_joints)
-
-    layouts = []
-    for k in range(episodes + 1):
-        layout = sample_layout(task, config.table, generator(EpisodeJob(0, k), Stream.LAYOUT))
-        assert layout is not None
-        layouts.append(layout)
-
-    def plan(k: int) -> object:
-        T = scene.T_base_in_world
-        chosen = best_plan(ik, task, candidate_plans(task, layouts[k], T), layouts[k], T)
-        return plan_path(ik, dynamics, chosen, start, task.timing)
-
-    paths = [plan(k) for k in range(episodes + 1)]
-    figures = {"compose and compile the scene": median_seconds(lambda _: build_scene(config, where, meshes), 3)}
-    figures["plan a trial (IK and feedforward)"] = median_seconds(plan, episodes)
-    figures["simulate a trial"] = median_seconds(
-        lambda k: roll_out(scene, layouts[k], paths[k], task.object.name, task.timing),  # type: ignore[arg-type]
-        episodes,
-    )
-    with EpisodeRunner(config, where, meshes, draw=False) as runner:
-        figures["a whole trial without rendering"] = median_seconds(lambda k: runner.run(EpisodeJob(0, k)), episodes)
-    data = mujoco.MjData(scene.model)
-    scene.start(data, layouts[0], start, OPEN)
-    with SceneRenderer(scene.model, config.image.size_px) as renderer:
-        figures["render a frame"] = median_seconds(lambda _: renderer.draw(data, "scene_camera"), 20)
-        image = renderer.draw(data, "scene_camera").copy()
-        print(f"renderer: {renderer.description}, {image.shape[1]}x{image.shape[0]}")
-    figures["encode a frame"] = median_seconds(lambda _: encode_jpeg(image, config.image.jpeg_quality), 50)
-    with EpisodeRunner(config, where, meshes, draw=True) as runner:
-        figures["a whole episode, rendered"] = median_seconds(lambda k: runner.run(EpisodeJob(0, k)), min(episodes, 3))
-    return figures
+# What the widest table takes.
+_WIDTH = 122
 
 
 def main() -> None:
     """Measure, print, and write the figures down when asked to."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--episodes", type=int, default=10)
+    parser.add_argument("--episodes", type=int, default=12, help="of ours, for each quality and number of workers")
+    parser.add_argument("--plain-episodes", type=int, default=3, help="of the plain pipeline")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    figures = measure(arguments.episodes)
-    for name, seconds in figures.items():
-        print(f"{name:38} {seconds * 1000:9.1f} ms")
+    renderer = use_gl()
+    # As `yamsim record` has it: a worker draws by itself, and there is one for each core.
+    os.environ.setdefault("LP_NUM_THREADS", "0")
+
+    from tests.bench.parts import measure_parts
+    from tests.bench.pipeline import alone, measure_pipeline
+
+    console = Console(width=max(_WIDTH, Console().width))
+    console.print(f"{os.cpu_count()} cores, {renderer}\n")
+    parts = alone(measure_parts, 10)
+    console.print(_parts_table(parts))
+    figures = measure_pipeline(arguments.plain_episodes, arguments.episodes)
+    console.print(_rates_table(figures))
+    console.print(_floor_table(figures))
     if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=2) + "\n")
+        document = {"renderer": renderer, "cores": os.cpu_count(), "parts_s": parts, "pipeline": asdict(figures)}
+        arguments.json.write_text(json.dumps(document, indent=2) + "\n")
+
+
+def _parts_table(parts: dict[str, float]) -> Table:
+    table = Table(title="Each part alone, in one process", title_justify="left")
+    table.add_column("part")
+    table.add_column("ms", justify="right")
+    for name, seconds in parts.items():
+        table.add_row(name, f"{seconds * 1000:.2f}")
+    return table
+
+
+def _rates_table(figures: PipelineFigures) -> Table:
+    table = Table(title="The main job, episodes a minute", title_justify="left")
+    columns = ("1 worker", "2 workers", "4 workers", "2 to 1", "b/a, one core", "b/a, machine", "SSIM to a", "to high")
+    for column in ("pipeline", *columns):
+        table.add_column(column, justify="left" if column == "pipeline" else "right", no_wrap=True)
+    table.add_row("(a) plain, one core", f"{60 / figures.plain_one_thread_s:.1f}")
+    table.add_row("(a) plain, machine", f"{60 / figures.plain_s:.1f}")
+    for name, ours in figures.qualities.items():
+        seconds = ours.seconds_per_episode
+        table.add_row(
+            f"(b) {name}",
+            *(f"{60 / each:.1f}" for each in seconds.values()),
+            f"{seconds[1] / seconds[2]:.2f}",
+            f"{figures.plain_one_thread_s / seconds[1]:.1f}",
+            f"{figures.plain_s / min(seconds.values()):.1f}",
+            f"{ours.ssim_plain:.3f}",
+            f"{ours.ssim_high:.3f}",
+        )
+    return table
+
+
+def _floor_table(figures: PipelineFigures) -> Table:
+    table = Table(title="One worker's time, s an episode", title_justify="left")
+    parts = next(iter(figures.qualities.values())).floor_s
+    for column in ("quality", "ours", *parts, "(c) together", "outside", "until the first"):
+        table.add_column(column, justify="left" if column == "quality" else "right", no_wrap=True)
+    for name, ours in figures.qualities.items():
+        table.add_row(
+            name,
+            f"{ours.seconds_per_episode[1]:.2f}",
+            *(f"{seconds:.3f}" for seconds in ours.floor_s.values()),
+            f"{sum(ours.floor_s.values()):.2f}",
+            f"{ours.outside_floor:.0%}",
+            f"{ours.start_s:.1f}",
+        )
+    return table
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ def test_compose_xml_folder_and_zip(tmp_path: Path) -> None:
         (["record", "--rig", "russet", "--n", "1"], 3, "demonstrated by one arm"),
         (["pickplace", "batch", "--rig", "bimanual"], 3, "demonstrated by one arm"),
         (["compose-xml", "--task", "nothing"], 3, "'nothing'"),
-        (["render-views", "--quality", "superb"], 3, "valid: balanced, fast, high"),
+        (["render-views", "--quality", "superb"], 3, "valid: auto, balanced, fast, high"),
         (["render-views", "--size", "9999x10"], 2, "16..4096"),
         (["boards", "--out", "boards.doc"], 2, "boards.doc"),
     ],

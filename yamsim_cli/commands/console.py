@@ -42,6 +42,13 @@ def print_line(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
+def print_text(marked: str, text: str, style: str) -> None:
+    """Write a line of a result to stdout, its beginning in a colour where there are colours."""
+    from rich.text import Text
+
+    Console(soft_wrap=True).print(Text.assemble((marked, style), "  ", text))
+
+
 def note(text: str) -> None:
     """Tell the user something on stderr, as it is."""
     sys.stderr.write(text + "\n")

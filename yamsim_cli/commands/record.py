@@ -110,8 +110,8 @@ def _executors(kind: str, address: str | None, attempt_timeout: float) -> Execut
         return LocalProcesses(attempt_timeout)
     # Ray reports its use over the network unless told not to.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    backend = os.environ.get("MUJOCO_GL")
-    return RayCluster(address, {"MUJOCO_GL": backend} if backend else {}, attempt_timeout)
+    how_to_draw = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
+    return RayCluster(address, how_to_draw, attempt_timeout)
 
 
 def _show(report: RecordReport, json: bool) -> None:

@@ -132,7 +132,10 @@ def resolve_meshes(names: Iterable[str], where: Locations, *, reduced: bool = Fa
     lock, store = load_lock(where), AssetStore(where.assets)
     meshes = {assets.name: store.resolve(assets) for assets in lock.select(names)}
     if missing := [name for name, folder in meshes.items() if folder is None]:
-        note(f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`.")
+        note(
+            f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`, "
+            "or `yamsim doctor`."
+        )
     if reduced:
         meshes |= {name: _reduced(lock, store, name, folder) for name, folder in meshes.items() if folder}
     return meshes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -44,10 +43,13 @@ def summarize(
 
     from yamsim_cli.core.dataset.summary import summarize as count
     from yamsim_cli.core.jobs.summarize import survey_dataset
+    from yamsim_cli.core.machine import usable_cores
 
     thresholds = sorted(set(threshold or _THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
-        survey = survey_dataset(dataset, locations(), workers or _cores(), lambda done, total: advance(done, total, ""))
+        survey = survey_dataset(
+            dataset, locations(), workers or usable_cores(), lambda done, total: advance(done, total, "")
+        )
     report = count(survey, thresholds)
     if html:
         from yamsim_cli.core.jobs.report import write_report
@@ -57,17 +59,13 @@ def summarize(
     if json:
         print_json(report)
     else:
-        from .doctor import findings
+        from .findings import findings
 
         print_table(findings(report))
         if html:
             note(f"The report is in {html}.")
     if report["errors"] or (strict and report["warnings"]):
         raise DatasetError(_verdict(dataset, report, strict))
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _require_free(path: Path, overwrite: bool) -> None:

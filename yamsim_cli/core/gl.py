@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from .errors import ResourceError
 
 # GPU first, then Mesa's software renderer through EGL, then OSMesa, which newer Mesa no longer ships.
-_LINUX_BACKENDS = ("egl", "osmesa")
+LINUX_BACKENDS = ("egl", "osmesa")
 _PROBE_SECONDS = 60.0
 # What OpenGL calls itself where there is no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others' stand-ins.
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
@@ -34,7 +34,7 @@ renderer.close()
 if not drawn:
     raise SystemExit("what it draws is black")
 """
-_FIX = (
+INSTALL_GL = (
     "on Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0, "
     "or run tools/ensure_gl.sh from the checkout"
 )
@@ -79,17 +79,20 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Ba
     if platform != "linux" and not wanted:
         return Backend(None)
     reasons = []
-    for name in (wanted,) if wanted else _LINUX_BACKENDS:
-        found = _probe(name, environ)
+    for name in (wanted,) if wanted else LINUX_BACKENDS:
+        found = probe_backend(name, environ)
         if isinstance(found, Backend):
             return found
         reasons.append(f"{name}: {found}")
     chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if wanted else ""
-    raise ResourceError(f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {_FIX}")
+    raise ResourceError(
+        f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {INSTALL_GL}; "
+        "yamsim doctor looks into it"
+    )
 
 
-def _probe(name: str, environ: Mapping[str, str]) -> Backend | str:
-    """The backend if it works, else why not."""
+def probe_backend(name: str, environ: Mapping[str, str]) -> Backend | str:
+    """Try a backend in a process of its own; the backend if it works, else why not."""
     environment = {**environ, "MUJOCO_GL": name}
     # PyOpenGL's own choice has to agree with MuJoCo's, or the import fails.
     environment.pop("PYOPENGL_PLATFORM", None)

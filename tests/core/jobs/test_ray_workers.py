@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import logging
 import os
 import signal
 import sys
@@ -107,13 +106,8 @@ class TestOnACluster:
             assert done == {k: k * k for k in range(40)}
         nodes.append(made.add_node(num_cpus=1))
 
-    def test_no_cluster_at_the_address_is_said(self) -> None:
+    @pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1"])
+    def test_no_cluster_at_the_address_is_said(self, address: str) -> None:
         pytest.importorskip("ray")
-        logging.disable(logging.CRITICAL)
-        try:
-            with pytest.raises(
-                ResourceError, match=r"^no Ray cluster at 127\.0\.0\.1:1: .*; start one with `ray start"
-            ):
-                RayPool[int, object](Toy, 1, address="127.0.0.1:1")
-        finally:
-            logging.disable(logging.NOTSET)
+        with pytest.raises(ResourceError, match=rf"^no Ray cluster at {address}: .*refused; start one with `ray start"):
+            RayPool[int, object](Toy, 1, address=address)

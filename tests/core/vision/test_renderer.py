@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 
 import cv2
@@ -238,3 +240,14 @@ def test_acne_would_be_seen(make_config: Callable[..., RecordConfig], locations:
     """Were table and floor to cast shadows onto themselves, they would be full of dots."""
     areas = shadows_on_flat(make_config({("render",): "fast"}), locations, all_cast=True)
     assert (areas <= 3).sum() > 50
+
+
+def test_one_that_nobody_closed_ends_without_a_word() -> None:
+    script = (
+        "import mujoco\n"
+        "from yamsim_cli.core.vision.renderer import SceneRenderer\n"
+        "model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
+        "renderer = SceneRenderer(model, (16, 16))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (run.returncode, run.stderr) == (0, "")

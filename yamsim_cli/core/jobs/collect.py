@@ -108,10 +108,13 @@ class Collector:
         """
         self._report()
         while self.outstanding:
-            if self._stop.asked and (not executor.in_flight or self._stop.waited > _STOP_SECONDS):
-                raise InterruptedJobError("interrupted")
             while not self._stop.asked and executor.idle and self._may_start(executor):
                 executor.submit(EpisodeJob(self._config.seed, self._take()))
+            # Only now, so that the workers are busy while the disk is.
+            if self._commit_finished():
+                continue
+            if self._stop.asked and (not executor.in_flight or self._stop.waited > _STOP_SECONDS):
+                raise InterruptedJobError("interrupted")
             self._receive(executor)
 
     def _receive(self, executor: EpisodeExecutor) -> None:
@@ -124,13 +127,19 @@ class Collector:
             return
         self._doubtful.clear()
         self._compare_renderers(payload)
-        if job.attempt in self._gone:
-            self._restore(payload)
-        else:
-            self._finished[job.attempt] = payload
+        self._finished[job.attempt] = payload
+
+    def _commit_finished(self) -> bool:
+        """Write what can be written, in the order of attempts; whether there was anything."""
+        before = len(self._finished)
+        for attempt in self._gone.keys() & self._finished.keys():
+            self._restore(self._finished.pop(attempt))
         while (attempt := len(self._sink.attempts)) in self._finished and attempt not in self._doubtful:
             self._commit(self._finished.pop(attempt))
+        if len(self._finished) == before:
+            return False
         self._report()
+        return True
 
     def _may_start(self, executor: EpisodeExecutor) -> bool:
         """Never more attempts than could still be needed, were they all to succeed."""

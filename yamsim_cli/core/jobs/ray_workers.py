@@ -10,6 +10,7 @@ import contextlib
 import logging
 import pickle
 import signal
+import socket
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Generic, cast
@@ -18,6 +19,9 @@ from ..errors import ResourceError
 from .executor import Factory, J, R
 from .pool import JOB_SECONDS, Died, Event, Pool, Worker
 from .serving import STOP_SIGNALS, Servant
+
+# How long the head of a cluster may take to accept a connection.
+_KNOCK_SECONDS = 5.0
 
 
 class RayPool(Pool[J, R]):
@@ -124,11 +128,24 @@ def _connect(ray: Any, address: str | None, workers: int) -> None:
             if address is None:
                 ray.init(address="local", num_cpus=workers, include_dashboard=False, **quiet)
             else:
+                _knock(address)
                 ray.init(address=address, **quiet)
-        except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        # SystemExit: where a head has gone without a word, Ray waits for it, and then sends itself a SIGTERM.
+        except (OSError, RuntimeError, ValueError, SystemExit, ray.exceptions.RayError) as error:
+            reason = "no answer" if isinstance(error, SystemExit) else f"{error}".partition("\n")[0]
             where = f"at {address}" if address else "on this machine"
             raise ResourceError(f"no Ray cluster {where}: {reason}; start one with `ray start --head`") from error
+
+
+def _knock(address: str) -> None:
+    """See whether anything listens at a HOST:PORT, since Ray itself takes minutes to say that nothing does.
+
+    Raises:
+        OSError: nothing does.
+    """
+    host, colon, port = address.rpartition("://")[2].rpartition(":")
+    if colon and port.isdecimal():
+        socket.create_connection((host, int(port)), _KNOCK_SECONDS).close()
 
 
 @contextlib.contextmanager

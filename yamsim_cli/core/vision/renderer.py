@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import math
+import weakref
 from types import TracebackType
 from typing import Any
 
@@ -34,6 +36,23 @@ def _opengl_name() -> str:
     return name.decode() if name else "unknown"
 
 
+class _Held:
+    """What has to be freed, in this order and with this context current: else another one would be taken for it."""
+
+    def __init__(self) -> None:
+        self.gl: Any = None
+        self.context: mujoco.MjrContext | None = None
+
+    def free(self) -> None:
+        atexit.unregister(self.free)
+        if self.context is not None:
+            self.gl.make_current()
+            self.context.free()
+        if self.gl is not None:
+            self.gl.free()
+        self.gl = self.context = None
+
+
 class SceneRenderer:
     """Colour images of a scene's cameras. Close it, or use it as a context manager: teardown at exit is noisy.
 
@@ -52,8 +71,9 @@ class SceneRenderer:
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
-        self._gl: Any = None
-        self._context: mujoco.MjrContext | None = None
+        self._held = _Held()
+        self._free = weakref.finalize(self, self._held.free)
+        self._free.atexit = False
         self._model = model
         self._width, self._height = size
         fine = fine or size
@@ -75,13 +95,15 @@ class SceneRenderer:
         self.description = _opengl_name()
 
     def _open(self, size: tuple[int, int]) -> None:
-        self._gl = mujoco.GLContext(*size)
-        self._gl.make_current()
-        self._context = mujoco.MjrContext(self._model, _FONT)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        if self._context.offWidth < size[0] or self._context.offHeight < size[1]:
+        self._held.gl = mujoco.GLContext(*size)
+        # Asked for after MuJoCo has asked for the display to be closed, and so done before that.
+        atexit.register(self._held.free)
+        self._held.gl.make_current()
+        context = self._held.context = mujoco.MjrContext(self._model, _FONT)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
+        if context.offWidth < size[0] or context.offHeight < size[1]:
             raise ValueError(f"the model's offscreen buffer is smaller than {size[0]} x {size[1]} pixels")
-        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def intrinsics(self, camera: str) -> Intrinsics:
         """The pinhole camera that a camera's images were taken with."""
@@ -129,11 +151,10 @@ class SceneRenderer:
             view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
 
     def _colours(self, out: Image | None) -> Image:
-        assert self._context is not None, "closed"
+        context = self._current()
         image = np.empty((self._height, self._width, 3), np.uint8) if out is None else out
-        self._gl.make_current()
-        mujoco.mjr_render(self._fine_rect, self._scene, self._context)
-        mujoco.mjr_readPixels(self._pixels, None, self._fine_rect, self._context)
+        mujoco.mjr_render(self._fine_rect, self._scene, context)
+        mujoco.mjr_readPixels(self._pixels, None, self._fine_rect, context)
         pixels = self._pixels
         if pixels.shape != image.shape:
             size = (self._width, self._height)
@@ -144,29 +165,23 @@ class SceneRenderer:
 
     def _render_ids(self, colours: Image | None, depth: NDArray[np.float32] | None) -> None:
         """Draw each geom in the colour of its number, without light or smoothing, and read what is asked for."""
-        assert self._context is not None, "closed"
+        context = self._current()
         flags = self._scene.flags.copy()
         self._scene.flags[_BY_NUMBER] = 1
         try:
-            self._gl.make_current()
-            mujoco.mjr_render(self._rect, self._scene, self._context)
-            mujoco.mjr_readPixels(colours, depth, self._rect, self._context)
+            mujoco.mjr_render(self._rect, self._scene, context)
+            mujoco.mjr_readPixels(colours, depth, self._rect, context)
         finally:
             self._scene.flags[:] = flags
 
+    def _current(self) -> mujoco.MjrContext:
+        assert self._held.context is not None, "closed"
+        self._held.gl.make_current()
+        return self._held.context
+
     def close(self) -> None:
         """Free the OpenGL context; safe to call twice."""
-        if self._context is not None:
-            self._gl.make_current()
-            self._context.free()
-            self._context = None
-        if self._gl is not None:
-            self._gl.free()
-            self._gl = None
-
-    def __del__(self) -> None:
-        # Freed by the garbage collector, the context would take whatever other one is current with it.
-        self.close()
+        self._free()
 
     def __enter__(self) -> SceneRenderer:
         return self

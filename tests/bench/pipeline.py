@@ -1,0 +1,196 @@
+"""The main job as a whole: the plain pipeline (a), ours (b) and the floor (c), on the same episodes."""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from tests.bench.floor import floor_seconds
+from tests.bench.pictures import Image, ssim
+from tests.bench.plain import PlainPipeline, plain_setting
+from tests.bench.setting import Stopwatch, setting
+from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.jobs.collect import Watch
+from yamsim_cli.core.jobs.destination import Output
+from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.jobs.executors import LocalProcesses
+from yamsim_cli.core.jobs.record import record
+from yamsim_cli.core.jobs.stop import Stop
+from yamsim_cli.core.sim.rollout import Rollout
+from yamsim_cli.core.types import EpisodeJob
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+QUALITIES = ("fast", "balanced")
+WORKERS = (1, 2, 4)
+# Every so many frames one is compared.
+_COMPARED = 8
+# On the disk that datasets are written to by default.
+_PLACE = "."
+
+
+@dataclass(frozen=True)
+class QualityFigures:
+    """Of one quality.
+
+    Attributes:
+        floor_s: part -> median seconds an episode, done alone by one process.
+        seconds_per_episode: workers -> seconds an episode, once each of them has delivered one.
+        start_s: seconds until the first episode is on the disk, with one worker.
+        ssim_plain, ssim_high: mean likeness of its pictures to those of the plain pipeline and of `high`.
+    """
+
+    floor_s: dict[str, float]
+    seconds_per_episode: dict[int, float]
+    start_s: float
+    ssim_plain: float
+    ssim_high: float
+
+    @property
+    def outside_floor(self) -> float:
+        """Share of one worker's time that is spent on something else than the floor."""
+        return 1 - sum(self.floor_s.values()) / self.seconds_per_episode[1]
+
+
+@dataclass(frozen=True)
+class PipelineFigures:
+    """Everything that is measured of the main job.
+
+    Attributes:
+        plain_s: seconds an episode of the plain pipeline, a process whose OpenGL draws with a thread a core.
+        plain_one_thread_s: the same without threads, as a worker of ours draws.
+        qualities: by name.
+    """
+
+    plain_s: float
+    plain_one_thread_s: float
+    qualities: dict[str, QualityFigures]
+
+
+def first_successes(count: int) -> list[Rollout]:
+    """The first episodes of the recording's seed, in physics alone."""
+    using = setting("fast")
+    found: list[Rollout] = []
+    with EpisodeRunner(using.config, using.locations, using.meshes, draw=False) as runner:
+        for attempt in itertools.count():
+            _, outcome, rollout = runner.simulate(EpisodeJob(using.config.seed, attempt))
+            if outcome.success and rollout is not None:
+                found.append(rollout)
+            if len(found) == count:
+                break
+    return found
+
+
+def measure_pipeline(plain_episodes: int, episodes: int) -> PipelineFigures:
+    """Run all three.
+
+    Args:
+        plain_episodes: how many episodes the plain pipeline and the floor make.
+        episodes: how many ours makes, for each quality and number of workers.
+    """
+    rollouts = alone(first_successes, plain_episodes)
+    plain_s, plain_images = alone(_plain, rollouts, threads=None)
+    one_thread_s, _ = alone(_plain, rollouts[:1])
+    high = alone(_drawn, "high", rollouts)
+    figures = PipelineFigures(plain_s, one_thread_s, {})
+    for name in QUALITIES:
+        ours = alone(_drawn, name, rollouts)
+        runs = {workers: _record(name, workers, episodes) for workers in WORKERS}
+        figures.qualities[name] = QualityFigures(
+            floor_s=alone(_floor, name, rollouts),
+            seconds_per_episode={workers: run[0] for workers, run in runs.items()},
+            start_s=runs[1][1],
+            ssim_plain=_likeness(ours, plain_images),
+            ssim_high=_likeness(ours, high),
+        )
+    return figures
+
+
+def alone(work: Callable[P, T], *args: P.args, threads: str | None = "0", **kwargs: P.kwargs) -> T:
+    """Run something in a process of its own, since Mesa decides once a process how many threads draw.
+
+    Args:
+        threads: of Mesa's software renderer, beside the process's own; None for as many as it likes.
+    """
+    before = os.environ.pop("LP_NUM_THREADS", None)
+    if threads is not None:
+        os.environ["LP_NUM_THREADS"] = threads
+    try:
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            return pool.submit(work, *args, **kwargs).result()
+    finally:
+        os.environ.pop("LP_NUM_THREADS", None)
+        if before is not None:
+            os.environ["LP_NUM_THREADS"] = before
+
+
+def _plain(rollouts: Sequence[Rollout]) -> tuple[float, list[Image]]:
+    using = plain_setting()
+    images: list[Image] = []
+    seconds = []
+    with (
+        tempfile.TemporaryDirectory() as place,
+        EpisodeRunner(using.config, using.locations, using.meshes, draw=False) as runner,
+    ):
+        plain = PlainPipeline(using, runner)
+        for k, rollout in enumerate(rollouts):
+            with Stopwatch() as watch:
+                made = plain.make(rollout, Path(place, str(k)))
+            seconds.append(watch.seconds)
+            images += made[::_COMPARED]
+        plain.close()
+    return statistics.median(seconds), images
+
+
+def _drawn(quality: str, rollouts: Sequence[Rollout]) -> list[Image]:
+    """Some of a quality's pictures of the scene camera."""
+    using = setting(quality)
+    with EpisodeRunner(using.config, using.locations, using.meshes, draw=True) as runner:
+        return [
+            image
+            for rollout in rollouts
+            for state in rollout.states[::_COMPARED]
+            for image in runner.draw(state.qpos, runner.scene.cameras[:1]).values()
+        ]
+
+
+def _likeness(ours: Sequence[Image], theirs: Sequence[Image]) -> float:
+    return statistics.mean(ssim(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+def _floor(quality: str, rollouts: Sequence[Rollout]) -> dict[str, float]:
+    using = setting(quality)
+    with EpisodeRunner(using.config, using.locations, using.meshes, draw=True) as runner:
+        parts = []
+        for rollout in (rollouts[0], *rollouts):
+            with tempfile.TemporaryDirectory(dir=_PLACE) as place:
+                parts.append(floor_seconds(using, runner, rollout, Path(place)))
+    # The first one warmed up.
+    return {name: statistics.median(part[name] for part in parts[1:]) for name in parts[0]}
+
+
+def _record(quality: str, workers: int, episodes: int) -> tuple[float, float]:
+    """Seconds an episode once every worker has delivered one, and seconds until the first was there."""
+    using = setting(quality)
+    config = using.config.model_copy(update={"episodes": episodes + workers, "workers": workers})
+    came: list[float] = []
+
+    def progress(done: int, wanted: int, attempts: int) -> None:
+        came.extend([time.perf_counter()] * (done - len(came)))
+
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory(dir=_PLACE) as place:
+        output = Output(Path(place, "dataset"), OpenMode.NEW)
+        watch = Watch(progress, lambda warning: None)
+        record(config, using.locations, using.meshes, output, LocalProcesses(), watch, Stop())
+    return (came[-1] - came[workers - 1]) / episodes, came[0] - began

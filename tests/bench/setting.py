@@ -1,0 +1,74 @@
+"""What every bench works with: a stopwatch, and the default recording at some quality, on the real meshes."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from yamsim_cli.core.assets import AssetStore, find_reduced, load_lock
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.gl import find_backend
+from yamsim_cli.core.resources import Locations
+
+
+class Stopwatch:
+    """Adds up the seconds spent inside its `with` blocks."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._began = 0.0
+
+    def __enter__(self) -> Stopwatch:
+        self._began = time.perf_counter()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds += time.perf_counter() - self._began
+
+
+def median_seconds(work: Callable[[int], object], repetitions: int) -> float:
+    """Median time of `work(k)` for k = 1, 2, ...; call 0 warms up and does not count."""
+    work(0)
+    times = []
+    for k in range(1, repetitions + 1):
+        with Stopwatch() as watch:
+            work(k)
+        times.append(watch.seconds)
+    return statistics.median(times)
+
+
+def use_gl() -> str:
+    """Settle on a backend before MuJoCo is imported; what its OpenGL calls itself."""
+    backend = find_backend(os.environ)
+    if backend.name is not None:
+        os.environ["MUJOCO_GL"] = backend.name
+    return backend.renderer
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A recording's config, where robot models are, and each mesh set's folder (None: primitives)."""
+
+    config: RecordConfig
+    locations: Locations
+    meshes: dict[str, Path | None]
+
+
+def setting(quality: str) -> Setting:
+    """The default recording, drawn with a quality."""
+    where = Locations.find(os.environ)
+    config = load_config(RecordConfig, "record", "default", where, {("render",): ("--quality", quality)})
+    # Only once MuJoCo may be imported.
+    from yamsim_cli.core.scene.compose import mesh_sets
+
+    lock, store = load_lock(where), AssetStore(where.assets)
+    meshes: dict[str, Path | None] = {}
+    for name in mesh_sets(config.rig, (config.task.object, config.task.target)):
+        reduced = find_reduced(store, lock.sets[name]) if config.render.reduced_meshes else None
+        meshes[name] = reduced.directory if reduced else store.resolve(lock.sets[name])
+    return Setting(config, where, meshes)

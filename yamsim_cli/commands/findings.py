@@ -1,0 +1,141 @@
+"""What `yamsim summarize` found, for a person at a terminal of 80 columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.constrain import Constrain
+from rich.table import Table
+from rich.text import Text
+
+from yamsim_cli.core.dataset.checks.problem import printable
+
+_WIDTH = 80
+
+# More would only repeat the fault; --json has them all.
+_EXAMPLES = 2
+_LONGEST_EXAMPLE = 200
+
+
+def findings(report: Mapping[str, Any]) -> RenderableType:
+    """Figures, rates by threshold, workspace, and problems by code."""
+    parts: list[RenderableType] = [_figures(report)]
+    if report["episodes"]:
+        parts += [_rates(report), _workspace(report["workspace"])]
+    parts.append(_problems(report))
+    return Constrain(Group(*parts), _WIDTH)
+
+
+def _table(*headings: str, title: str | None = None) -> Table:
+    table = Table(box=box.SIMPLE, title=title, title_justify="left", title_style="bold", pad_edge=False)
+    for k, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if k == 0 else "right", overflow="fold")
+    return table
+
+
+def _figures(report: Mapping[str, Any]) -> Table:
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+
+    def row(name: str, value: str) -> None:
+        if value:
+            table.add_row(name, Text(printable(value)))
+
+    row("dataset", report["path"])
+    row("episodes", f"{report['episodes']:,}: {report['frames']:,} frames, {_duration(report['seconds'])}")
+    each = report["bytes_per_episode"]
+    row("size", _size(report["bytes"]) + (f", {_size(each['median'])} an episode" if each else ""))
+    row("cameras", ", ".join(f"{name} {w}x{h}" for name, (w, h) in report["cameras"].items()))
+    row("task, grasp", "; ".join(", ".join(names) for names in (report["tasks"], report["grasps"]) if names))
+    attempts = report["attempts"]
+    if attempts["n"]:
+        row("attempts", f"{attempts['n']:,}: {_rate(attempts['success_rate'], attempts['wilson95'])} succeeded")
+        row("failures", ", ".join(f"{count} {cause}" for cause, count in attempts["causes"].items()))
+    for key, label in (("dxy_m", "off centre"), ("dz_m", "above target")):
+        if spread := report[key]:
+            row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _SPREAD.items()))
+    return table
+
+
+_SPREAD = {"median": "median", "p95": "95 %", "max": "most"}
+
+
+def _rates(report: Mapping[str, Any]) -> Table:
+    attempts = report["attempts"]
+    table = _table("within", "episodes", *(["all attempts"] if attempts["n"] else []), title="Success")
+    for limit, rate in report["success_rate"].items():
+        cells = [_rate(rate, report["wilson95"][limit])]
+        if attempts["n"]:
+            cells.append(_rate(attempts["rates"][limit], attempts["rates_wilson95"][limit]))
+        table.add_row(f"{float(limit) * 100:g} cm", *cells)
+    return table
+
+
+def _workspace(workspace: Mapping[str, Any]) -> Table:
+    table = _table("m", "x", "y", "cells hit", "outside", title="Workspace")
+    if found := workspace["box"]:
+        table.add_row("sampled from", _span(found["x"]), _span(found["y"]), "", "")
+    for name, ends in workspace["objects"].items():
+        for when in ("start", "end"):
+            if place := ends[when]:
+                cells = f"{place['cells_hit']} of {place['cells']}" if "cells" in place else ""
+                table.add_row(
+                    Text(f"{name}, {when}"), _span(place["x"]), _span(place["y"]), cells, str(place.get("outside", ""))
+                )
+    return table
+
+
+def _problems(report: Mapping[str, Any]) -> RenderableType:
+    if not report["problems"]:
+        return Text("No problems: every file was opened and is as it should be.", style="green")
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for problem in report["problems"]:
+        groups.setdefault(problem["code"], []).append(problem)
+    counts = (_count(report["errors"], "error"), _count(report["warnings"], "warning"))
+    table = Table(box=box.SIMPLE, title=", ".join(counts), title_justify="left", title_style="bold", pad_edge=False)
+    table.add_column("problem", no_wrap=True)
+    table.add_column("", justify="right")
+    table.add_column("what, where, and what to do", overflow="fold")
+    for code, problems in sorted(groups.items(), key=lambda group: group[1][0]["severity"]):
+        style = "red" if problems[0]["severity"] == "error" else "yellow"
+        table.add_row(Text(code, style=style), f"{len(problems):,}", _explained(problems))
+    return table
+
+
+def _explained(problems: Sequence[Mapping[str, Any]]) -> Text:
+    text = Text()
+    for problem in problems[:_EXAMPLES]:
+        place = "/".join(part for part in (problem["episode"], problem["file"]) if part)
+        line = f"{place}: {problem['problem']}" if place else problem["problem"]
+        text.append(line if len(line) <= _LONGEST_EXAMPLE else line[: _LONGEST_EXAMPLE - 3] + "...")
+        text.append("\n")
+    if len(problems) > _EXAMPLES:
+        text.append(f"and {len(problems) - _EXAMPLES:,} more\n")
+    return text.append(problems[0]["advice"], style="dim")
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n:,} {what}{'' if n == 1 else 's'}"
+
+
+def _rate(rate: float | None, interval: Sequence[float]) -> str:
+    return "none" if rate is None else f"{rate:.1%} ({interval[0]:.1%} to {interval[1]:.1%})"
+
+
+def _span(span: Sequence[float]) -> str:
+    return f"{span[0]:.2f} to {span[1]:.2f}"
+
+
+def _size(size: float) -> str:
+    for unit, scale in (("GB", 1e9), ("MB", 1e6)):
+        if size >= scale:
+            return f"{size / scale:.1f} {unit}"
+    return f"{size / 1e3:.1f} kB"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 120 else f"{seconds / 60:.1f} min"

@@ -1,0 +1,52 @@
+"""What this process may use of the machine: cores and memory, as containers and batch systems limit them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path, PurePosixPath
+
+_CGROUPS = Path("/sys/fs/cgroup")
+_MEMBERSHIP = Path("/proc/self/cgroup")
+_MEMINFO = Path("/proc/meminfo")
+
+
+def usable_cores() -> int:
+    """How many cores may be kept busy: those that the scheduler grants, and no more than a container's quota."""
+    granted = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    quotas = []
+    for group in _groups():
+        # Source: Linux's cgroup-v2.rst, cpu.max: "$MAX $PERIOD", or "max" for no limit.
+        quota, _, period = _read(group / "cpu.max").partition(" ")
+        if quota.isdecimal() and period.strip().isdecimal():
+            quotas.append(int(quota) / int(period))
+    return max(1, int(min([granted, *quotas])))
+
+
+def usable_memory() -> int | None:
+    """Bytes that may still be taken, of the machine's and of the container's; None where nothing tells."""
+    left = []
+    for line in _read(_MEMINFO).splitlines():
+        if line.startswith("MemAvailable:"):
+            left.append(int(line.split()[1]) * 1024)
+    for group in _groups():
+        limit, used = _read(group / "memory.max").strip(), _read(group / "memory.current").strip()
+        if limit.isdecimal() and used.isdecimal():
+            left.append(max(0, int(limit) - int(used)))
+    return min(left, default=None)
+
+
+def _groups() -> list[Path]:
+    """The control group of this process and those around it, whose limits hold too."""
+    for line in _read(_MEMBERSHIP).splitlines():
+        # Source: Linux's cgroup-v2.rst: the unified hierarchy's line is "0::$PATH".
+        if line.startswith("0::"):
+            own = PurePosixPath(line[3:].strip().lstrip("/"))
+            return [_CGROUPS / own, *(_CGROUPS / parent for parent in own.parents)]
+    return []
+
+
+def _read(file: Path) -> str:
+    try:
+        return file.read_text()
+    except OSError:
+        return ""
