@@ -35,6 +35,8 @@ FLOORS: dict[str, int] = {
     "core.jobs": 6,
     "policy_server": 6,
     "commands": 7,
+    "api": 8,
+    "gym_env": 8,
     "main": 8,
     "__main__": 9,
 }
@@ -54,6 +56,7 @@ CONFINED = {
     "av": {"core.vision.video"},
     "pyarrow": {"core.jobs.exports"},
     "msgpack": {"core.policies.wire"},
+    "gymnasium": {"gym_env"},
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ..config.task import Timing
+from ..config.task import Success, Timing
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..types import Actions
@@ -48,6 +48,16 @@ class ClosedLoop:
         """What has acted so far. There was no plan, so what it asked for is what the drives were told."""
         ctrl = np.array(self._ctrl)
         return Actions(ctrl, tuple(self._magnet), ctrl)
+
+    def rests_on(self, target: str, limits: Success) -> bool:
+        """Whether the object lies on a target by the task's limits now, at rest; who brought it there is not asked."""
+        data, scene = self.data, self._scene
+        dx, dy, dz = data.body(self._carried).xpos - data.body(target).xpos
+        dof = scene.object_dof[self._carried]
+        speed = float(np.linalg.norm(data.qvel[dof : dof + 3]))
+        return bool(
+            np.hypot(dx, dy) <= limits.threshold and 0.0 <= dz <= limits.max_height and speed <= limits.max_speed
+        )
 
     def step(self, ctrl: Array, magnet: bool) -> None:
         """Let a command (nu,) act for one control tick; the weld takes the object only where the hand is at it."""
