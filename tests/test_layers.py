@@ -55,6 +55,7 @@ CONFINED = {
     "ray": {"core.jobs.ray_workers"},
     "av": {"core.vision.video"},
     "pyarrow": {"core.jobs.exports"},
+    "rerun": {"core.jobs.exports.rrd"},
     "msgpack": {"core.policies.wire"},
     "gymnasium": {"gym_env"},
 }

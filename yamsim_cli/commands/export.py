@@ -61,6 +61,58 @@ def lerobot(
     _show(done, json)
 
 
+@app.command()
+def mp4(
+    dataset: Dataset,
+    out: Annotated[
+        Path, typer.Argument(help="Directory of videos to make; with --sheet a FILE.jpg.", show_default=False)
+    ],
+    camera: Annotated[list[str] | None, typer.Option(help="Several are put side by side.  [default: all]")] = None,
+    sheet: Annotated[bool, typer.Option("--sheet", help="One picture instead, a row an episode.")] = False,
+    columns: Annotated[int, typer.Option(min=1, max=100, help="With --sheet: images in a row.")] = 8,
+    width: Annotated[int, typer.Option(min=16, max=1920, help="With --sheet: of each image, px.")] = 160,
+    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="Of videos: how fast time passes.")] = 1.0,
+    episodes: Episodes = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> None:
+    """A video of each episode, or one picture of all: a contact sheet.
+
+    Example: yamsim export mp4 dataset/ videos/
+    """
+    source, _ = _source(dataset, episodes)
+
+    from yamsim_cli.core.jobs.exports.films import export_mp4, export_sheet
+
+    with progress_bar("exporting", "episodes") as advance:
+
+        def progress(n: int, total: int) -> None:
+            advance(n, total, "")
+
+        if sheet:
+            done = export_sheet(source, out, camera or (), progress, columns=columns, width=width, overwrite=overwrite)
+        else:
+            done = export_mp4(source, out, camera or (), progress, speed=speed, overwrite=overwrite)
+    _show(done, json)
+
+
+@app.command()
+def rerun(
+    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
+) -> None:
+    """An .rrd file of each episode for the rerun viewer: images, joints, poses, camera frusta.
+
+    Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
+    """
+    source, _ = _source(dataset, episodes)
+
+    from yamsim_cli.core.jobs.exports.rrd import export_rerun
+
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_rerun(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
+    _show(done, json)
+
+
 def _source(dataset: Path, episodes: str | None) -> tuple[Source, Locations]:
     """The chosen episodes; nothing is drawn for an export."""
     skip_gl()
