@@ -16,6 +16,7 @@ from tests.cli.run_cli import yamsim
 SAMPLES = Path(__file__).parents[1] / "core" / "policies" / "sample_policies.py"
 
 
+@pytest.mark.slow
 def test_a_policy_in_a_file_is_counted_and_its_prints_stay_out_of_the_report(tmp_path: Path) -> None:
     run = yamsim(
         "eval", "--policy", f"{SAMPLES}:Faulty", "--n", "5", "--workers", "2", "--policy-timeout", "1",
@@ -72,6 +73,7 @@ def test_failures_are_filmed(tmp_path: Path) -> None:
         assert sum(1 for _ in container.decode(video=0)) == 57
 
 
+@pytest.mark.slow
 def test_a_policy_is_served_until_a_signal_and_ends_with_0() -> None:
     pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
     process = subprocess.Popen(

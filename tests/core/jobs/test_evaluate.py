@@ -104,6 +104,22 @@ def test_the_weld_does_not_reach_across_the_table(trial: Callable[..., TrialResu
     assert not any(result.actions.magnet)
 
 
+def test_what_is_still_held_at_the_end_is_let_go(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    """Held over the plate is not put onto it."""
+    (tmp_path / "holder.py").write_text(
+        "from yamsim_cli.core.jobs.builtin_policies import Scripted\n\n\nclass Holder(Scripted):\n"
+        "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
+        "        return {**action, 'done': self._tick == 30}\n"
+    )
+    with TrialRunner(config, locations, {}, PolicyChoice("holder.py:Holder", tmp_path)) as runner:
+        result = runner.run(EpisodeJob(0, 0))
+    assert result.actions is not None
+    assert (result.ended, result.ticks) == (Ended.DONE, 30 + config.task.timing.settle_ticks)
+    assert result.actions.magnet[29]
+    assert not any(result.actions.magnet[30:])
+    assert not result.outcome.success
+
+
 @pytest.mark.parametrize(
     ("seed", "ended", "told"),
     [

@@ -42,6 +42,7 @@ def test_it_listens_on_this_machine_alone() -> None:
         assert url.startswith("http://127.0.0.1:")
 
 
+@pytest.mark.slow
 def test_a_remote_policy_does_what_it_does_here(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     config = make_config({("episodes",): 3, ("workers",): 2})
     with served("Random") as url:
