@@ -23,14 +23,16 @@ def list_assets(json: Json = False) -> None:
 
     Example: yamsim assets list --json
     """
-    from .console import print_json, print_table
+    from .console import print_json, print_line, print_table
 
     lock, store = _open()
     items = [item for assets in lock.sets.values() for item in _files(assets, store)]
     if json:
         print_json({"items": items})
     else:
-        print_table(_table(items, ("name", "set", "size", "status", "license", "path")))
+        print_table(_table(items, ("name", "set", "size", "status")))
+        for assets in lock.sets.values():
+            print_line(f"{assets.name} ({assets.license}): {store.status(assets)[0].path.parent}")
 
 
 @app.command()
@@ -44,7 +46,7 @@ def fetch(
 
     Example: yamsim assets fetch ycb
     """
-    from .console import print_json, print_table
+    from .console import print_json, print_line, print_table
 
     lock, store = _open()
     report, reduced = _fetch_with_progress(lock, store, names or [])
@@ -66,7 +68,9 @@ def fetch(
     if json:
         print_json({"items": items})
     else:
-        print_table(_table(items, ("name", "files", "size", "faces", "reduced_faces", "license", "source", "path")))
+        print_table(_table(items, ("name", "files", "size", "faces", "reduced_faces", "source")))
+        for item in items:
+            print_line(f"{item['name']}: {item['path']}")
 
 
 def _open() -> tuple[AssetLock, AssetStore]:
@@ -128,7 +132,9 @@ def _fetch_with_progress(
 def _table(items: list[dict[str, object]], columns: tuple[str, ...]) -> object:
     from rich.table import Table
 
-    table = Table(*columns)
+    table = Table()
+    for column in columns:
+        table.add_column(column.replace("_", " "), overflow="fold")
     for item in items:
         table.add_row(*(str(item[column]) for column in columns))
     return table

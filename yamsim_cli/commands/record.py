@@ -22,6 +22,7 @@ from .session import (
     job_flags,
     locations,
     parse_size,
+    randomization,
     record_config,
     scene_meshes,
     use_gl,
@@ -45,6 +46,14 @@ def record(
     rig: Rig = None,
     grasp: Annotated[str | None, typer.Option(help="How the object is held: weld.")] = None,
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
+    randomize: Annotated[
+        bool | None,
+        typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more."),
+    ] = None,
+    boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
+    truth: Annotated[
+        bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
+    ] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")] = None,
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     quality: Quality = None,
@@ -73,12 +82,15 @@ def record(
     where = locations()
     flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
         "--wrist": (("wrist",), wrist),
+        "--boards": (("boards",), boards),
+        "--truth": (("truth",), truth),
         "--size": (("image", "size_px"), parse_size(size) if size else None),
         "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
         "--quality": (("render",), quality),
     }
     # Once without OpenGL: what is wrong with it is told at once.
-    record_config(config, where, flags)
+    checked = record_config(config, where, flags)
+    flags["--randomize"] = (("randomization",), randomization(randomize, checked))
     settings = record_config(config, use_gl(where, workers=True), flags)
 
     from yamsim_cli.core.jobs.collect import Watch

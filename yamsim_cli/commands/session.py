@@ -78,6 +78,16 @@ def rig_config(name: str, where: Locations, margin: float | None = None) -> RigC
     return load_config(RigConfig, "rigs", name, where, overrides)
 
 
+def randomization(flag: bool | None, config: RecordConfig) -> str | None:
+    """The randomization that --randomize or --no-randomize asks for; None for what the config says.
+
+    A config with ranges of its own keeps them under --randomize.
+    """
+    if flag is None or (flag and config.randomization.parts):
+        return None
+    return "default" if flag else "none"
+
+
 # What MuJoCo and OpenCV can be asked for without a machine running out of memory.
 _SIZES = range(16, 4097)
 
@@ -161,5 +171,5 @@ def scene_meshes(config: RecordConfig, where: Locations) -> dict[str, Path | Non
     """The meshes of everything that a recording shows, see `resolve_meshes`."""
     from yamsim_cli.core.scene.compose import mesh_sets
 
-    names = mesh_sets(config.rig, (config.task.object, config.task.target))
+    names = mesh_sets(config.rig, (config.task.object, config.task.target, *config.randomization.extras))
     return resolve_meshes(names, where, reduced=config.render.reduced_meshes)

@@ -19,6 +19,7 @@ def run(world, local_pip, monkeypatch):
     console.console = Console(stderr=True)
     console.print_json = lambda value: sys.stdout.write(json.dumps(value) + "\n")
     console.note = lambda text: sys.stderr.write(text + "\n")
+    console.print_line = lambda text: sys.stdout.write(text + "\n")
     console.print_table = lambda table: Console(width=300, file=sys.stdout).print(table)
     monkeypatch.setitem(sys.modules, console.__name__, console)
     monkeypatch.setenv("YAMSIM_DATA_DIR", str(world.locations.data[0]))

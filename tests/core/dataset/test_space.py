@@ -10,7 +10,7 @@ from tests.core.dataset.making import made
 from yamsim_cli.core.config.record import ImageConfig
 from yamsim_cli.core.dataset.faults import explain, reason
 from yamsim_cli.core.dataset.records import Manifest, from_json
-from yamsim_cli.core.dataset.space import EpisodeSize, check_space
+from yamsim_cli.core.dataset.space import EpisodeSize, check_space, files_per_episode
 from yamsim_cli.core.errors import ResourceError
 
 SIZE = EpisodeSize(least=1_000_000, most=4_000_000, inodes=100)
@@ -63,11 +63,21 @@ def test_every_image_takes_whole_blocks() -> None:
     assert size.least < EpisodeSize.expected(57, 2, tiny, block=65536).least
 
 
+def test_ground_truth_is_counted() -> None:
+    image = ImageConfig(size_px=(640, 480), jpeg_quality=85)
+    plain, truth = (EpisodeSize.expected(57, 2, image, 4096, truth=truth) for truth in (False, True))
+    assert files_per_episode(57, 2, truth=False) == 57 * 3
+    # Depth and segmentation of each camera; its numbers; the labels; and the folders of them all.
+    assert truth.inodes - plain.inodes == 57 * 4 + 3 + 7
+    # Measured with two cameras: 3.5 MB an episode.
+    assert truth.least - plain.least < 3_500_000 < truth.most - plain.most
+
+
 def test_episodes_that_are_there_teach_what_the_next_will_take(dataset: Path, disk: SimpleNamespace) -> None:
     guess = EpisodeSize.expected(57, 1, ImageConfig(size_px=(640, 480), jpeg_quality=85), block=4096)
-    assert guess.learned([], 57, 1, 4096) == guess
+    assert guess.learned([], 114, 4096) == guess
     manifest = from_json(Manifest, (dataset / "manifest.json").read_bytes(), "manifest")
-    known = guess.learned(manifest.episodes, 4, 1, 4096)
+    known = guess.learned(manifest.episodes, 8, 4096)
     real = sum(len(data) for data in made(0).files.values())
     assert real < known.most < real + 20 * 4096
     assert 0.7 * known.most < known.least < known.most

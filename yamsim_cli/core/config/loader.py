@@ -15,6 +15,7 @@ from ..resources import Locations
 from .base import Config, Reference
 from .camera import CameraConfig
 from .document import Document, KeyPath, load_yaml, parse_yaml
+from .randomization import RandomizationConfig
 from .record import RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import ObjectConfig, SceneConfig
@@ -27,6 +28,7 @@ KINDS: Mapping[str, type[Config]] = {
     "objects": ObjectConfig,
     "cameras": CameraConfig,
     "quality": RenderConfig,
+    "randomization": RandomizationConfig,
     "record": RecordConfig,
 }
 
@@ -118,15 +120,29 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
     for key in path:
         here = here[key]
     for name, kind, target in _references(model):
-        inner = (*path, name)
-        if isinstance(here.get(name), str):
-            try:
-                file = locations.config_file(kind, here[name])
-            except ConfigError as error:
-                raise ConfigError(f"{document.place(inner)}: {_dotted(inner)}: {error}") from error
-            document.graft(inner, _read(target, file))
-        if isinstance(here.get(name), dict):
-            _resolve_references(target, document, inner, locations)
+        items = list(here[name]) if isinstance(here.get(name), list) else None
+        named = {(*path, name): here.get(name)} if items is None else {(*path, name, k): v for k, v in enumerate(items)}
+        for inner, value in named.items():
+            if isinstance(value, str):
+                _put_in(document, inner, kind, target, value, locations)
+            if isinstance(value, str | dict):
+                _resolve_references(target, document, inner, locations)
+    for name, info in model.model_fields.items():
+        if not any(isinstance(mark, Reference) for mark in info.metadata) and isinstance(here.get(name), dict):
+            for part in _models_in(info.annotation):
+                if issubclass(part, Config):
+                    _resolve_references(part, document, (*path, name), locations)
+
+
+def _put_in(
+    document: Document, path: KeyPath, kind: str, target: type[Config], name: str, locations: Locations
+) -> None:
+    """Replace the name of a config at `path` by its content."""
+    try:
+        file = locations.config_file(kind, name)
+    except ConfigError as error:
+        raise ConfigError(f"{document.place(path)}: {_dotted(path)}: {error}") from error
+    document.graft(path, _read(target, file))
 
 
 def _explain(model: type[Config], document: Document, error: ValidationError) -> tuple[str, str]:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from .base import Config, Name, Reference
+from .randomization import RandomizationConfig
 from .rig import RigConfig
 from .scene import SceneConfig, Table
 from .task import TaskConfig
@@ -57,6 +58,9 @@ class RecordConfig(Config):
         workers: how many processes; it never changes the data.
         seed: with an attempt's number, decides everything random in it.
         wrist: also record the wrist camera.
+        boards: also show the base boards and their mounts, as they are on a real arm.
+        randomization: what differs between episodes beside where things start.
+        truth: also record ground truth for every image, see `core.dataset.truth`.
     """
 
     rig: Annotated[RigConfig, Reference("rigs")]
@@ -67,14 +71,20 @@ class RecordConfig(Config):
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
     wrist: bool
+    boards: bool = False
+    truth: bool = False
     image: ImageConfig
     render: Annotated[RenderConfig, Reference("quality")]
+    randomization: Annotated[RandomizationConfig, Reference("randomization")] = RandomizationConfig()
 
     @model_validator(mode="after")
     def _complete(self) -> RecordConfig:
         for part in ("table", "scene_camera"):
             if getattr(self.scene, part) is None:
                 raise ValueError(f"scene {self.scene.name!r} has no {part}, which task {self.task.name!r} needs")
+        names = [self.task.object.name, self.task.target.name, *(item.name for item in self.randomization.extras)]
+        if len(set(names)) < len(names):
+            raise ValueError(f"distractors and the task's objects must all differ: {', '.join(names)}")
         return self
 
     @property

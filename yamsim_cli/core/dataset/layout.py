@@ -6,6 +6,7 @@ manifest.json          what is published; derived, can be rebuilt
 ep_000000/episode.json seed, outcome, versions, sha256 of every file
 rgb/<camera>/000000.jpg
 lowdim/000000.pkl
+depth/<camera>/000000.npz, segmentation/<camera>/000000.png, truth/<camera>.npz, truth/labels.json
 .staging/              episodes being written; never read
 .lock                  who records into it now; gone when nobody does
 .damaged/              episodes that were not what was recorded, moved out of the way; never read
@@ -20,6 +21,9 @@ CONFIG = "config.yaml"
 ATTEMPTS = "attempts.jsonl"
 MANIFEST = "manifest.json"
 EPISODE = "episode.json"
+TRUTH_LABELS = "truth/labels.json"
+# Below which ground truth lies.
+TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")
 STAGING = ".staging"
 LOCK = ".lock"
 DAMAGED = ".damaged"
@@ -46,6 +50,21 @@ def image_name(camera: str, frame: int) -> str:
 def lowdim_name(frame: int) -> str:
     """Path of a frame's low-dimensional data inside its episode."""
     return f"lowdim/{frame:06d}.pkl"
+
+
+def depth_name(camera: str, frame: int) -> str:
+    """Path of a depth image inside its episode."""
+    return f"depth/{camera}/{frame:06d}.npz"
+
+
+def segmentation_name(camera: str, frame: int) -> str:
+    """Path of a segmentation image inside its episode."""
+    return f"segmentation/{camera}/{frame:06d}.png"
+
+
+def truth_name(camera: str) -> str:
+    """Path of one camera's poses, keypoints and boxes inside its episode."""
+    return f"truth/{camera}.npz"
 
 
 def is_litter(name: str) -> bool:

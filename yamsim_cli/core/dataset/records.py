@@ -11,10 +11,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import DatasetError
 from ..files import sha256_bytes
-from ..types import EpisodePayload, Outcome
+from ..types import EpisodePayload, Outcome, Randomized
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 
 Pose2D = tuple[float, float, float, float]
+# Left out where nothing was drawn.
+Drawn = Annotated[Randomized, Field(exclude_if=lambda drawn: drawn == Randomized())]
 
 
 class Record(BaseModel):
@@ -64,6 +66,7 @@ class AttemptRecord(Record):
     episode: int | None
     outcome: OutcomeRecord
     layout: dict[str, Pose2D]
+    randomized: Drawn = Randomized()
 
 
 class EpisodeRecord(Record):
@@ -82,10 +85,12 @@ class EpisodeRecord(Record):
     frames: int
     frame_period_s: float
     cameras: dict[str, tuple[int, int]]
+    truth: bool = False
     objects: list[str]
     outcome: OutcomeRecord
     max_height_m: float
     layout: dict[str, Pose2D]
+    randomized: Drawn = Randomized()
     versions: dict[str, str]
     renderer: str
     content_sha256: str
@@ -148,6 +153,7 @@ def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecor
         episode=episode,
         outcome=OutcomeRecord.of(payload.outcome),
         layout=dict(payload.layout),
+        randomized=payload.randomized,
     )
 
 

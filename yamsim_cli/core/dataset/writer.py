@@ -176,6 +176,7 @@ class DatasetWriter:
                     episode=found.number,
                     outcome=record.outcome,
                     layout=record.layout,
+                    randomized=record.randomized,
                 )
             )
         self.entries[found.number] = _entry(record, found.text, found.size)

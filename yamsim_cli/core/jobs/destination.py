@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..config.record import RecordConfig
 from ..dataset.records import ManifestEntry
-from ..dataset.space import EpisodeSize, block_size, check_space
+from ..dataset.space import EpisodeSize, block_size, check_space, files_per_episode
 from ..dataset.stage import MAX_WAITING, StagedWriter
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import InterruptedJobError
@@ -118,7 +118,7 @@ def _look_at_mounts(config: RecordConfig, output: Output, watch: Watch) -> Mount
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:
-        files = _frames(config) * (_cameras(config) + 1)
+        files = _files(config)
         seconds = files * _ROUND_TRIPS_A_FILE * 0.01
         watch.warn(
             f"{output.path} is on {mount.point}, which is {mount.kind} ({mount.source}): an episode is {files} files, "
@@ -143,9 +143,14 @@ def _check_space(
     frames, cameras = _frames(config), _cameras(config)
     disk = next(folder for folder in (place, *place.absolute().parents) if folder.is_dir())
     block = block_size(disk)
-    size = EpisodeSize.expected(frames, cameras, config.image, block).learned(entries.values(), frames, cameras, block)
+    size = EpisodeSize.expected(frames, cameras, config.image, block, truth=config.truth)
+    size = size.learned(entries.values(), _files(config), block)
     if warning := check_space(disk, episodes, size):
         watch.warn(warning)
+
+
+def _files(config: RecordConfig) -> int:
+    return files_per_episode(_frames(config), _cameras(config), truth=config.truth)
 
 
 def _frames(config: RecordConfig) -> int:

@@ -28,9 +28,12 @@ from ..sim.replica import Replica
 from ..sim.rollout import Rollout, object_pose, roll_out, simulate
 from ..tasks.pickplace import candidate_plans, judge, knocked, sample_layout
 from ..tasks.randomness import Stream, generator
-from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, StepState
+from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
 from ..vision.jpeg import encode_jpeg
+from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import Image, SceneRenderer
+from .truth import EpisodeTruth
+from .variation import Variation
 
 # A plan that misses a waypoint by more than this is out of the arm's reach.
 _REACH_TOLERANCE = 0.005
@@ -79,6 +82,12 @@ class EpisodeRunner:
         self._start_joints = np.array(config.task.start_joints)
         self._replica = Replica(self._scene)
         self._renderer: SceneRenderer | None = None
+        self._labels: SceneLabels | None = None
+        if config.truth:
+            objects = (config.task.object, config.task.target, *config.randomization.extras)
+            names = [item.name for item in objects]
+            self._labels = scene_labels(self._scene.model, config.rig, names, boards=config.boards)
+        self._variation = Variation(config, self._scene)
 
     @property
     def scene(self) -> CompiledScene:
@@ -102,18 +111,18 @@ class EpisodeRunner:
         layout, outcome, rollout = self.simulate(job)
         starts = start_poses(layout)
         if not outcome.success or rollout is None or not self._draw:
-            return EpisodePayload(job, outcome, starts)
+            return EpisodePayload(job, outcome, starts, randomized=self.randomized)
         frames = self.frames(rollout.states)
         files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(frames)}
         files |= self.images([state.qpos for state in rollout.states])
-        return EpisodePayload(
-            job, outcome, starts, files, len(frames), content_hash(frames), versions(), self.renderer.description
-        )
+        made = (files, len(frames), content_hash(frames), versions(), self.renderer.description)
+        return EpisodePayload(job, outcome, starts, *made, self.randomized)
 
     def simulate(self, job: EpisodeJob) -> tuple[Layout | None, Outcome, Rollout | None]:
         """One attempt in physics alone: where things stood, how it ended, and what happened, if anything moved."""
         task = self._config.task
         T_base = self._scene.T_base_in_world
+        self._variation.begin(job)
         layout = sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
         if layout is None:
             detail = f"no free place for the {task.target.name} in the sampling box"
@@ -131,10 +140,21 @@ class EpisodeRunner:
 
         rollout = roll_out(self._scene, layout, path, plan.object, task.timing)
         outcome = self._judge(rollout, layout.T_in_world[plan.object], path.position_error, path.tilt)
+        if outcome.success:
+            self._variation.place(job, [state.qpos for state in rollout.states])
         return layout, outcome, rollout
 
+    @property
+    def randomized(self) -> Randomized:
+        """What was drawn for the attempt that was last simulated, or given by `vary`."""
+        return self._variation.drawn
+
+    def vary(self, job: EpisodeJob, drawn: Randomized) -> None:
+        """Let the scene be as it was drawn for an attempt; `simulate` does so by itself."""
+        self._variation.apply(job, drawn)
+
     def repeat(self, start: Array, actions: Actions, plan_error: float, tilt: float) -> tuple[Outcome, Rollout]:
-        """Let recorded actions act again, in physics alone, without any plan.
+        """Let recorded actions act again, in physics alone, without any plan, in the scene as it is varied now.
 
         Args:
             start: MuJoCo's positions (nq,) of the first frame.
@@ -182,7 +202,7 @@ class EpisodeRunner:
         )
 
     def images(self, positions: Iterable[Array]) -> dict[str, bytes]:
-        """Path inside the episode -> JPEG, of every camera for each of MuJoCo's positions (nq,).
+        """Path inside the episode -> JPEG, of every camera for each of MuJoCo's positions (nq,), and the truth on it.
 
         Raises:
             ResourceError: no OpenGL context could be made.
@@ -190,15 +210,21 @@ class EpisodeRunner:
         width, height = self._config.image.size_px
         image = np.empty((height, width, 3), np.uint8)
         files: dict[str, bytes] = {}
+        truth = EpisodeTruth(self._labels, self._scene.cameras, self._scene.T_base_in_world) if self._labels else None
+        self._variation.show(self.renderer)
         for k, qpos in enumerate(positions):
             self._replica.show(qpos)
-            for camera in self._scene.cameras:
+            for number, camera in enumerate(self._scene.cameras):
                 self.renderer.draw(self._replica.data, camera, image)
+                self._variation.finish(image, k, number)
                 files[image_name(camera, k)] = encode_jpeg(image, self._config.image.jpeg_quality)
-        return files
+                if truth:
+                    truth.add(self._replica.data, camera, self.renderer)
+        return files | (truth.files if truth else {})
 
     def draw(self, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
         """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,). Raises as `images`."""
+        self._variation.show(self.renderer)
         self._replica.show(qpos)
         return {camera: self.renderer.draw(self._replica.data, camera) for camera in cameras}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from ..config.record import RecordConfig
 from ..dataset.actions import recorded_actions
 from ..dataset.compare import Comparison, Difference, compare_frames, compare_values
-from ..dataset.layout import image_name, lowdim_name
+from ..dataset.layout import TRUTH_FOLDERS, image_name, lowdim_name
 from ..dataset.reader import StoredEpisode, open_episode
 from ..dataset.records import OutcomeRecord
 from ..errors import DatasetError
@@ -111,8 +111,10 @@ class EpisodeVerifier:
         layout, outcome, rollout = self._runner.simulate(EpisodeJob(record.seed, record.attempt))
         made = self._runner.frames(rollout.states) if rollout else []
         once = compare_values(
-            {"outcome": _judgement(record.outcome), "start": _arrays(record.layout)},
-            {"outcome": _judgement(OutcomeRecord.of(outcome)), "start": _arrays(start_poses(layout))},
+            {"outcome": _judgement(record.outcome), "start": _arrays(record.layout)}
+            | {"randomized": asdict(record.randomized)},
+            {"outcome": _judgement(OutcomeRecord.of(outcome)), "start": _arrays(start_poses(layout))}
+            | {"randomized": asdict(self._runner.randomized)},
             self._limits.values,
         )
         checks = {SEED: _together(compare_frames(frames, made, self._limits.values), once)}
@@ -155,6 +157,7 @@ def repeat_actions(
     recorded = recorded_actions(frames, model.nq, model.nu)
     if recorded is None:
         return None
+    vary(runner, episode)
     stored = episode.record.outcome
     outcome, rollout = runner.repeat(*recorded, stored.plan_error_m or 0.0, stored.tilt_rad or 0.0)
     # What the plan knew of itself, its actions cannot tell.
@@ -163,6 +166,12 @@ def repeat_actions(
     )
     once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, tolerance)
     return _together(compare_frames(frames, runner.frames(rollout.states), tolerance), once)
+
+
+def vary(runner: EpisodeRunner, episode: StoredEpisode) -> None:
+    """Let a runner's scene be as it was in a recorded episode."""
+    record = episode.record
+    runner.vary(EpisodeJob(record.seed, record.attempt), record.randomized)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
@@ -206,7 +215,18 @@ def _compare_images(episode: StoredEpisode, drawn: Mapping[str, bytes], limit: f
             if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first is None:
                 shown = [f"{len(data)} bytes" for data in (stored, made)]
                 result.first = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
+    if limit == 0.0 and result.first is None:
+        result.first = _first_other_truth(episode, drawn)
     return result
+
+
+def _first_other_truth(episode: StoredEpisode, drawn: Mapping[str, bytes]) -> Difference | None:
+    """The first file of ground truth that is not the same byte for byte; None if all are."""
+    for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
+        stored, made = episode.read(name), drawn.get(name, b"")
+        if stored != made:
+            return Difference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
+    return None
 
 
 def _pixels_apart(stored: bytes, made: bytes) -> float | None:

@@ -21,7 +21,7 @@ from ..vision.jpeg import decode_jpeg
 from ..vision.renderer import Image
 from ..vision.video import VideoWriter
 from .episode import EpisodeRunner
-from .remake import repeat_actions
+from .remake import repeat_actions, vary
 from .view import PERIOD, require_page, run_page
 
 Meshes = Mapping[str, Path | None]
@@ -76,6 +76,7 @@ def film_rendered(
         UsageError, ResourceError: as for `film_recorded`.
     """
     chosen = _choose(cameras, runner.scene.cameras)
+    vary(runner, episode)
     drawn = (runner.draw(qpos, chosen) for qpos in positions(episode, runner))
     images = (np.concatenate(list(image.values()), axis=1) for image in drawn)
     return _film(images, chosen, path, frame_period, overwrite=overwrite)
@@ -190,6 +191,7 @@ def play(
     viewpoint = frame_workspace(x - 0.15, y, config.table.top + 0.1)
     with EpisodeRunner(scene_config(config), locations, meshes, draw=False) as runner:
         states = positions(episode, runner)
+        vary(runner, episode)
         player = EpisodePlayer(
             f"{config.task.name} {record.episode}", runner.scene.model, states, record.frame_period_s, speed
         )

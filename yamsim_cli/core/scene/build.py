@@ -16,6 +16,7 @@ from ..resources import Locations
 from .compiled import CompiledScene
 from .compose import Contents, Meshes, compile_spec, compose
 from .quality import apply_quality
+from .randomize import prepare_randomization
 from .robot import ACTUATORS, GRIPPER_JOINT, JOINTS
 
 SCENE_CAMERA = "scene_camera"
@@ -34,10 +35,11 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
         SimulationError: MuJoCo refused the composed model.
     """
     task, arm = config.task, config.rig.arms[0]
-    contents = Contents(boards=False, objects=(task.object, task.target))
+    contents = Contents(boards=config.boards, objects=(task.object, task.target))
     spec = compose(config.rig, config.scene, contents, locations, meshes)
     spec.modelname = f"{config.rig.name}_{config.scene.name}_{task.name}"
     spec.option.timestep = task.timing.timestep
+    prepare_randomization(spec, config.randomization, meshes)
     apply_quality(spec, config.render, config.image.size_px)
     add_grasp_weld(spec, task.object.name)
 

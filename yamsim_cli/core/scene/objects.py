@@ -18,14 +18,16 @@ SEEN_GROUP = 2
 HIDDEN_GROUP = 3
 
 
-def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None) -> None:
+def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None, *, fixed: bool = False) -> None:
     """Add a free body named after the object.
 
     Args:
         meshes: folder with the scans; None shows the collision primitives instead, with the same physics.
+        fixed: rather one that stands where it is put.
     """
-    body = spec.worldbody.add_body(name=item.name)
-    body.add_freejoint(name=item.name)
+    body = spec.worldbody.add_body(name=item.name, mocap=fixed)
+    if not fixed:
+        body.add_freejoint(name=item.name)
     body.mass, body.ipos = item.inertia.mass, (0, 0, 0)
     body.inertia = item.inertia.diagonal
     body.iquat = np.asarray(item.inertia.quat) / np.linalg.norm(item.inertia.quat)

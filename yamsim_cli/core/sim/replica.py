@@ -19,13 +19,19 @@ class Replica:
         self.scene = scene
         self.data = mujoco.MjData(scene.model)
         self._T_world_in_base = inverse(scene.T_base_in_world)
+        self._fixed = np.flatnonzero(scene.model.body_mocapid >= 0)
 
     def show(self, qpos: Array) -> None:
         """Take on a state (nq,): positions of all bodies, cameras and lights."""
+        model = self.scene.model
         self.data.qpos[:] = qpos
-        mujoco.mj_kinematics(self.scene.model, self.data)
-        mujoco.mj_comPos(self.scene.model, self.data)
-        mujoco.mj_camlight(self.scene.model, self.data)
+        # Where the model has them now.
+        for body in self._fixed:
+            number = int(model.body_mocapid[body])
+            self.data.mocap_pos[number], self.data.mocap_quat[number] = model.body_pos[body], model.body_quat[body]
+        mujoco.mj_kinematics(model, self.data)
+        mujoco.mj_comPos(model, self.data)
+        mujoco.mj_camlight(model, self.data)
 
     def joints(self) -> Array:
         """The six joints in rad and the opening of one finger in m, (7,)."""

@@ -13,8 +13,26 @@ class Stream(IntEnum):
     """What a random number is for. The values are part of every dataset's meaning: never renumber, only add."""
 
     LAYOUT = 0
+    LIGHTS = 10
+    HEADLIGHT = 11
+    MASS = 12
+    FRICTION = 13
+    LENS = 14
+    CAMERA = 15
+    TABLE = 16
+    FLOOR = 17
+    LOOKS = 18
+    DISTRACTORS = 19
+    TONE = 20
+    NOISE = 21
+    SALT_PEPPER = 22
 
 
-def generator(job: EpisodeJob, stream: Stream) -> np.random.Generator:
-    """The generator of one stream of one attempt; independent of every other attempt and stream."""
-    return np.random.default_rng([job.seed, job.attempt, int(stream)])
+def generator(job: EpisodeJob, stream: Stream, *of: int) -> np.random.Generator:
+    """The generator of one stream of one attempt; independent of every other attempt and stream.
+
+    Args:
+        of: numbers that split the stream further, such as those of a frame and of a camera.
+    """
+    # One more, since numpy takes no notice of zeros at the end.
+    return np.random.default_rng([job.seed, job.attempt, int(stream), *(number + 1 for number in of)])

@@ -65,14 +65,16 @@ def _whole(data: bytes) -> bool:
     if data.startswith(b"\xff\xd8"):
         # Cameras append previews and notes after the end marker.
         return data.rfind(b"\xff\xd9") > len(data) // 2
-    return data.startswith(_PNG) and _whole_png(data)
+    return whole_png(data)
 
 
-def _whole_png(data: bytes) -> bool:
-    """Whether every chunk up to the last is there with its checksum. Source: PNG specification, 5.3.
+def whole_png(data: bytes) -> bool:
+    """Whether it is a PNG, and every chunk up to the last is there with its checksum. Source: PNG specification, 5.3.
 
     The decoder would find out too, but tells it on the process's stderr.
     """
+    if not data.startswith(_PNG):
+        return False
     position = len(_PNG)
     while position + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, position)

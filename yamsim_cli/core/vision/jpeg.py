@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..dataset.checks.images import ImageHeader, ImageLook
 from ..errors import SimulationError
+from .label_images import decode_labels
 
 Image = NDArray[np.uint8]
 
@@ -98,6 +99,10 @@ class JpegReader:
         small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         mean, deviation = cv2.meanStdDev(small)
         return ImageLook(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), complaint)
+
+    def labels(self, data: bytes) -> Image | None:
+        """See `decode_labels`."""
+        return decode_labels(data)
 
     def _heard(self) -> str:
         # The two descriptors share one position: it has moved if something was written.

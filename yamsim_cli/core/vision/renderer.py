@@ -110,6 +110,12 @@ class SceneRenderer:
         fovy = math.radians(float(self._model.cam(camera).fovy[0]))
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
+    def upload_texture(self, texture: int) -> None:
+        """Take a texture's pixels from the model again, after they have changed there."""
+        assert self._held.context is not None, "closed"
+        self._held.gl.make_current()
+        mujoco.mjr_uploadTexture(self._model, self._held.context, texture)
+
     def draw(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
         """An RGB image (height, width, 3) of the scene as `data` has it, written into `out` if given."""
         self._update(data, camera)
@@ -134,6 +140,32 @@ class SceneRenderer:
         self._update(data, camera)
         buffer = np.empty((self._height, self._width), np.float32)
         self._render_ids(None, buffer)
+        return self._distance(buffer)
+
+    def label(self, data: mujoco.MjData, camera: str, label_of_geom: Image) -> tuple[Image, NDArray[np.float32]]:
+        """The label of what is seen at each pixel and its distance z, both (height, width), in one pass.
+
+        Args:
+            label_of_geom: geom -> label (ngeom,), 0 to 254.
+
+        Returns:
+            Labels, 0 where there is nothing; and z in m, 0 where there is nothing.
+        """
+        self._update(data, camera)
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            # What has no number is not drawn, and so hides nothing.
+            geom.segid = label_of_geom[geom.objid] if geom.objtype == _GEOM else 0
+        colours = np.empty((self._height, self._width, 3), np.uint8)
+        buffer = np.empty((self._height, self._width), np.float32)
+        self._render_ids(colours, buffer)
+        # A number is drawn as the colour one above; nothing is 0, and becomes 0 as well.
+        labels: Image = np.maximum(colours[::-1, :, 0], 1) - np.uint8(1)
+        z = self._distance(buffer)
+        z[buffer[::-1] == 0.0] = 0.0
+        return labels, z
+
+    def _distance(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Distances z in m, top row first, from what OpenGL has for depth."""
         extent = self._model.stat.extent
         near, far = self._model.vis.map.znear * extent, self._model.vis.map.zfar * extent
         # The buffer holds 1 at the near plane and 0 at the far one, and is linear in 1 / z.

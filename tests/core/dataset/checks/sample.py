@@ -70,7 +70,7 @@ def black(noise: float = 0.0, level: float = 0.0) -> bytes:
 
 @dataclass
 class Episode:
-    """An episode not written yet. `over` changes its record; `attempt` is the attempt that made it."""
+    """An episode not written yet. `over` changes its record; `others` are files beside its frames."""
 
     number: int
     attempt: int
@@ -78,11 +78,13 @@ class Episode:
     images: dict[str, list[bytes]]
     layout: dict[str, tuple[float, float, float, float]]
     over: dict[str, Any] = field(default_factory=dict)
+    others: dict[str, bytes] = field(default_factory=dict)
 
     @property
     def files(self) -> dict[str, bytes]:
         files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(self.frames)}
-        return files | {image_name(c, k): data for c, images in self.images.items() for k, data in enumerate(images)}
+        files |= {image_name(c, k): data for c, images in self.images.items() for k, data in enumerate(images)}
+        return files | self.others
 
     @property
     def record(self) -> EpisodeRecord:

@@ -394,6 +394,15 @@ ELSEWHERE = {
     "episode.number",
     "file.unhashed",
     "frames.none",
+    # See test_truth.py.
+    "depth.decode",
+    "depth.size",
+    "segmentation.decode",
+    "segmentation.size",
+    "segmentation.label",
+    "truth.missing",
+    "truth.damaged",
+    "truth.shape",
 }
 
 

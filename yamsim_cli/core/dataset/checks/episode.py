@@ -21,6 +21,7 @@ from .motion import arm_joints, check_fingers, check_limits, check_speeds, check
 from .poses import check_intrinsics, check_pose, check_view
 from .problem import Problems
 from .timestamps import TIMESTAMPS, read_timestamps
+from .truth import TruthChecks
 
 # A recorded outcome is of the moment after the last frame, in which a resting object moves by less than 0.1 mm.
 _OUTCOME_TOLERANCE = 0.005
@@ -50,6 +51,7 @@ class _EpisodeCheck:
         frames = check_presence(self._files, self._record, self._problems)
         lowdim = self._check_lowdim()
         cameras = self._check_images()
+        self._check_truth()
         self._check_others()
         period = self._check_times(lowdim.values)
         self._check_joints(lowdim.values, cameras, period)
@@ -139,6 +141,19 @@ class _EpisodeCheck:
                 if data is not None and checks.check(number, name, data):
                     self._hash_fits(name, data)
         return cameras
+
+    def _check_truth(self) -> None:
+        record = self._record
+        if record is None or not record.truth:
+            return
+        checks = TruthChecks(record.cameras, record.frames, self._reader, self._read, self._hash_fits, self._problems)
+        checks.check_missing(record.files, self._files.sizes)
+        for camera in record.cameras:
+            checks.check_arrays(camera)
+            for _, name in sorted(self._files.truth["depth"].get(camera, {}).items()):
+                checks.check_depth(camera, name)
+            for _, name in sorted(self._files.truth["segmentation"].get(camera, {}).items()):
+                checks.check_segmentation(camera, name)
 
     def _check_others(self) -> None:
         """What the record lists besides frames is known by its hash alone."""

@@ -9,7 +9,7 @@ import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..layout import EPISODE, image_name, lowdim_name
+from ..layout import EPISODE, depth_name, image_name, lowdim_name, segmentation_name
 from ..records import EpisodeRecord
 from .problem import Problems
 
@@ -17,11 +17,13 @@ from .problem import Problems
 _DEEPEST = 4
 
 # Larger than any of these files has reason to be.
-_LARGEST = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26}
+_LARGEST = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
 _LARGEST_OTHER = 2**28
 
 _IMAGE = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
 _LOWDIM = re.compile(r"lowdim/([0-9]{1,12})\.pkl")
+_TRUTH = re.compile(r"(depth|segmentation)/([^/]+)/([0-9]{1,12})\.(?:npz|png)")
+_TRUTH_NAMES = {"depth": depth_name, "segmentation": segmentation_name}
 
 
 @dataclass
@@ -30,12 +32,14 @@ class Files:
 
     Attributes:
         sizes: path -> bytes, of every regular file.
-        others: paths that are neither image nor lowdim nor episode.json.
+        truth: "depth" and "segmentation" -> camera -> their images; only where yamsim recorded them.
+        others: paths that are none of these, nor episode.json.
     """
 
     sizes: dict[str, int] = field(default_factory=dict)
     lowdim: dict[int, str] = field(default_factory=dict)
     images: dict[str, dict[int, str]] = field(default_factory=dict)
+    truth: dict[str, dict[str, dict[int, str]]] = field(default_factory=lambda: {kind: {} for kind in _TRUTH_NAMES})
     others: list[str] = field(default_factory=list)
 
 
@@ -47,11 +51,13 @@ def list_files(directory: Path, recorded: bool, problems: Problems) -> Files:
     """
     files = Files()
     for name in _walk(directory, directory, 0, files, problems):
-        image, lowdim = _IMAGE.fullmatch(name), _LOWDIM.fullmatch(name)
+        image, lowdim, truth = _IMAGE.fullmatch(name), _LOWDIM.fullmatch(name), _TRUTH.fullmatch(name)
         if lowdim and (not recorded or name == lowdim_name(int(lowdim[1]))):
             stream, number = files.lowdim, int(lowdim[1])
         elif image and (not recorded or name == image_name(image[1], int(image[2]))):
             stream, number = files.images.setdefault(image[1], {}), int(image[2])
+        elif truth and recorded and name == _TRUTH_NAMES[truth[1]](truth[2], int(truth[3])):
+            stream, number = files.truth[truth[1]].setdefault(truth[2], {}), int(truth[3])
         else:
             stream, number = {}, 0
             if name != EPISODE:
@@ -112,16 +118,19 @@ def check_presence(files: Files, record: EpisodeRecord | None, problems: Problem
     Gaps are frames missing between others; a stream that ends early or late differs in its count.
     """
     if record:
+        _set_aside_truth(files, record)
         for name in files.others:
             if name not in record.files:
                 problems.add("file.unexpected", name)
         for name in record.files:
-            if name not in files.sizes and not (_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name)):
+            if name not in files.sizes and not _is_numbered(name, record):
                 problems.add("file.missing", name)
         for camera in files.images.keys() - record.cameras.keys():
             problems.add("file.unexpected", f"rgb/{camera}", f"camera {camera}", ", ".join(record.cameras))
             del files.images[camera]
         streams = {"lowdim": files.lowdim} | {f"rgb/{name}": files.images.get(name, {}) for name in record.cameras}
+        for kind in _TRUTH_NAMES if record.truth else ():
+            streams |= {f"{kind}/{name}": files.truth[kind].get(name, {}) for name in record.cameras}
     else:
         streams = {"lowdim": files.lowdim} | {f"rgb/{name}": numbers for name, numbers in files.images.items()}
     counts = {name: max(numbers, default=-1) + 1 for name, numbers in streams.items()}
@@ -143,5 +152,20 @@ def check_presence(files: Files, record: EpisodeRecord | None, problems: Problem
     return expected
 
 
+def _is_numbered(name: str, record: EpisodeRecord) -> bool:
+    """Whether a file is one of a stream of frames, whose gaps are told as such."""
+    return bool(_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name) or (record.truth and _TRUTH.fullmatch(name)))
+
+
+def _set_aside_truth(files: Files, record: EpisodeRecord) -> None:
+    """Count depth and segmentation among the other files where the record knows of no such camera, or of no truth."""
+    for cameras in files.truth.values():
+        for camera in [name for name in cameras if not record.truth or name not in record.cameras]:
+            files.others += cameras.pop(camera).values()
+
+
 def _frame_name(stream: str, number: int) -> str:
-    return lowdim_name(number) if stream == "lowdim" else image_name(stream.removeprefix("rgb/"), number)
+    kind, _, camera = stream.partition("/")
+    if kind == "lowdim":
+        return lowdim_name(number)
+    return _TRUTH_NAMES.get(kind, image_name)(camera, number)

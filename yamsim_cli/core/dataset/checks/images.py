@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...geometry.se3 import Array
 from .problem import Problems
@@ -58,6 +59,10 @@ class ImageReader(Protocol):
 
     def look(self, data: bytes) -> ImageLook | None:
         """Decode it; None when that fails."""
+        ...
+
+    def labels(self, data: bytes) -> NDArray[np.uint8] | None:
+        """Decode a segmentation image (height, width); None when it is none, or not whole."""
         ...
 
 

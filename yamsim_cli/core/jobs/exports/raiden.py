@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...config.limits import load_limits
+from ...dataset.layout import depth_name
 from ...dataset.lowdim import dump_frame
 from ...dataset.reader import StoredEpisode
 from ...errors import DatasetError
@@ -22,7 +23,7 @@ from ...resources import Locations
 from ...scene.robot import bare_arm
 from ..episode import require_one_arm
 from . import raiden_schema as schema
-from .source import Exported, Progress, Source, depth_cameras, depth_name
+from .source import Exported, Progress, Source, depth_cameras
 from .target import export_directory
 
 # A lone arm is the left one, and so is its camera.

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from ...dataset.layout import depth_name
 from ...dataset.reader import StoredEpisode
 from ...errors import ResourceError
 from ...geometry.se3 import Array
 from ...scene.robot import JOINTS
-from .source import Exported, Progress, Source, depth_cameras, depth_name
+from .source import Exported, Progress, Source, depth_cameras
 from .target import export_directory
 
 # How far in front of a camera its picture is shown, and how long the axes of a pose are, m.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...config.record import RecordConfig
+from ...dataset.layout import depth_name
 from ...dataset.reader import StoredEpisode, dataset_config, open_episode
 from ...errors import DatasetError
 from ...resources import Locations
@@ -92,11 +93,6 @@ def open_source(dataset: Path, episodes: str | None, locations: Locations) -> So
     chosen = select_episodes(dataset, episodes, None)
     directories = tuple(directory for _, directory in chosen)
     return Source(dataset, dataset_config(dataset, locations), directories, open_episode(directories[0]))
-
-
-def depth_name(camera: str, frame: int) -> str:
-    """Path of a depth image inside its episode: an archive with the array `depth` (height, width), uint16 in mm."""
-    return f"depth/{camera}/{frame:06d}.npz"
 
 
 def depth_cameras(episode: StoredEpisode) -> tuple[str, ...]:

@@ -1,0 +1,171 @@
+"""What a scene's ground truth speaks of: a number for every body that is seen, and points on the arm and its boards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.rig import ArmConfig, RigConfig
+from ..dataset.truth import BACKGROUND, KeypointRecord, LabelRecord, TruthLabels
+from ..geometry.se3 import Array
+from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
+from ..scene.robot import JOINTS
+
+TABLE, POSTS = "table", "posts"
+
+# From where a ray is sent back along a joint's axis, to find where that leaves the arm; no link is as wide, m.
+_OUTSIDE = 0.3
+# Groups that are drawn, see `scene.objects`.
+_SEEN_GROUPS = 3
+# Numbers are told apart by one byte of a colour, in which nothing takes a number more.
+_MOST_LABELS = 254
+
+
+@dataclass(frozen=True)
+class Keypoint:
+    """A point of a body.
+
+    Attributes:
+        record: its name and kind.
+        body: id of the body.
+        position: in the body's frame (3,), m.
+        normal: of the surface there, out of it, in the body's frame (3,); None for a point inside.
+        labels: one of which is seen at the point's pixel if nothing hides it.
+    """
+
+    record: KeypointRecord
+    body: int
+    position: Array
+    normal: Array | None
+    labels: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class SceneLabels:
+    """What is known of a compiled scene beforehand.
+
+    Attributes:
+        names: the names of everything below.
+        of_geom: geom -> number in segmentation images (ngeom,).
+        instance_of: number -> index of its instance, -1 for the background.
+        links, objects: ids of the bodies whose poses are told.
+    """
+
+    names: TruthLabels
+    of_geom: NDArray[np.uint8]
+    instance_of: NDArray[np.int64]
+    links: NDArray[np.int64]
+    objects: NDArray[np.int64]
+    keypoints: tuple[Keypoint, ...]
+
+
+def scene_labels(model: mujoco.MjModel, rig: RigConfig, objects: Sequence[str], *, boards: bool) -> SceneLabels:
+    """Number what a scene shows: each link, object, board and mount, the table, and what carries it.
+
+    Args:
+        objects: names of the bodies that stand on the table.
+        boards: whether the scene has its rig's boards and mounts.
+    """
+    links = {body: arm.name for arm in rig.arms for body in _subtree(model, model.body(f"{arm.prefix}arm").id)}
+    others = {model.body(name).id: name for name in objects}
+    printed = {model.body(name).id: name for arm in rig.arms for name in _board_bodies(arm)} if boards else {}
+    bodies = links | others | printed
+    names = [LabelRecord(id=BACKGROUND, name="background", instance="background")]
+    names += [LabelRecord(id=k, name=name, instance=name) for k, name in enumerate((TABLE, POSTS), start=1)]
+    number = {body: len(names) + k for k, body in enumerate(bodies)}
+    names += [LabelRecord(id=number[b], name=model.body(b).name, instance=i) for b, i in bodies.items()]
+    assert len(names) <= _MOST_LABELS, len(names)
+
+    of_geom = np.zeros(model.ngeom, np.uint8)
+    for geom in range(model.ngeom):
+        name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
+        of_geom[geom] = number.get(body, {"table": 1}.get(name, 2 if name.startswith("post_") else BACKGROUND))
+    instances = list(dict.fromkeys(label.instance for label in names[1:]))
+    keypoints = (*_joints(model, rig, number), *(_corners(model, rig, number) if boards else ()))
+    return SceneLabels(
+        names=TruthLabels(
+            labels=names,
+            instances=instances,
+            links=[model.body(body).name for body in links],
+            objects=[model.body(body).name for body in others | printed],
+            keypoints=[point.record for point in keypoints],
+        ),
+        of_geom=of_geom,
+        instance_of=np.array([-1, *(instances.index(label.instance) for label in names[1:])]),
+        links=np.array(list(links)),
+        objects=np.array(list(others | printed), dtype=np.int64),
+        keypoints=keypoints,
+    )
+
+
+def _subtree(model: mujoco.MjModel, root: int) -> list[int]:
+    found = [root]
+    for body in range(root + 1, model.nbody):
+        if int(model.body_parentid[body]) in found:
+            found.append(body)
+    return found
+
+
+def _board_bodies(arm: ArmConfig) -> Iterator[str]:
+    if arm.board is not None:
+        yield f"{arm.prefix}{BOARD_BODY}"
+    if arm.mount is not None:
+        yield f"{arm.prefix}{MOUNT_BODY}"
+
+
+def _joints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[Keypoint]:
+    """Each joint's centre, and where its axis leaves the surface of the two links it joins, on either side."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for name in (arm.prefix + joint for arm in rig.arms for joint in JOINTS):
+        joint = model.joint(name)
+        link = int(model.jnt_bodyid[joint.id])
+        pair = (link, int(model.body_parentid[link]))
+        centre = KeypointRecord(name=name, body=model.body(link).name, kind="joint")
+        yield Keypoint(centre, link, joint.pos.copy(), None, tuple(number[body] for body in pair))
+        anchor, axis = data.xanchor[joint.id], data.xaxis[joint.id]
+        for side, away in (("plus", axis), ("minus", -axis)):
+            hit = _first_hit(model, data, pair, anchor + _OUTSIDE * away, -away)
+            if hit is None:
+                continue
+            body, point, normal = hit
+            R = data.xmat[body].reshape(3, 3)
+            record = KeypointRecord(name=f"{name}_{side}", body=model.body(body).name, kind="axis")
+            yield Keypoint(record, body, R.T @ (point - data.xpos[body]), R.T @ normal, (number[body],))
+
+
+def _first_hit(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], start: Array, direction: Array
+) -> tuple[int, Array, Array] | None:
+    """Body, point and normal in `world` where a ray first meets what is seen of some bodies, if it does on its way."""
+    best, nearest = None, _OUTSIDE
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if body not in bodies or model.geom_group[geom] >= _SEEN_GROUPS:
+            continue
+        normal = np.zeros(3)
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            distance = mujoco.mj_rayMesh(model, data, geom, start, direction, normal)
+        else:
+            place = data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom]
+            distance = mujoco.mju_rayGeom(*place, start, direction, int(model.geom_type[geom]), normal)
+        if 0 <= distance < nearest:
+            nearest, best = distance, (body, start + distance * direction, normal)
+    return best
+
+
+def _corners(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[Keypoint]:
+    """The four corners of each board's print."""
+    for arm in rig.arms:
+        if arm.board is None:
+            continue
+        name = f"{arm.prefix}{BOARD_BODY}"
+        body, T, board = model.body(name).id, arm.board.T_board_in_arm, arm.board.board
+        for side, x, y in (("top_left", -1, 1), ("top_right", 1, 1), ("bottom_right", 1, -1), ("bottom_left", -1, -1)):
+            record = KeypointRecord(name=f"{name}_{side}", body=name, kind="corner")
+            position = (T @ (x * board.width / 2, y * board.height / 2, 0.0, 1.0))[:3]
+            yield Keypoint(record, body, position, T[:3, 2].copy(), (number[body],))
