@@ -10,6 +10,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
+from .evaluation_table import evaluation_table
 from .session import (
     ConfigOption,
     Json,
@@ -21,6 +22,7 @@ from .session import (
     job_flags,
     locations,
     parse_size,
+    randomization,
     record_config,
     scene_meshes,
     skip_gl,
@@ -68,6 +70,9 @@ def evaluate(
     video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: how many at most.")] = 10,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move older videos aside.")] = False,
     grasp: Annotated[str | None, typer.Option(help="How the object is held: weld.")] = None,
+    randomize: Annotated[
+        bool | None, typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more.")
+    ] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of what the policy sees, in pixels.")] = None,
     quality: Quality = None,
     task: Task = None,
@@ -88,7 +93,8 @@ def evaluate(
         "--quality": (("render",), quality),
         "wrist": (("wrist",), True),
     }
-    record_config(config, where, flags)
+    checked = record_config(config, where, flags)
+    flags["--randomize"] = (("randomization",), randomization(randomize, checked))
     if video is None and policy.partition(":")[0] in _BLIND:
         skip_gl()
     else:
@@ -116,7 +122,7 @@ def evaluate(
     if json:
         print_json(report)
     else:
-        print_table(_table(report))
+        print_table(evaluation_table(report))
 
 
 def _film(
@@ -130,30 +136,3 @@ def _film(
     if films.moved_aside:
         note(f"What was at {films.path} is now at {films.moved_aside}.")
     return [{"trial": film.trial, "path": str(film.path)} for film in shown]
-
-
-def _table(report: dict[str, Any]) -> object:
-    from rich.table import Table
-
-    stats = report["stats"]
-    table = Table("policy", report["policy"], title="pick and place", title_justify="left")
-    low, high = stats["wilson95"]
-    table.add_row(
-        f"success within {stats['threshold_m'] * 100:g} cm",
-        f"{stats['n_success']} of {stats['n']} ({stats['success_rate']:.1%}; 95 % interval {low:.1%} to {high:.1%})",
-    )
-    for limit, rate in stats["rates"].items():
-        table.add_row(f"within {float(limit) * 100:g} cm", f"{rate:.1%}")
-    for cause, count in stats["causes"].items():
-        table.add_row(f"failed: {cause}", str(count))
-    if spread := stats["policy_s"]:
-        figures = ", ".join(f"{name} {value * 1000:.1f} ms" for name, value in spread.items())
-        late = f"; {stats['slower_than_real_time']:.0%} longer than a control tick of {report['tick_s'] * 1000:g} ms"
-        table.add_row("an answer of the policy", figures + late)
-    for trial in report["trials"]:
-        if trial["error"]:
-            table.add_row(f"trial {trial['trial']}: {trial['ended']}", trial["error"])
-    if films := report.get("videos"):
-        table.add_row("videos", f"{len(films)} trials, such as {films[0]['path']}")
-    table.add_row("time", f"{report['seconds']:.1f} s")
-    return table
