@@ -28,7 +28,7 @@ from ..sim.replica import Replica
 from ..sim.rollout import Rollout, roll_out, simulate
 from ..sim.watch import object_pose
 from ..tasks.pickplace import Poses, judge, sample_layout
-from ..tasks.plans import phases
+from ..tasks.plans import phases, phases_of
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
 from ..vision.jpeg import encode_jpeg
@@ -153,15 +153,18 @@ class EpisodeRunner:
         """Let the scene be as it was drawn for an attempt; `simulate` does so by itself."""
         self._variation.apply(job, drawn)
 
-    def repeat(self, start: Array, actions: Actions, plan_error: float, tilt: float) -> tuple[Outcome, Rollout]:
+    def repeat(
+        self, start: Array, actions: Actions, plan_error: float, tilt: float, *, planned: bool = True
+    ) -> tuple[Outcome, Rollout]:
         """Let recorded actions act again, in physics alone, without any plan, in the scene as it is varied now.
 
         Args:
             start: MuJoCo's positions (nq,) of the first frame.
             plan_error, tilt: of the plan that the actions came from, m and rad; they are passed on to the outcome.
+            planned: whether they came from a plan, which says when the object is to be in hand; else the weld does.
         """
         task = self._config.task
-        held = phases(task, self._config.grasp)
+        held = phases(task, self._config.grasp) if planned else phases_of(actions.magnet)
         rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)

@@ -54,7 +54,7 @@ def film_recorded(
         ResourceError: see `VideoWriter`.
     """
     chosen = _choose(cameras, tuple(episode.record.cameras))
-    return _film(_recorded(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
+    return _film(recorded_images(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
 
 
 def film_rendered(
@@ -100,7 +100,12 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
     return tuple(wanted) or (valid[0],)
 
 
-def _recorded(episode: StoredEpisode, cameras: Sequence[str]) -> Iterator[Image]:
+def recorded_images(episode: StoredEpisode, cameras: Sequence[str]) -> Iterator[Image]:
+    """Each frame's images, those of all cameras side by side.
+
+    Raises:
+        DatasetError: one is missing, altered or damaged.
+    """
     for k in range(episode.record.frames):
         images = []
         for camera in cameras:
