@@ -123,7 +123,8 @@ class TrialRunner:
         """One trial."""
         layout, planned, rollout = self._runner.simulate(job)
         scene = self._runner.scene
-        if layout is None or (rollout is None and isinstance(self._policy, Scripted)):
+        scripted = isinstance(self._policy, Scripted)
+        if layout is None or (rollout is None and scripted):
             return TrialResult(job, OutcomeRecord.of(planned), start_poses(layout), Ended.NOT_STARTED)
         start = rollout.states[0].qpos if rollout else self._start(layout)
         if isinstance(self._policy, Privileged):
@@ -137,10 +138,9 @@ class TrialRunner:
         else:
             actions = loop.actions
             plan = (planned.position_error or 0.0, planned.tilt or 0.0)
-            planned_too = isinstance(self._policy, Scripted)
-            judged, _ = self._runner.repeat(start, actions, *plan, planned=planned_too)
+            judged, _ = self._runner.repeat(start, actions, *plan, planned=scripted)
             outcome = OutcomeRecord.of(judged)
-        if not isinstance(self._policy, Scripted):
+        if not scripted:
             outcome = outcome.model_copy(update={"plan_error_m": None, "tilt_rad": None})
         if ended in FAULTS:
             outcome = outcome.model_copy(update={"success": False, "cause": ended.value, "detail": error})

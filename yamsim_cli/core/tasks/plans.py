@@ -57,7 +57,7 @@ def ticks(task: TaskConfig, grasp: GraspKind) -> int:
 
 
 def phases_of(magnet: Sequence[bool]) -> Phases:
-    """When the object was in hand where nothing was planned: while the weld held it, from the first time to the last."""
+    """When the object was in hand where nothing was planned: while the weld held it, from first to last."""
     on = [tick for tick, holds in enumerate(magnet) if holds]
     return Phases(reached=on[0], held=range(on[0], on[-1] + 1)) if on else Phases(reached=len(magnet), held=range(0))
 
