@@ -30,6 +30,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.jobs.view import live_rig, view_in_browser
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.live import LiveRig
 from yamsim_cli.core.viewers.viewpoint import Viewpoint
 
@@ -125,7 +126,7 @@ def served(live: LiveRig) -> Iterator[str]:
     """The URL of a page on which the rig runs."""
     urls: list[str] = []
     ended = threading.Event()
-    thread = threading.Thread(target=view_in_browser, args=(live, 0, urls.append, ended.is_set))
+    thread = threading.Thread(target=view_in_browser, args=(live, PageAddress(), urls.append, ended.is_set))
     thread.start()
     try:
         wait_until(lambda: urls)
