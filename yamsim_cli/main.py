@@ -19,6 +19,7 @@ from .commands.render_views import render_views
 from .commands.replay import replay
 from .commands.signals import raise_signals
 from .commands.summarize import summarize
+from .commands.teleop import teleop
 from .commands.verify import verify
 from .commands.view import view
 from .core.errors import YamsimError
@@ -39,6 +40,7 @@ app.command("render-views")(render_views)
 app.command()(overlay)
 app.command()(boards)
 app.command()(view)
+app.command()(teleop)
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(assets.app, name="assets")

@@ -1,0 +1,211 @@
+"""Let a session run: by a stream, or on a page that a person drives it from."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..config.record import RecordConfig
+from ..dataset.faults import explain
+from ..dataset.layout import episode_name
+from ..dataset.records import AttemptRecord
+from ..dataset.writer import DatasetWriter, OpenMode
+from ..errors import PartialJobError
+from ..resources import Locations
+from ..scene.compose import Meshes
+from ..viewers.address import PageAddress
+from .demonstrations import Desk, open_worker
+from .stop import Stop
+from .teleop import TeleopSession
+from .teleop_stream import Command, Player
+from .view import require_page, task_viewpoint
+
+# A loop that fell behind by more goes on from where it is instead of racing, s.
+_LONGEST_CATCH_UP = 0.25
+# How long a tick may wait for the worker to say something, s, and how long the end of a session waits at a time.
+_GLANCE = 0.0002
+_PATIENCE = 0.5
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """How far the time between two control ticks was from what it should be, ms.
+
+    Attributes:
+        rate_hz: how many ticks there should be in a second.
+        ticks: how many there were.
+    """
+
+    rate_hz: float
+    ticks: int
+    p50: float
+    p95: float
+    max: float
+
+
+class Pace:
+    """Keeps a loop at one turn a period, on a steady clock, and measures how well."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._due = time.monotonic()
+        self._began: list[float] = []
+
+    def wait(self) -> None:
+        """Until the next turn is due."""
+        now = time.monotonic()
+        if now - self._due > _LONGEST_CATCH_UP:
+            self._due = now
+        time.sleep(max(0.0, self._due - now))
+        self._began.append(time.monotonic())
+        self._due += self._period
+
+    @property
+    def jitter(self) -> Jitter | None:
+        """None before the second turn."""
+        if len(self._began) < 2:
+            return None
+        off = 1000 * np.abs(np.diff(self._began) - self._period)
+        p50, p95 = np.percentile(off, (50, 95))
+        return Jitter(1 / self._period, len(self._began), float(p50), float(p95), float(off.max()))
+
+
+@dataclass(frozen=True)
+class TeleopReport:
+    """What a session did.
+
+    Attributes:
+        episodes, attempts: in the dataset now.
+        trials: of this session, in order.
+        jitter: of the control ticks; None where they were not held to the clock.
+    """
+
+    path: Path
+    episodes: int
+    attempts: int
+    discarded: int
+    trials: tuple[AttemptRecord, ...]
+    jitter: Jitter | None
+
+
+@dataclass(frozen=True)
+class Seat:
+    """All that a session needs: the arm, and the desk that takes what was done with it."""
+
+    session: TeleopSession
+    desk: Desk
+    writer: DatasetWriter
+
+    def look(self, timeout: float) -> None:
+        """Go on with what is waiting, and let the session know."""
+        session, desk = self.session, self.desk
+        outcome = desk.poll(timeout)
+        session.episodes, session.waiting = desk.episodes, desk.waiting
+        session.failures = sum(not outcome.success for _, outcome in desk.outcomes)
+        if outcome is not None:
+            attempt, _ = desk.outcomes[-1]
+            detail = f"{episode_name(attempt.episode)}" if attempt.episode is not None else f"failed: {outcome.detail}"
+            session.message = f"attempt {attempt.attempt}: {detail}"
+
+    def finish(self, jitter: Jitter | None) -> TeleopReport:
+        """Wait for what is not judged yet."""
+        while self.desk.waiting:
+            self.look(_PATIENCE)
+        self.writer.finish()
+        trials = tuple(attempt for attempt, _ in self.desk.outcomes)
+        return TeleopReport(
+            self.writer.path, self.desk.episodes, len(self.writer.attempts), self.session.discarded, trials, jitter
+        )
+
+
+@contextlib.contextmanager
+def open_seat(
+    config: RecordConfig, locations: Locations, meshes: Meshes, out: Path, mode: OpenMode, warn: Callable[[str], None]
+) -> Iterator[Seat]:
+    """Open a dataset and an arm to fill it with.
+
+    Raises:
+        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
+        PartialJobError: the disk refused something.
+    """
+    with DatasetWriter(out, config.data_config(), mode) as writer:
+        if writer.moved_aside:
+            warn(f"What was in {out} is now in {writer.moved_aside}.")
+        for repair in writer.repairs:
+            warn(repair.removesuffix(", and made again"))
+        for lost in writer.missing:
+            warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
+        try:
+            with open_worker(config, locations, meshes) as worker:
+                desk = Desk(config, writer, worker)
+                yield Seat(TeleopSession(config, locations, meshes, desk), desk, writer)
+        except OSError as error:
+            raise PartialJobError(
+                f"{explain(error, out)}: {writer.episodes} episodes are whole in {out}; continue with --resume"
+            ) from error
+        except BaseException:
+            with contextlib.suppress(OSError):
+                writer.finish()
+            raise
+
+
+def run_stream(seat: Seat, commands: Sequence[Command], stop: Stop, *, realtime: bool) -> TeleopReport:
+    """Let a stream drive the arm; a recording that is still going on at its end is stopped, and
+    discarded where the user ends it.
+
+    Args:
+        realtime: hold the ticks to the clock; else they follow each other as fast as they can, with the same result.
+    """
+    session, player = seat.session, Player(commands)
+    pace = Pace(seat.session.tick_seconds) if realtime else None
+    while not stop.asked:
+        if pace is not None:
+            pace.wait()
+        player.act(session, session.time)
+        if player.done:
+            break
+        session.tick()
+        seat.look(_GLANCE)
+    if session.recording:
+        if stop.asked:
+            session.discard()
+        else:
+            session.stop()
+    return seat.finish(pace.jitter if pace else None)
+
+
+def run_page(
+    seat: Seat, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: Stop
+) -> TeleopReport:
+    """Serve a page until `stop` says so; a recording that is going on then is discarded.
+
+    Args:
+        ready: called with the page's URL once it is up, unless it is no longer wanted.
+
+    Raises:
+        UsageError: the address cannot be had.
+        ResourceError: the viewer library is not installed.
+    """
+    require_page()
+    from ..viewers.teleop_page import TeleopPage
+
+    page = TeleopPage(seat.session, task_viewpoint(config), address)
+    pace = Pace(seat.session.tick_seconds)
+    try:
+        if not stop.asked:
+            ready(page.url)
+        while not stop.asked:
+            pace.wait()
+            seat.session.tick()
+            page.update()
+            seat.look(_GLANCE)
+    finally:
+        page.close()
+    if seat.session.recording:
+        seat.session.discard()
+    return seat.finish(pace.jitter)
