@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
-import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.e2e.browser import Browser, wait_until
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
@@ -35,90 +32,6 @@ from yamsim_cli.core.viewers.live import LiveRig
 from yamsim_cli.core.viewers.viewpoint import Viewpoint
 
 pytestmark = pytest.mark.slow
-
-CHROMIUM, CHROMEDRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
-ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # the key under which WebDriver names an element
-CHROMIUM_ARGS = [
-    "--headless=new",
-    "--no-sandbox",
-    "--no-first-run",
-    "--disable-quic",
-    "--disable-sync",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=1400,900",
-]
-
-
-class Browser:
-    """As much of a WebDriver client as these tests need."""
-
-    def __init__(self, port: int, profile: Path) -> None:
-        self._root = f"http://127.0.0.1:{port}"
-        options = {"binary": str(CHROMIUM), "args": [*CHROMIUM_ARGS, f"--user-data-dir={profile}"]}
-        wanted = {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": options}}
-        self._root += f"/session/{self._call('POST', '/session', {'capabilities': wanted})['sessionId']}"
-
-    def _call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
-        data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(self._root + path, method=method, data=data)
-        with urllib.request.urlopen(request, timeout=60) as answer:
-            return json.load(answer)["value"]
-
-    def open(self, url: str) -> None:
-        self._call("POST", "/url", {"url": url})
-
-    def text(self) -> str:
-        text: str = self._call("POST", "/execute/sync", {"script": "return document.body.innerText", "args": []})
-        return text
-
-    def screenshot(self) -> Array:
-        png = np.frombuffer(base64.b64decode(self._call("GET", "/screenshot")), np.uint8)
-        return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))
-
-    def press(self, selector: str, keys: str) -> None:
-        element = self._call("POST", "/element", {"using": "css selector", "value": selector})[ELEMENT]
-        self._call("POST", f"/element/{element}/value", {"text": keys})
-
-    def click(self, label: str) -> None:
-        path = f"//button[contains(., '{label}')]"
-        element = self._call("POST", "/element", {"using": "xpath", "value": path})[ELEMENT]
-        self._call("POST", f"/element/{element}/click", {})
-
-    def close(self) -> None:
-        self._call("DELETE", "")
-
-
-@pytest.fixture
-def browser(tmp_path: Path) -> Iterator[Browser]:
-    if not (CHROMIUM.exists() and CHROMEDRIVER.exists()):
-        pytest.skip("chromium and chromium-driver are not here: tools/ensure_test_programs.sh")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    driver = subprocess.Popen([CHROMEDRIVER, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        wait_until(lambda: answers(port))
-        client = Browser(port, tmp_path / "profile")
-        yield client
-        client.close()
-    finally:
-        driver.terminate()
-        driver.wait(10)
-
-
-def answers(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
-
-
-def wait_until(true: Callable[[], object], seconds: float = 30) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it never came true"
-        time.sleep(0.1)
 
 
 @contextmanager

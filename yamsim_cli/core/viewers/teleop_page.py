@@ -34,7 +34,7 @@ _MOVES = (
 
 _KEYS = (
     "Keys: **I K** away and back, **J L** left and right, **Y H** up and down, **U O** turn, "
-    "**G** gripper, **M** magnet, **R** start or stop, **X** discard"
+    "**N** point down, **G** gripper, **M** magnet, **R** start or stop, **X** discard"
 )
 
 
@@ -83,6 +83,9 @@ class TeleopPage(BodiesPage):
         self._magnet.on_click(lambda _: self._switch_magnet())
         self._add_key("Open or close the gripper", "G", self._arm.toggle_gripper)
         self._add_key("Magnet on or off", "M", self._switch_magnet)
+        down = gui.add_button("Point down", icon=viser.Icon.ARROW_DOWN, hint="The hand upright over the table")
+        down.on_click(lambda _: self._point_down())
+        self._add_key("Point the hand down", "N", self._point_down)
         self.place = gui.add_vector3("target (m)", (0.0, 0.0, 0.0), step=0.001)
         self.place.on_update(self._type_place)
         self.heading = gui.add_number("heading (deg)", 0.0, min=-180.0, max=180.0, step=0.1)
@@ -103,6 +106,12 @@ class TeleopPage(BodiesPage):
     def _move(self, shift: tuple[float, float, float], turn: float) -> None:
         target = self._arm.target
         self._arm.aim(pose(target[:3, 3] + shift, rotation_z(turn) @ target[:3, :3]))
+
+    def _point_down(self) -> None:
+        target = self._arm.target
+        y = rotation_z(_heading(target))[:, 0]
+        down = np.array([0.0, 0.0, -1.0])
+        self._arm.aim(pose(target[:3, 3], np.column_stack([np.cross(y, down), y, down])))
 
     # In the server's own loop, so that a drag's steps stay in order.
     async def _drag(self, event: viser.TransformControlsEvent) -> None:
