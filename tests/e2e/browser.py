@@ -94,6 +94,7 @@ class Browser:
     def click(self, label: str) -> None:
         path = f"//button[contains(., '{label}')]"
         element = self._call("POST", "/element", {"using": "xpath", "value": path})[ELEMENT]
+        self.run("arguments[0].scrollIntoView({block: 'center'})", {ELEMENT: element})
         self._call("POST", f"/element/{element}/click", {})
 
     def close(self) -> None:

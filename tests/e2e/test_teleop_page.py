@@ -40,6 +40,7 @@ input.dispatchEvent(new Event('input', {bubbles: true}));
 // In a field, letters are no keys.
 document.activeElement.blur();
 """
+NUMBERS = "return [...document.querySelectorAll('input')].filter(i => i.type === 'text').slice(-4).map(i => i.value)"
 X, Y, Z, HEADING = range(4)
 
 
@@ -154,6 +155,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         # A second one, thrown away, and a target that no hand can reach.
         browser.keys("r")
         wait_until(lambda: session.recording)
+        wait_until(lambda: browser.run(NUMBERS) == ["0.364", "0", "0.237", "90"])
         browser.run(SET_NUMBER, X, "1.200")
         wait_until(lambda: "out of reach" in browser.text())
         browser.screenshot(screens / "teleop_out_of_reach.png")

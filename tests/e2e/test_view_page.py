@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.cli.run_cli import yamsim
 from tests.e2e.browser import Browser, wait_until
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
@@ -35,11 +36,15 @@ pytestmark = pytest.mark.slow
 
 
 @contextmanager
-def served(live: LiveRig) -> Iterator[str]:
+def served(live: LiveRig, *, pictures: bool = False) -> Iterator[str]:
     """The URL of a page on which the rig runs."""
     urls: list[str] = []
     ended = threading.Event()
-    thread = threading.Thread(target=view_in_browser, args=(live, PageAddress(), urls.append, ended.is_set))
+    thread = threading.Thread(
+        target=view_in_browser,
+        args=(live, PageAddress(), urls.append, ended.is_set),
+        kwargs={"pictures": pictures},
+    )
     thread.start()
     try:
         wait_until(lambda: urls)
@@ -57,7 +62,7 @@ def live(locations: Locations) -> LiveRig:
     return live_rig(rig, scene, Contents(), locations, {"i2rt_yam_crank": None})
 
 
-def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser) -> None:
+def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser, screens: Path) -> None:
     with served(live) as url:
         browser.open(url)
         wait_until(lambda: "real time" in browser.text())
@@ -70,6 +75,7 @@ def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser) 
         browser.press("[role=slider]", "\ue014" * 200)  # arrow right, 1 mrad each
         wait_until(lambda: live.data.ctrl[0] > 0.15)
         wait_until(lambda: joint.qpos[0] > 0.1)
+        browser.screenshot(screens / "view_slider.png")
         browser.click("Home")
         wait_until(lambda: live.data.ctrl[0] == 0 and abs(joint.qpos[0]) < 0.01)
         browser.click("Pause")
@@ -116,6 +122,70 @@ def test_the_boards_on_the_page_are_the_rigs_own(
     scale = np.sum((pixels - pixels.mean(axis=0)) * flipped) / np.sum(flipped**2)
     assert scale > 0
     assert np.abs(pixels - pixels.mean(axis=0) - scale * flipped).max() < 2.0
+
+
+@pytest.mark.render
+def test_cameras_margin_and_colliders_on_the_page(live: LiveRig, browser: Browser, screens: Path) -> None:
+    with served(live, pictures=True) as url:
+        browser.open(url)
+        wait_until(lambda: "real time" in browser.text())
+        browser.click("Take pictures")
+        wait_until(lambda: browser.run("return document.querySelectorAll('img[src^=\"blob:\"]').length") == 2)
+        # The margin's slider is the one after both arms' seven.
+        script = "document.querySelectorAll('[role=slider]')[14].focus()"
+        browser.run(script)
+        browser.keys("\ue014" * 100)
+        wait_until(lambda: live.rig.margin > 0.65)
+        base = live.model.body("arm2_base_board").id
+        assert live.body_poses()[0][base][1] == pytest.approx(live.rig.margin / 2)
+        browser.screenshot(screens / "view_cameras.png")
+        browser.click("Look through right_wrist_camera")
+        time.sleep(1)
+        browser.screenshot(screens / "view_through_wrist.png")
+
+
+@pytest.mark.render
+def test_a_task_and_its_episode_in_the_browser(browser: Browser, tmp_path: Path, screens: Path) -> None:
+    out = tmp_path / "d"
+    done = yamsim("record", "--n", "1", "--workers", "1", "--out", str(out), "--wrist", "--size", "160x120")
+    assert done.code == 0, done.err
+    for name, args in (("task", ("--task", "pickplace")), ("episode", ("--episode", str(out / "ep_000000")))):
+        with command("view", "--web", "--port", "0", *args) as url:
+            browser.open(url)
+            wait_until(lambda: " s" in browser.text() and "Pause" in browser.text())
+            if name == "episode":
+                wait_until(lambda: browser.run("return document.querySelectorAll('img[src^=\"blob:\"]').length") == 2)
+                assert "scene_camera" in browser.text()
+                assert "right_wrist_camera" in browser.text()
+            time.sleep(2)
+            browser.screenshot(screens / f"view_{name}.png")
+
+
+@contextmanager
+def command(*args: str) -> Iterator[str]:
+    """A command that serves a page, in a process of its own that a signal ends; its URL."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "yamsim_cli", *args, "--json"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        said = ""
+        while not said.endswith("}\n"):
+            line = process.stdout.readline()
+            assert line, process.stderr and process.stderr.read()
+            said += line
+        yield json.loads(said)["url"]
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+        assert process.returncode == 0
+        assert "Traceback" not in err
+    finally:
+        process.kill()
+        process.communicate()
 
 
 @pytest.fixture
