@@ -125,7 +125,7 @@ def test_the_boards_on_the_page_are_the_rigs_own(
 
 
 @pytest.mark.render
-def test_cameras_margin_and_colliders_on_the_page(live: LiveRig, browser: Browser, screens: Path) -> None:
+def test_margin_and_cameras_on_the_page(live: LiveRig, browser: Browser, screens: Path) -> None:
     with served(live, pictures=True) as url:
         browser.open(url)
         wait_until(lambda: "real time" in browser.text())

@@ -81,24 +81,26 @@ def teleop(
     settings = record_config(config, use_gl(where, workers=True), flags)
     quiet_page()
 
-    from yamsim_cli.core.jobs.teleop_run import open_seat, run_page, run_stream
+    from yamsim_cli.core.jobs.teleop_run import check_page, open_seat, run_page, run_stream
     from yamsim_cli.core.jobs.teleop_stream import read_stream
 
     commands = None if stream is None else read_stream(stream)
-    url = None if commands else page_address(port, host)
+    page = None if commands else page_address(port, host)
+    if page is not None:
+        check_page(page)
 
-    def ready(where_it_is: str) -> None:
+    def ready(url: str) -> None:
         # Standard output is the report's.
-        note(f"{where_it_is}  (Ctrl-C ends)")
+        note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 
     meshes = scene_meshes(settings, where)
     with stoppable(_ENDING) as stop, open_seat(settings, where, meshes, out, mode, note) as seat:
-        if url is None:
+        if page is None:
             assert commands is not None
             report = run_stream(seat, commands, stop, realtime=realtime)
         else:
-            report = run_page(seat, settings, url, ready, stop)
+            report = run_page(seat, settings, page, ready, stop)
     _show(report, json)
 
 

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -288,11 +293,49 @@ def test_a_stream_makes_a_dataset_that_summarize_and_verify_accept(
     assert yamsim("summarize", str(out), "--strict").code == 0
 
 
-def test_faults_are_one_line(tmp_path: Path, make_config: Callable[..., RecordConfig]) -> None:
+@pytest.mark.render
+def test_a_signal_ends_the_page_with_what_there_is(tmp_path: Path, repository: Path) -> None:
+    pytest.importorskip("viser", reason="yamsim[view] is not installed")
+    command = [sys.executable, "-m", "yamsim_cli", "teleop", "--port", "0", "--out", str(tmp_path / "d"), "--json"]
+    process = subprocess.Popen(
+        command, cwd=repository, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
+    )
+    try:
+        assert process.stderr is not None
+        said = ""
+        while not (found := re.search(r"^http://127\.0\.0\.1:(\d+) ", said, re.MULTILINE)):
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        with urllib.request.urlopen(f"http://127.0.0.1:{found[1]}", timeout=10) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+        process.communicate()
+    assert (process.returncode, err.count("\n")) == (0, 1), err
+    report = json.loads(out)
+    assert (report["episodes"], report["attempts"], report["trials"]) == (0, 0, [])
+    assert (tmp_path / "d" / "manifest.json").is_file()
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", int(found[1]))) != 0
+
+
+@pytest.mark.render
+def test_faults_are_one_line(tmp_path: Path) -> None:
     missing = yamsim("teleop", "--input", str(tmp_path / "none.jsonl"))
     assert (missing.code, "cannot be read" in missing.message) == (3, True)
     assert yamsim("teleop", "--realtime").code == 2
     assert yamsim("teleop", "--input", "s.jsonl", "--port", "1").code == 2
-    both = yamsim("teleop", "--rig", "russet", "--input", str(write_stream(tmp_path / "s.jsonl", [{"t": 0}])))
+    out = tmp_path / "d"
+    stream = str(write_stream(tmp_path / "s.jsonl", [{"t": 0}]))
+    both = yamsim("teleop", "--rig", "russet", "--input", stream, "--out", str(out))
     assert both.code == 3
     assert "2; use a rig with one" in both.message
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        busy = yamsim("teleop", "--port", str(taken.getsockname()[1]), "--out", str(out))
+    assert (busy.code, "cannot be used" in busy.err) == (2, True)
+    assert not out.exists(), "nothing is in the way of the next try"

@@ -25,7 +25,7 @@ from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob, Layout
 from ..viewers.driven import DriveStatus
 from .demonstrations import Demonstration, Inbox
-from .episode import require_one_arm, start_poses
+from .episode import start_poses
 
 _IK_ITERATIONS = 12
 # A target this far from where the hand can be is out of reach, m.
@@ -42,13 +42,14 @@ class TeleopSession:
     The arm follows a target, a pose of the hand or six joints, as fast as its motors can and no nearer to the table or
     to itself than it may. A recording begins from rest at its attempt's layout, as every attempt of the task does.
 
+    Args:
+        config: of a rig with one arm, see `require_one_arm`.
+
     Raises:
-        ConfigError: the rig has more than one arm.
         SimulationError: the task's sampling box has no room.
     """
 
     def __init__(self, config: RecordConfig, locations: Locations, meshes: Meshes, inbox: Inbox) -> None:
-        require_one_arm(config)
         self._config, self._inbox = config, inbox
         self.title = f"{config.task.name} teleop"
         self._scene = build_scene(config, locations, meshes)

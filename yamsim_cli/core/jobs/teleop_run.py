@@ -20,6 +20,7 @@ from ..resources import Locations
 from ..scene.compose import Meshes
 from ..viewers.address import PageAddress
 from .demonstrations import Desk, open_worker
+from .episode import require_one_arm
 from .stop import Stop
 from .teleop import TeleopSession
 from .teleop_stream import Command, Player
@@ -123,6 +124,19 @@ class Seat:
         )
 
 
+def check_page(address: PageAddress) -> None:
+    """Make sure that a page can be served, before a dataset is begun for it.
+
+    Raises:
+        UsageError: the address cannot be had.
+        ResourceError: the viewer library is not installed.
+    """
+    require_page()
+    from ..viewers.bodies_page import check_free
+
+    check_free(address)
+
+
 @contextlib.contextmanager
 def open_seat(
     config: RecordConfig, locations: Locations, meshes: Meshes, out: Path, mode: OpenMode, warn: Callable[[str], None]
@@ -130,9 +144,10 @@ def open_seat(
     """Open a dataset and an arm to fill it with.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
+        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter` and `require_one_arm`.
         PartialJobError: the disk refused something.
     """
+    require_one_arm(config)
     with DatasetWriter(out, config.data_config(), mode) as writer:
         if writer.moved_aside:
             warn(f"What was in {out} is now in {writer.moved_aside}.")
@@ -185,13 +200,12 @@ def run_page(
     """Serve a page until `stop` says so; a recording that is going on then is discarded.
 
     Args:
+        address: see `check_page`.
         ready: called with the page's URL once it is up, unless it is no longer wanted.
 
     Raises:
         UsageError: the address cannot be had.
-        ResourceError: the viewer library is not installed.
     """
-    require_page()
     from ..viewers.teleop_page import TeleopPage
 
     page = TeleopPage(seat.session, task_viewpoint(config), address)

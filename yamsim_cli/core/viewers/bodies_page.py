@@ -67,7 +67,7 @@ class BodiesPage:
 
 
 def _serve(address: PageAddress, title: str) -> viser.ViserServer:
-    _check_free(address)
+    check_free(address)
     server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
     if address.port and server.get_port() != address.port:
         # Somebody was faster; viser then takes the next free port, which is not what was asked for.
@@ -78,7 +78,12 @@ def _serve(address: PageAddress, title: str) -> viser.ViserServer:
     return server
 
 
-def _check_free(address: PageAddress) -> None:
+def check_free(address: PageAddress) -> None:
+    """Make sure that a page can listen there.
+
+    Raises:
+        UsageError: it cannot.
+    """
     try:
         family, kind, _, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
     except socket.gaierror as error:
