@@ -87,6 +87,7 @@ def test_no_joint_is_asked_to_move_faster_than_its_motor_can_follow(session: Tel
     session.aim(wanted)
     run(session, 2.0)
     session.stop()
+    session.settle()
     joints = tray.demonstrations[0].actions.joints[:, :6]
     speed = np.abs(np.diff(joints, axis=0)).max(axis=0) / session.tick_seconds
     motors = np.array([52.5] * 3 + [200] * 3) * 2 * np.pi / 60
@@ -166,11 +167,35 @@ def test_discarded_comes_again_and_stopped_comes_next(session: TeleopSession, tr
     session.start()
     run(session, 0.2)
     session.stop()
+    session.settle()
     assert [demonstration.job.attempt for demonstration in tray.demonstrations] == [0]
     assert not np.allclose(banana(), first)
     session.stop()
     assert len(tray.demonstrations) == 1
     assert session.message == "nothing was being recorded"
+
+
+def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(
+    session: TeleopSession, tray: Tray, config: RecordConfig
+) -> None:
+    session.start()
+    session.toggle_gripper()
+    run(session, 0.5)
+    session.stop()
+    ticks = config.task.timing.settle_ticks
+    for k in range(ticks):
+        assert session.recording, k
+        assert not tray.demonstrations
+        session.aim_joints(np.zeros(6))
+        session.toggle_gripper()
+        session.set_magnet(True)
+        session.tick()
+    assert not session.recording
+    actions = tray.demonstrations[0].actions
+    assert not any(actions.magnet)
+    assert (actions.joints[-ticks:] == actions.joints[-1]).all()
+    assert actions.joints[-1, 6] == 0.0375
+    assert actions.joints[-ticks - 1, 6] == 0.0165
 
 
 def test_what_is_recorded_repeats_bit_for_bit(
@@ -185,6 +210,7 @@ def test_what_is_recorded_repeats_bit_for_bit(
         driven.append(session.data.qpos.copy())
         session.tick()
     session.stop()
+    session.settle()
     (demonstration,) = tray.demonstrations
     with DemonstrationRunner(config, locations, {}, draw=False) as runner:
         outcome, rollout = runner._runner.repeat(demonstration.start, demonstration.actions, 0.0, 0.0)

@@ -40,7 +40,8 @@ class TeleopSession:
     """Owns the scene and its state; a `viewers.driven.Driven`. Its methods may be called from any thread.
 
     The arm follows a target, a pose of the hand or six joints, as fast as its motors can and no nearer to the table or
-    to itself than it may. A recording begins from rest at its attempt's layout, as every attempt of the task does.
+    to itself than it may; after a stop, it takes none until all is at rest. A recording begins from rest at its
+    attempt's layout, as every attempt of the task does.
 
     Args:
         config: of a rig with one arm, see `require_one_arm`.
@@ -71,6 +72,8 @@ class TeleopSession:
         self.discarded = 0
         self._ticks = 0
         self._joint_target: Array | None = None
+        # Ticks that are left of the second after a stop.
+        self._settling: int = 0
         self._begin()
 
     @property
@@ -85,7 +88,7 @@ class TeleopSession:
 
     @property
     def recording(self) -> bool:
-        """Whether what happens is recorded."""
+        """Whether what happens is recorded; the second after a stop is."""
         return self._recording
 
     @property
@@ -116,8 +119,9 @@ class TeleopSession:
     def aim(self, T_pinch_in_world: Array) -> None:
         """Give the hand another target (4, 4); one in the table is lifted out of it."""
         with self.lock:
-            self._joint_target = None
-            self._target = self._above_table(T_pinch_in_world)
+            if not self._settling:
+                self._joint_target = None
+                self._target = self._above_table(T_pinch_in_world)
 
     def aim_grasp(self, T_grasp_in_base: Array) -> None:
         """Give the hand another target: a pose (4, 4) of `grasp_site` in the arm's base, as frames hold it."""
@@ -126,13 +130,15 @@ class TeleopSession:
     def aim_joints(self, joints: Array) -> None:
         """Give the arm six joints (rad) to go to, as a leader arm would; beyond a stop counts as at it."""
         with self.lock:
-            reachable: Array = np.clip(joints, *self._range.T)
-            self._joint_target, self._target = reachable, self._ik.pose_of(reachable)
+            if not self._settling:
+                reachable: Array = np.clip(joints, *self._range.T)
+                self._joint_target, self._target = reachable, self._ik.pose_of(reachable)
 
     def set_gripper(self, opening: float) -> None:
         """Open each finger by so much, m; beyond its range counts as the end of it."""
         with self.lock:
-            self._opening = min(max(opening, 0.0), OPEN)
+            if not self._settling:
+                self._opening = min(max(opening, 0.0), OPEN)
 
     def toggle_gripper(self) -> None:
         """Open the gripper, or close it to what the object needs."""
@@ -143,29 +149,40 @@ class TeleopSession:
     def set_magnet(self, on: bool) -> None:
         """Switch the magnet, which holds the object where the hand is at it."""
         with self.lock:
-            self._magnet = on
+            self._magnet = on and not self._settling
 
     def start(self) -> None:
         """Record from the attempt's beginning: everything goes back to where it was at first."""
         with self.lock:
+            self.settle()
             self._begin()
             self._recording = True
             self.message = "recording"
 
     def stop(self) -> None:
-        """End the recording and hand it in: what is held is let go, and everything has a second to come to rest."""
+        """End the recording: what is held is let go, and once everything has had a second to rest, it is handed in."""
         with self.lock:
-            if not self._recording:
+            if not self._recording or self._settling:
                 self.message = "nothing was being recorded"
                 return
             self._magnet, self._opening = False, OPEN
             self._joint_target = self._pursuit.joints.copy()
-            for _ in range(self._config.task.timing.settle_ticks):
+            self._settling = self._config.task.timing.settle_ticks
+            self.message = "letting go, and waiting until all is at rest"
+            if not self._settling:
+                self._hand_in()
+
+    def settle(self) -> None:
+        """Have what is left of a stop's second pass at once."""
+        with self.lock:
+            while self._settling:
                 self._tick()
-            actions = replace(self._loop.actions, joints=np.array(self._asked))
-            self._inbox.hand_in(Demonstration(self._job, start_poses(self._layout), self._start, actions))
-            self.message = f"attempt {self._job.attempt} is being judged and drawn"
-            self._begin()
+
+    def _hand_in(self) -> None:
+        actions = replace(self._loop.actions, joints=np.array(self._asked))
+        self._inbox.hand_in(Demonstration(self._job, start_poses(self._layout), self._start, actions))
+        self.message = f"attempt {self._job.attempt} is being judged and drawn"
+        self._begin()
 
     def discard(self) -> None:
         """End the recording as if it had never been: the same layout comes again."""
@@ -213,6 +230,7 @@ class TeleopSession:
         self._joint_target = None
         self._target = self._ik.pose_of(joints)
         self._opening, self._magnet, self._recording = OPEN, False, False
+        self._settling = 0
         self._apart, self._blocked = 0.0, ""
         self._asked: list[Array] = []
 
@@ -237,6 +255,10 @@ class TeleopSession:
             self.message = f"the magnet found no {self._config.task.object.name} within its reach"
         self._asked.append(np.append(self._pursuit.joints, self._opening))
         self._ticks += 1
+        if self._settling:
+            self._settling -= 1
+            if not self._settling:
+                self._hand_in()
 
     def _step_reference(self) -> Array:
         """Go one tick towards the target unless something is in the way; the velocity (6,) that this means, rad/s."""

@@ -186,12 +186,17 @@ def run_stream(seat: Seat, commands: Sequence[Command], stop: Stop, *, realtime:
             break
         session.tick()
         seat.look(_GLANCE)
-    if session.recording:
-        if stop.asked:
-            session.discard()
-        else:
-            session.stop()
+    if session.recording and not stop.asked:
+        session.stop()
+    _leave(session)
     return seat.finish(pace.jitter if pace else None)
+
+
+def _leave(session: TeleopSession) -> None:
+    """What was stopped is handed in; what was not is discarded."""
+    session.settle()
+    if session.recording:
+        session.discard()
 
 
 def run_page(
@@ -220,6 +225,5 @@ def run_page(
             seat.look(_GLANCE)
     finally:
         page.close()
-    if seat.session.recording:
-        seat.session.discard()
+    _leave(seat.session)
     return seat.finish(pace.jitter)
