@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import signal
@@ -10,7 +11,7 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -18,13 +19,15 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.jobs.demonstrated import TICK, planned_lines, write_stream
 from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
-from yamsim_cli.core.jobs.demonstrations import Demonstration, DemonstrationRunner
+from yamsim_cli.core.jobs.demonstrations import Demonstration, DemonstrationRunner, Desk
 from yamsim_cli.core.jobs.teleop import TeleopSession
 from yamsim_cli.core.jobs.teleop_run import Pace
 from yamsim_cli.core.jobs.teleop_stream import Player, read_stream
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import Actions, Cause, EpisodeJob, EpisodePayload, Outcome
 
 
 class Tray:
@@ -275,6 +278,52 @@ def test_pace_tells_how_far_off_the_ticks_were(monkeypatch: pytest.MonkeyPatch) 
     # One tick 8 ms late, and the one after it that much sooner: the clock is kept.
     assert jitter.max == pytest.approx(8.0)
     assert jitter.p50 == pytest.approx(4.0)
+
+
+class Refusing:
+    """A dataset on a disk that takes nothing any more."""
+
+    path = Path("full")
+    episodes = 0
+    missing: ClassVar[list[AttemptRecord]] = []
+
+    def __init__(self) -> None:
+        self.attempts: list[AttemptRecord] = []
+        self.asked: list[int] = []
+
+    def publish(self, record: EpisodeRecord, files: dict[str, bytes]) -> None:
+        raise AssertionError("nothing succeeded")
+
+    def log(self, attempt: AttemptRecord) -> None:
+        self.asked.append(attempt.attempt)
+        raise TimeoutError(errno.ETIMEDOUT, "the server does not answer")
+
+
+class Failing:
+    """An executor whose jobs all fail."""
+
+    def __init__(self) -> None:
+        self.jobs: list[Demonstration] = []
+
+    def submit(self, job: Demonstration) -> None:
+        self.jobs.append(job)
+
+    def result(self, timeout: float | None = None) -> tuple[Demonstration, EpisodePayload]:
+        job = self.jobs.pop()
+        return job, EpisodePayload(job.job, Outcome(False, Cause.OFF_TARGET), {})
+
+
+def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config: RecordConfig) -> None:
+    sink = Refusing()
+    nothing = Actions(np.zeros((1, 7)), (False,), np.zeros((1, 7)))
+    with Desk(config, sink, Failing()) as desk:  # type: ignore[arg-type]
+        for number in range(2):
+            assert desk.next_attempt == number
+            desk.hand_in(Demonstration(EpisodeJob(0, number), {}, np.zeros(1), nothing))
+        with pytest.raises(TimeoutError, match="does not answer"):
+            while desk.waiting:
+                desk.news(0.1)
+    assert sink.asked == [0]
 
 
 @pytest.mark.render

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import threading
 from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -14,13 +16,16 @@ from ..config.record import RecordConfig
 from ..dataset.records import AttemptRecord, attempt_record
 from ..geometry.se3 import Array
 from ..resources import Locations
-from ..types import Actions, EpisodeJob, EpisodePayload, Outcome
+from ..types import Actions, EpisodeJob, EpisodePayload
 from .collect import Sink, episode_record
 from .episode import EpisodeRunner
 from .executor import Executor
 from .workers import WorkerPool
 
 SOURCE = "teleop"
+
+# How often a waiting desk looks whether it is still open.
+_POLL_SECONDS = 0.1
 
 
 @dataclass(frozen=True)
@@ -87,60 +92,92 @@ class Inbox(Protocol):
 
 
 class Desk:
-    """Has demonstrations judged one after the other, and writes them as they come back.
+    """Has demonstrations judged one after the other, and writes them in that order, in a thread of its own.
 
-    Attributes:
-        outcomes: of all that were judged here, in order, each with its episode's number or None.
+    Flushing an episode to a disk can take longer than a control tick. A context manager: at its end, what is not judged
+    yet is given up. While it is open, nobody else may use the sink or the executor.
     """
 
     def __init__(self, config: RecordConfig, sink: Sink, executor: DemonstrationExecutor) -> None:
         self._config, self._sink, self._executor = config, sink, executor
-        self._waiting: deque[Demonstration] = deque()
-        self.outcomes: list[tuple[AttemptRecord, Outcome]] = []
+        self._first = len(sink.attempts)
+        self._handed_in = 0
+        self._ended = threading.Event()
+        self._thread = ThreadPoolExecutor(1, "yamsim-desk")
+        self._futures: deque[Future[AttemptRecord | None]] = deque()
+        self.trials: list[AttemptRecord] = []
+        self.episodes = sink.episodes
 
     @property
     def waiting(self) -> int:
-        """How many are not judged yet."""
-        return len(self._waiting) + self._executor.in_flight
+        """How many are not judged yet, or not told of yet."""
+        return len(self._futures)
 
     @property
     def next_attempt(self) -> int:
         """The number of the attempt that comes next."""
-        return len(self._sink.attempts) + self.waiting
-
-    @property
-    def episodes(self) -> int:
-        """How many the dataset holds."""
-        return self._sink.episodes
+        return self._first + self._handed_in
 
     def hand_in(self, demonstration: Demonstration) -> None:
         """Take one, to be judged."""
-        self._waiting.append(demonstration)
+        self._handed_in += 1
+        self._futures.append(self._thread.submit(self._judge, demonstration))
 
-    def poll(self, timeout: float) -> Outcome | None:
-        """Go on with what is waiting, for at most `timeout` seconds; the outcome of one that was written meanwhile.
+    def news(self, timeout: float = 0.0) -> AttemptRecord | None:
+        """The next one that is judged and written, waited for at most `timeout` seconds.
 
         Raises:
             OSError: the disk refused something.
             PartialJobError: the worker does not last.
             ResourceError: nothing can be drawn here.
         """
-        if self._waiting and not self._executor.in_flight:
-            self._executor.submit(self._waiting.popleft())
-        if not self._executor.in_flight:
+        if not self._futures:
             return None
-        try:
-            _, payload = self._executor.result(timeout)
-        except TimeoutError:
+        # Not by its own time limit: a network disk's is the same error.
+        if not wait(list(self._futures)[:1], timeout).done:
             return None
-        self._write(payload)
-        return payload.outcome
+        attempt = self._futures.popleft().result()
+        assert attempt is not None  # nobody asks once it is closed
+        self.trials.append(attempt)
+        self.episodes += attempt.episode is not None
+        return attempt
 
-    def _write(self, payload: EpisodePayload) -> None:
+    def _judge(self, demonstration: Demonstration) -> AttemptRecord | None:
+        try:
+            if self._ended.is_set():
+                return None
+            self._executor.submit(demonstration)
+            payload = self._payload()
+            return None if payload is None else self._write(payload)
+        except BaseException:
+            # The ones after it would leave a gap in the ledger.
+            self._ended.set()
+            raise
+
+    def _payload(self) -> EpisodePayload | None:
+        """What the worker makes of it; None where nobody waits for it any more."""
+        while not self._ended.is_set():
+            try:
+                return self._executor.result(_POLL_SECONDS)[1]
+            except TimeoutError:
+                continue
+        return None
+
+    def _write(self, payload: EpisodePayload) -> AttemptRecord:
         number = self._sink.episodes if payload.outcome.success else None
         if number is not None:
             record = episode_record(self._config, payload, number).model_copy(update={"source": SOURCE})
             self._sink.publish(record, dict(payload.files))
         attempt = attempt_record(payload, number)
         self._sink.log(attempt)
-        self.outcomes.append((attempt, payload.outcome))
+        return attempt
+
+    def __enter__(self) -> Desk:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        # What is being written is written: never half an episode.
+        self._thread.shutdown(wait=True, cancel_futures=True)

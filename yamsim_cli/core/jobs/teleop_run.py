@@ -28,8 +28,7 @@ from .view import require_page, task_viewpoint
 
 # A loop that fell behind by more goes on from where it is instead of racing, s.
 _LONGEST_CATCH_UP = 0.25
-# How long a tick may wait for the worker to say something, s, and how long the end of a session waits at a time.
-_GLANCE = 0.0002
+# How long the end of a session waits for news at a time, s.
 _PATIENCE = 0.5
 
 
@@ -102,26 +101,23 @@ class Seat:
     desk: Desk
     writer: DatasetWriter
 
-    def look(self, timeout: float) -> None:
-        """Go on with what is waiting, and let the session know."""
+    def look(self, timeout: float = 0.0) -> None:
+        """Let the session know what came of its demonstrations; raises as `Desk.news`."""
         session, desk = self.session, self.desk
-        outcome = desk.poll(timeout)
+        news = desk.news(timeout)
         session.episodes, session.waiting = desk.episodes, desk.waiting
-        session.failures = sum(not outcome.success for _, outcome in desk.outcomes)
-        if outcome is not None:
-            attempt, _ = desk.outcomes[-1]
-            detail = f"{episode_name(attempt.episode)}" if attempt.episode is not None else f"failed: {outcome.detail}"
-            session.message = f"attempt {attempt.attempt}: {detail}"
+        if news is not None:
+            session.failures += news.episode is None
+            end = f"failed: {news.outcome.detail}" if news.episode is None else episode_name(news.episode)
+            session.message = f"attempt {news.attempt}: {end}"
 
     def finish(self, jitter: Jitter | None) -> TeleopReport:
         """Wait for what is not judged yet."""
         while self.desk.waiting:
             self.look(_PATIENCE)
         self.writer.finish()
-        trials = tuple(attempt for attempt, _ in self.desk.outcomes)
-        return TeleopReport(
-            self.writer.path, self.desk.episodes, len(self.writer.attempts), self.session.discarded, trials, jitter
-        )
+        writer, trials = self.writer, tuple(self.desk.trials)
+        return TeleopReport(writer.path, writer.episodes, len(writer.attempts), self.session.discarded, trials, jitter)
 
 
 def check_page(address: PageAddress) -> None:
@@ -156,8 +152,7 @@ def open_seat(
         for lost in writer.missing:
             warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
         try:
-            with open_worker(config, locations, meshes) as worker:
-                desk = Desk(config, writer, worker)
+            with open_worker(config, locations, meshes) as worker, Desk(config, writer, worker) as desk:
                 yield Seat(TeleopSession(config, locations, meshes, desk), desk, writer)
         except OSError as error:
             raise PartialJobError(
@@ -185,7 +180,7 @@ def run_stream(seat: Seat, commands: Sequence[Command], stop: Stop, *, realtime:
         if player.done:
             break
         session.tick()
-        seat.look(_GLANCE)
+        seat.look()
     if session.recording and not stop.asked:
         session.stop()
     _leave(session)
@@ -222,7 +217,7 @@ def run_page(
             pace.wait()
             seat.session.tick()
             page.update()
-            seat.look(_GLANCE)
+            seat.look()
     finally:
         page.close()
     _leave(seat.session)
