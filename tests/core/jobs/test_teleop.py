@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import urllib.request
+from concurrent.futures import wait
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -320,9 +321,9 @@ def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config:
         for number in range(2):
             assert desk.next_attempt == number
             desk.hand_in(Demonstration(EpisodeJob(0, number), {}, np.zeros(1), nothing))
+        wait(list(desk._futures))
         with pytest.raises(TimeoutError, match="does not answer"):
-            while desk.waiting:
-                desk.news(0.1)
+            desk.news()
     assert sink.asked == [0]
 
 

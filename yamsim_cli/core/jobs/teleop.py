@@ -100,10 +100,9 @@ class TeleopSession:
     def status(self) -> DriveStatus:
         """How things stand."""
         with self.lock:
-            seconds = self._loop.ticks * self.tick_seconds if self._recording else 0.0
             return DriveStatus(
                 recording=self._recording,
-                seconds=seconds,
+                seconds=self._loop.ticks * self.tick_seconds,
                 episodes=self.episodes,
                 failures=self.failures,
                 waiting=self.waiting,
@@ -248,9 +247,8 @@ class TeleopSession:
         ctrl = np.zeros(scene.model.nu)
         ctrl[scene.arm_ctrl] = (before + self._pursuit.joints) / 2 + scene.kv * velocity / scene.kp
         ctrl[scene.gripper_ctrl] = self._opening
-        wanted = self._magnet
-        self._loop.step(ctrl, wanted)
-        if wanted and not self._loop.holds:
+        self._loop.step(ctrl, self._magnet)
+        if self._magnet and not self._loop.holds:
             self._magnet = False
             self.message = f"the magnet found no {self._config.task.object.name} within its reach"
         self._asked.append(np.append(self._pursuit.joints, self._opening))
