@@ -44,11 +44,15 @@ class Browser:
     def _call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(self._root + path, method=method, data=data)
-        with urllib.request.urlopen(request, timeout=60) as answer:
+        with urllib.request.urlopen(request, timeout=180) as answer:
             return json.load(answer)["value"]
 
     def open(self, url: str) -> None:
         self._call("POST", "/url", {"url": url})
+
+    def resize(self, width: int, height: int) -> None:
+        """The fewer pixels, the sooner each picture is drawn, which has no GPU to draw it."""
+        self._call("POST", "/window/rect", {"width": width, "height": height})
 
     def text(self) -> str:
         text: str = self._call("POST", "/execute/sync", {"script": "return document.body.innerText", "args": []})
@@ -106,7 +110,7 @@ def answers(port: int) -> bool:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
-def wait_until(true: Callable[[], object], seconds: float = 30) -> None:
+def wait_until(true: Callable[[], object], seconds: float = 90) -> None:
     end = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < end, "it never came true"

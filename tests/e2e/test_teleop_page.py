@@ -89,6 +89,7 @@ def test_a_drag_of_the_gizmo_moves_the_hand(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path, screens: Path
 ) -> None:
     with driving(config, locations, tmp_path / "d") as (url, session):
+        browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         time.sleep(2)
@@ -122,6 +123,7 @@ def test_what_is_done_on_the_page_is_an_episode(
                 browser.run(SET_NUMBER, field, f"{place[field]:.3f}")
             wait_until(lambda: at(session, np.array(place)))
 
+        browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         browser.click("Start recording")
@@ -149,7 +151,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         time.sleep(1)
         go((x, y, 0.2))
         browser.click("Stop and judge")
-        wait_until(lambda: "1 episodes, 0 failed" in browser.text(), 60)
+        wait_until(lambda: "1 episodes, 0 failed" in browser.text())
         assert "attempt 0: ep_000000" in browser.text()
 
         # A second one, thrown away, and a target that no hand can reach.

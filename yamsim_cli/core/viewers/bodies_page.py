@@ -8,6 +8,7 @@ import os
 import socket
 from typing import Any
 
+import numpy as np
 import viser
 
 from ..errors import UsageError
@@ -15,6 +16,9 @@ from .address import PageAddress
 from .shapes import add_bodies
 from .shown import Shown
 from .viewpoint import FOV_DEG, Viewpoint
+
+# Of positions in m, and of quaternions.
+_DECIMALS = 5
 
 
 class _LocalServer(viser.ViserServer):
@@ -45,7 +49,8 @@ class BodiesPage:
 
     def update(self) -> None:
         """Send what has changed since the last call to whoever watches."""
-        positions, quaternions = self._shown.body_poses()
+        # An arm at rest trembles by less than anyone sees; sent, each tremble would be drawn.
+        positions, quaternions = (np.round(poses, _DECIMALS) for poses in self._shown.body_poses())
         with self._server.atomic():
             for body, frame in self._bodies.frames.items():
                 # viser drops a pose that has not changed.
