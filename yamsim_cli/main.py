@@ -24,6 +24,7 @@ from .commands.replay import replay
 from .commands.serve_policy import serve_policy
 from .commands.signals import raise_signals
 from .commands.summarize import summarize
+from .commands.teleop import teleop
 from .commands.verify import verify
 from .commands.view import view
 from .core.errors import YamsimError
@@ -48,6 +49,7 @@ app.command()(boards)
 app.command()(view)
 app.command()(doctor)
 app.add_typer(export.app, name="export")
+app.command()(teleop)
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(assets.app, name="assets")

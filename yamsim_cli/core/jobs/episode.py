@@ -15,6 +15,7 @@ from ... import __version__
 from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
+from ..dataset.records import Pose2D
 from ..errors import ConfigError
 from ..geometry.se3 import Array, yaw
 from ..planning.choice import PathChooser
@@ -111,7 +112,12 @@ class EpisodeRunner:
     def run(self, job: EpisodeJob) -> EpisodePayload:
         """Make one attempt; draw it if it succeeded."""
         layout, outcome, rollout = self.simulate(job)
-        starts = start_poses(layout)
+        return self.payload(job, start_poses(layout), outcome, rollout)
+
+    def payload(
+        self, job: EpisodeJob, starts: Mapping[str, Pose2D], outcome: Outcome, rollout: Rollout | None
+    ) -> EpisodePayload:
+        """An attempt's bytes from what happened in it; without files unless it succeeded, and this runner draws."""
         if not outcome.success or rollout is None or not self._draw:
             return EpisodePayload(job, outcome, starts, randomized=self.randomized)
         frames = self.frames(rollout.states)
@@ -246,7 +252,7 @@ class EpisodeRunner:
         self.close()
 
 
-def start_poses(layout: Layout | None) -> dict[str, tuple[float, float, float, float]]:
+def start_poses(layout: Layout | None) -> dict[str, Pose2D]:
     """Object -> start pose `[x, y, z, yaw]` in `world`, m and rad; empty without a layout."""
     if layout is None:
         return {}

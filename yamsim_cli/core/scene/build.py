@@ -54,7 +54,7 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     assert config.scene.scene_camera is not None  # checked when the config was loaded
     add_fixed_camera(spec, SCENE_CAMERA, config.scene.scene_camera)
     if config.wrist:
-        _add_wrist_camera(spec, arm)
+        add_wrist_camera(spec, arm)
         cameras.append(arm.wrist_camera_name)
     limits = load_limits(arm.model, locations).joints_with(arm.gripper)
     return _addresses(compile_spec(spec), config, tuple(cameras), limits)
@@ -91,12 +91,13 @@ def _look_at(camera: FixedCamera) -> Array:
     return np.column_stack([right, np.cross(right, forward), -forward])
 
 
-def _add_wrist_camera(spec: mujoco.MjSpec, arm: ArmConfig) -> None:
+def add_wrist_camera(spec: mujoco.MjSpec, arm: ArmConfig) -> None:
+    """Add an arm's wrist camera, which moves with its hand."""
     camera = arm.wrist_camera
     x = np.asarray(camera.x_axis) / np.linalg.norm(camera.x_axis)
     y = np.asarray(camera.y_axis) / np.linalg.norm(camera.y_axis)
     R = opencv_from_mujoco(np.column_stack([x, y, np.cross(x, y)]))
-    spec.body("link_6").add_camera(
+    spec.body(f"{arm.prefix}link_6").add_camera(
         name=arm.wrist_camera_name, pos=camera.position, quat=quat_from_rotation(R), fovy=camera.fovy_deg
     )
 
