@@ -68,7 +68,7 @@ def test_failures_are_filmed(tmp_path: Path) -> None:
     assert run.code == 0, run.err
     failed = [trial["trial"] for trial in run.json["trials"] if not trial["outcome"]["success"]]
     assert [film["trial"] for film in run.json["videos"]] == failed
-    assert len(failed) == 1
+    assert 0 < len(failed) < 6
     with av.open(run.json["videos"][0]["path"]) as container:
         assert sum(1 for _ in container.decode(video=0)) == 57
 
