@@ -13,6 +13,7 @@ at a time, whoever asks. It listens on 127.0.0.1 unless told otherwise, and asks
 from __future__ import annotations
 
 import secrets
+import sys
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -69,6 +70,11 @@ class PolicyServer(ThreadingHTTPServer):
             # The policy may raise anything; the client is told, and the server goes on.
             except Exception as error:  # noqa: BLE001
                 return {"error": f"{type(error).__name__}: {error}"}
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over clients that went without a word, as a worker does that is ended: nothing is lost with them."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     def _answer(self, what: str, message: Any) -> dict[str, Any]:
         if what == "session":

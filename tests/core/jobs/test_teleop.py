@@ -217,7 +217,7 @@ def test_what_is_recorded_repeats_bit_for_bit(
     session.settle()
     (demonstration,) = tray.demonstrations
     with DemonstrationRunner(config, locations, {}, draw=False) as runner:
-        outcome, rollout = runner._runner.repeat(demonstration.start, demonstration.actions, 0.0, 0.0)
+        outcome, rollout = runner._runner.repeat(demonstration.start, demonstration.actions, 0.0, 0.0, planned=False)
         payload = runner.run(demonstration)
     assert outcome.success, outcome.detail
     assert (payload.outcome.success, payload.outcome.position_error, payload.outcome.tilt) == (True, None, None)

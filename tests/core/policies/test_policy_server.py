@@ -132,3 +132,15 @@ def test_what_is_no_message_does_not_stop_the_server() -> None:
 def test_a_port_that_is_taken_is_told() -> None:
     with served("Still") as url, pytest.raises(ResourceError, match="try another --port"):
         PolicyServer(object, port=int(url.rpartition(":")[2]))
+
+
+@pytest.mark.parametrize(("error", "told"), [(ConnectionResetError(), False), (ZeroDivisionError(), True)])
+def test_a_client_that_goes_without_a_word_is_no_news(
+    error: Exception, told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with PolicyServer(object, port=0) as server:
+        try:
+            raise error
+        except (ConnectionResetError, ZeroDivisionError):
+            server.handle_error(None, ("127.0.0.1", 1))
+    assert (type(error).__name__ in capsys.readouterr().err) == told

@@ -167,16 +167,19 @@ class EpisodeRunner:
         Args:
             start: MuJoCo's positions (nq,) of the first frame.
             plan_error, tilt: of the plan that the actions came from, m and rad; they are passed on to the outcome.
-            planned: whether they came from a plan, which says when the object is to be in hand; else the weld does.
+            planned: whether they came from a plan, which says when the object is to be in hand; else the weld does. See
+                also `judge`.
         """
         task = self._config.task
         held = phases(task, self._config.grasp) if planned else phases_of(actions.magnet)
         rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
-        return self._judge(rollout, T_at_start, plan_error, tilt), rollout
+        return self._judge(rollout, T_at_start, plan_error, tilt, planned=planned), rollout
 
-    def _judge(self, rollout: Rollout, T_at_start: Array, plan_error: float, tilt: float) -> Outcome:
+    def _judge(
+        self, rollout: Rollout, T_at_start: Array, plan_error: float, tilt: float, *, planned: bool = True
+    ) -> Outcome:
         task = self._config.task
         poses = Poses(
             T_at_start,
@@ -184,7 +187,8 @@ class EpisodeRunner:
             rollout.T_in_world[task.object.name],
             rollout.T_in_world[task.target.name],
         )
-        return judge(task, self._config.grasp, poses, rollout.object_speed, rollout.motion, plan_error, tilt)
+        speed, grasp = rollout.object_speed, self._config.grasp
+        return judge(task, grasp, poses, speed, rollout.motion, plan_error, tilt, planned=planned)
 
     def frames(self, states: Sequence[StepState]) -> list[dict[str, Any]]:
         """The low-dimensional data of recorded states, see `dataset.lowdim`; nothing is drawn for it."""
