@@ -72,9 +72,13 @@ def record_config(name: str, where: Locations, flags: Flags) -> RecordConfig:
     """The named record config with the flags that were given (not None) put over it: flag -> (key path, value)."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.tasks.kinds import kind_of
 
     overrides = {path: (flag, value) for flag, (path, value) in flags.items() if value is not None}
-    return load_config(RecordConfig, "record", name, where, overrides)
+    config = load_config(RecordConfig, "record", name, where, overrides)
+    # What cannot be demonstrated is told before anything is made.
+    kind_of(config.task)
+    return config
 
 
 def rig_config(name: str, where: Locations, margin: float | None = None) -> RigConfig:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, FiniteFloat, model_validator
 
@@ -75,10 +75,14 @@ class Success(Config):
 
 
 class TaskConfig(Config):
-    """Pick `object` up and put it onto `target`."""
+    """Something to demonstrate with `object` and `target`.
+
+    Attributes:
+        kind: what is done with them, one of `core.tasks.kinds`: pickplace picks `object` up and puts it onto `target`.
+    """
 
     name: Name
-    kind: Literal["pickplace"]
+    kind: Name
     object: Annotated[ObjectConfig, Reference("objects")]
     target: Annotated[ObjectConfig, Reference("objects")]
     language_task: str

@@ -27,8 +27,8 @@ from ..scene.robot import arm_spec, bare_arm
 from ..sim.replica import Replica
 from ..sim.rollout import Rollout, roll_out, simulate
 from ..sim.watch import object_pose
-from ..tasks.pickplace import Poses, judge, sample_layout
-from ..tasks.plans import phases
+from ..tasks.kinds import kind_of
+from ..tasks.pickplace import Poses
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
 from ..vision.jpeg import encode_jpeg
@@ -76,6 +76,7 @@ class EpisodeRunner:
         self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], *, draw: bool
     ) -> None:
         self._config = config
+        self._kind = kind_of(config.task)
         self._draw = draw
         self._scene = build_scene(config, locations, meshes)
         arm = config.rig.arms[0]
@@ -124,7 +125,7 @@ class EpisodeRunner:
         """One attempt in physics alone: where things stood, how it ended, and what happened, if anything moved."""
         task = self._config.task
         self._variation.begin(job)
-        layout = sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
+        layout = self._kind.sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
         if layout is None:
             detail = f"no free place for the {task.target.name} in the sampling box"
             return None, Outcome(False, Cause.NO_LAYOUT, detail), None
@@ -161,7 +162,7 @@ class EpisodeRunner:
             plan_error, tilt: of the plan that the actions came from, m and rad; they are passed on to the outcome.
         """
         task = self._config.task
-        held = phases(task, self._config.grasp)
+        held = self._kind.phases(task, self._config.grasp)
         rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
@@ -175,7 +176,7 @@ class EpisodeRunner:
             rollout.T_in_world[task.object.name],
             rollout.T_in_world[task.target.name],
         )
-        return judge(task, self._config.grasp, poses, rollout.object_speed, rollout.motion, plan_error, tilt)
+        return self._kind.judge(task, self._config.grasp, poses, rollout.object_speed, rollout.motion, plan_error, tilt)
 
     def frames(self, states: Sequence[StepState]) -> list[dict[str, Any]]:
         """The low-dimensional data of recorded states, see `dataset.lowdim`; nothing is drawn for it."""

@@ -12,7 +12,8 @@ from ..config.record import GraspKind
 from ..config.scene import GraspPoint
 from ..config.task import TaskConfig
 from ..scene.compiled import CompiledScene
-from ..tasks.plans import Hold, grasp_points, make_plan
+from ..tasks.kinds import kind_of
+from ..tasks.plans import Hold
 from ..types import JointPath, Layout, Plan
 from .clearance import Clearance
 from .dynamics import ArmDynamics
@@ -75,6 +76,7 @@ class PathChooser:
         self._clearance = Clearance(scene)
         self._scene = scene
         self._task = task
+        self._kind = kind_of(task)
         self._grasp: GraspKind = grasp
         self._start = np.array(task.start_joints)
 
@@ -100,7 +102,7 @@ class PathChooser:
         return best[1:]
 
     def _candidates(self, layout: Layout) -> Iterator[_Candidate]:
-        for point in grasp_points(self._task, self._grasp):
+        for point in self._kind.grasp_points(self._task, self._grasp):
             for flipped in self._ways_round(layout, point):
                 for lean in _LEANS:
                     yield self._candidate(layout, Hold(point, flipped, lean))
@@ -109,7 +111,7 @@ class PathChooser:
         """Both ways round, the better one first. That is a matter of the last joint, however the hand leans."""
         margins = {}
         for flipped in (False, True):
-            plan = make_plan(
+            plan = self._kind.make_plan(
                 self._task, self._grasp, layout, self._scene.T_base_in_world, Hold(point, flipped, _LEANS[0])
             )
             self._ik.hold(plan.T_object_in_pinch)
@@ -118,7 +120,7 @@ class PathChooser:
         return sorted(margins, key=lambda flipped: -margins[flipped])
 
     def _candidate(self, layout: Layout, hold: Hold) -> _Candidate:
-        plan = make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
+        plan = self._kind.make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
         self._ik.hold(plan.T_object_in_pinch)
         joints, solutions = self._start, list[IkSolution]()
         for waypoint in plan.waypoints:
