@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,22 +111,26 @@ class PathChooser:
         """Both ways round, the better one first. That is a matter of the last joint, however the hand leans."""
         margins = {}
         for flipped in (False, True):
-            plan = self._kind.make_plan(
-                self._task, self._grasp, layout, self._scene.T_base_in_world, Hold(point, flipped, _LEANS[0])
-            )
+            plan = self._plan(layout, Hold(point, flipped, _LEANS[0]))
             self._ik.hold(plan.T_object_in_pinch)
             solution = self._ik.solve(plan.waypoints[plan.grasp].T_object_in_world, self._start, _ITERATIONS)
             margins[flipped] = round(solution.margin - solution.tilt_error - solution.heading_error, 3)
         return sorted(margins, key=lambda flipped: -margins[flipped])
 
     def _candidate(self, layout: Layout, hold: Hold) -> _Candidate:
-        plan = self._kind.make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
+        plan = self._plan(layout, hold)
         self._ik.hold(plan.T_object_in_pinch)
         joints, solutions = self._start, list[IkSolution]()
         for waypoint in plan.waypoints:
             solutions.append(self._ik.solve(waypoint.T_object_in_world, joints, _ITERATIONS))
             joints = solutions[-1].joints
         return _Candidate(hold, plan, solutions, self._clearance.touched(plan, solutions, layout))
+
+    def _plan(self, layout: Layout, hold: Hold) -> Plan:
+        """The task's plan, the fingers as wide as it asks and no wider than they go."""
+        plan = self._kind.make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
+        most = float(self._scene.grip_range[1])
+        return replace(plan, waypoints=tuple(replace(w, gripper=min(w.gripper, most)) for w in plan.waypoints))
 
     def _strain(self, path: JointPath) -> float:
         """By how much a path needs more than the arm should give; 0 if it does not."""
