@@ -26,6 +26,7 @@ FLOORS: dict[str, int] = {
     "core.scene": 4,
     "core.tasks": 4,
     "core.dataset": 4,
+    "core.objects": 4,
     "core.sim": 5,
     "core.vision": 5,
     "core.planning": 5,

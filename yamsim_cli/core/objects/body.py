@@ -28,7 +28,9 @@ class Body:
     def fill(cls, parts: Sequence[Primitive], low: Array, high: Array) -> Body:
         """Of primitives that lie within a box (3,), (3,), m."""
         step = max(float((high - low).max()) / _CELLS, _LEAST_STEP)
-        axes = [np.arange(a + step / 2, b, step) for a, b in zip(low, high, strict=True)]
+        counts = np.ceil((high - low) / step).astype(int)
+        # In the middle of the box, so that what is symmetric stays so.
+        axes = [m + step * (np.arange(n) - (n - 1) / 2) for m, n in zip((low + high) / 2, counts, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls(points[signed_distance(parts, points) <= 0], step)
 

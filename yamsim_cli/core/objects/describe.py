@@ -19,10 +19,12 @@ from .solids import Fit, fit_solid
 # Deeper vessels have things put in them, flatter ones on them, m.
 _IN = 0.03
 
-# Balls and capsules touch the table in points. Rolling friction (the third figure, m) keeps them from rolling away, as
-# real fruit and felt stay where they are put.
-_ROLLS = {"friction": [0.8, 0.005, 0.001], "condim": 6}
-_STANDS = {"friction": [0.8, 0.005, 0.0005], "condim": 4}
+# Sliding and torsional friction (m) of everything.
+_FRICTION = (0.8, 0.005)
+
+# Balls and capsules touch the table in points. So much rolling friction, as a share of the radius, keeps them still on
+# a slope of 3 degrees, as real fruit and felt stay where they are put.
+_ROLLING = 0.05
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ def describe(thing: Thing, scan: Scan) -> Description:
     else:
         fit, hollow = solid, None
         low, high = scan.points.min(axis=0) - 0.01, scan.points.max(axis=0) + 0.01
-        origin = Body.fill(fit.parts, low, high).centre
+        alone = _middle(fit.parts[0]) if len(fit.parts) == 1 else None
+        origin = Body.fill(fit.parts, low, high).centre if alone is None else alone
         parts = tuple(_moved(part, -origin) for part in fit.parts)
     points = scan.points - origin
     body = Body.fill(parts, points.min(axis=0) - 0.01, points.max(axis=0) + 0.01)
@@ -79,7 +82,7 @@ def describe(thing: Thing, scan: Scan) -> Description:
             "diagonal": [float(f"{moment:.3e}") for moment in moments],
             "quat": [round(float(q), 5) for q in quat],
         },
-        "contact": _ROLLS if all(isinstance(part, Sphere | Capsule) for part in parts) else _STANDS,
+        "contact": _contact(parts),
         "collision": [_plain(part) for part in parts],
         "rest_height": 0.0 if hollow else round(-foot, 4),
     }
@@ -98,6 +101,24 @@ def _comment(thing: Thing, parts: tuple[Primitive, ...], fit: Fit) -> str:
         f"# Fitted to the scan by least squares: {made}; {fit.rms * 1000:.1f} mm off it (rms), 99 % of it within "
         f"{fit.most * 1000:.1f} mm.\n"
     )
+
+
+def _contact(parts: tuple[Primitive, ...]) -> dict[str, Any]:
+    round_ = [part.radius for part in parts if isinstance(part, Sphere | Capsule)]
+    if len(round_) < len(parts):
+        return {"friction": [*_FRICTION, 0.0005], "condim": 4}
+    return {"friction": [*_FRICTION, round(_ROLLING * min(round_), 4)], "condim": 6}
+
+
+def _middle(part: Primitive) -> Array | None:
+    """A solid primitive's centre of mass (3,), m."""
+    match part:
+        case Capsule():
+            return np.add(part.start, part.end) / 2
+        case Ring():
+            return None
+        case _:
+            return np.array(part.centre)
 
 
 def _moved(part: Primitive, by: Array) -> Primitive:

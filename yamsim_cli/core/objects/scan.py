@@ -43,8 +43,9 @@ class Scan:
         drawn = rng.choice(len(faces), _SAMPLES, p=twice / twice.sum())
         root, v = np.sqrt(rng.random((_SAMPLES, 1))), rng.random((_SAMPLES, 1))
         points = (1 - root) * a[drawn] + root * (1 - v) * b[drawn] + root * v * c[drawn]
-        volume = abs(float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())) / 6
-        return cls(points, normals[drawn], 4 * volume / float(twice.sum()))
+        volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
+        # Some programs write triangles the other way round.
+        return cls(points, normals[drawn] * np.sign(volume), 4 * abs(volume) / float(twice.sum()))
 
     @property
     def foot(self) -> float:

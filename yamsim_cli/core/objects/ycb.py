@@ -1,8 +1,8 @@
 """What is known of the YCB objects beside their scans.
 
 Source of the masses: B. Calli, A. Walsman, A. Singh, S. Srinivasa, P. Abbeel, A. M. Dollar, "Benchmarking in
-Manipulation Research: Using the Yale-CMU-Berkeley Object and Model Set", IEEE Robotics & Automation Magazine 22(3), 2015,
-its table of objects. A real one's may differ: cans and boxes are weighed full.
+Manipulation Research: Using the Yale-CMU-Berkeley Object and Model Set", IEEE Robotics & Automation Magazine 22(3),
+2015, its table of objects. A real one's may differ: cans and boxes are weighed full.
 """
 
 from __future__ import annotations
