@@ -79,6 +79,7 @@ class PathChooser:
         self._kind = kind_of(task)
         self._grasp: GraspKind = grasp
         self._start = np.array(task.start_joints)
+        self._widest = _widest(scene)
 
     def choose(self, layout: Layout) -> tuple[Plan, JointPath]:
         """The first way to hold the object in which the arm reaches everything with ease and touches nothing, else the
@@ -129,8 +130,8 @@ class PathChooser:
     def _plan(self, layout: Layout, hold: Hold) -> Plan:
         """The task's plan, the fingers as wide as it asks and no wider than they go."""
         plan = self._kind.make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
-        most = float(self._scene.grip_range[1])
-        return replace(plan, waypoints=tuple(replace(w, gripper=min(w.gripper, most)) for w in plan.waypoints))
+        waypoints = (replace(waypoint, gripper=min(waypoint.gripper, self._widest)) for waypoint in plan.waypoints)
+        return replace(plan, waypoints=tuple(waypoints))
 
     def _strain(self, path: JointPath) -> float:
         """By how much a path needs more than the arm should give; 0 if it does not."""
@@ -141,3 +142,10 @@ class PathChooser:
         speed = float((np.abs(path.velocities) / scene.motor_speed).max())
         torque = float((np.abs(path.torques) / scene.most_torque).max())
         return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)
+
+
+def _widest(scene: CompiledScene) -> float:
+    """How far each finger can open, m; its drive could be told to go farther."""
+    joints = np.searchsorted(scene.model.jnt_qposadr, scene.gripper_qpos)
+    ends = scene.model.jnt_range[joints] * scene.gripper_sign[:, None]
+    return float(ends.max(axis=1).min())
