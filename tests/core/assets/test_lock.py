@@ -22,7 +22,7 @@ def test_the_committed_lock_has_the_sets_the_models_name(committed):
         "i2rt_yam_linear_4310": 4,
         "ycb": 2,
         "ycb_small": 6,
-        "ycb_objects": 19,
+        "ycb_objects": 18,
     }
 
 

@@ -36,7 +36,6 @@ FITS = {
     "018_plum": 0.005,
     "024_bowl": 0.003,
     "025_mug": 0.006,
-    "026_sponge": 0.005,
     "040_large_marker": 0.005,
     "054_softball": 0.002,
     "055_baseball": 0.002,
