@@ -24,7 +24,7 @@ MOST = {
     "i2rt_yam_linear_4310": 5_600,
     "ycb": 4_600,
     "ycb_small": 11_500,
-    "ycb_objects": 70_000,
+    "ycb_objects": 52_000,
 }
 
 
