@@ -27,6 +27,7 @@ FLOORS: dict[str, int] = {
     "core.tasks": 4,
     "core.dataset": 4,
     "core.policies": 4,
+    "core.objects": 4,
     "core.sim": 5,
     "core.vision": 5,
     "core.planning": 5,

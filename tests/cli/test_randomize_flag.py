@@ -46,7 +46,7 @@ def test_a_file_may_name_or_spell_out_a_randomization(tmp_path: Path, locations:
         ("{table: {saturation: [0, 1], value: [0, 1], contrast: [0, 1], textures: {wood: 1}}}", "wood"),
         (
             "{distractors: {objects: [aple], count: [0, 1], x: [0, 1], y: [0, 1], clearance: 0.1}}",
-            "randomization.distractors.objects[0]: unknown object 'aple'; did you mean 'apple'?",
+            "randomization.distractors.objects[0]: unknown object 'aple'; did you mean '013_apple'?",
         ),
         (
             "{distractors: {objects: [plate], count: [0, 1], x: [0, 1], y: [0, 1], clearance: 0.1}}",

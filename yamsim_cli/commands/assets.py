@@ -9,10 +9,13 @@ import typer
 
 from yamsim_cli.core.errors import ResourceError
 
+from .import_object import import_object
+
 if TYPE_CHECKING:
     from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
 
-app = typer.Typer(help="List and fetch the robot and object meshes.", no_args_is_help=True)
+app = typer.Typer(help="List and fetch the robot and object meshes, and import objects.", no_args_is_help=True)
+app.command("import")(import_object)
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 

@@ -15,8 +15,10 @@ from .session import (
     ConfigOption,
     Grasp,
     Json,
+    Object,
     Rig,
     Seed,
+    Target,
     Task,
     Workers,
     job_flags,
@@ -65,6 +67,8 @@ def batch(
         bool, typer.Option("--overwrite", help="Move older videos aside, and replace an older page.")
     ] = False,
     task: Task = None,
+    item: Object = None,
+    target: Target = None,
     rig: Rig = None,
     config: ConfigOption = "default",
     json: Json = False,
@@ -78,7 +82,7 @@ def batch(
     if html:
         require_free(html, overwrite)
     where = locations()
-    flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
+    flags = job_flags(rig=rig, task=task, item=item, target=target, n=n, workers=workers, seed=seed, grasp=grasp) | {
         "--threshold": (("task", "success", "threshold"), threshold)
     }
     settings = record_config(config, where, flags)

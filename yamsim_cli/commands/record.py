@@ -15,9 +15,11 @@ from .session import (
     ConfigOption,
     Grasp,
     Json,
+    Object,
     Quality,
     Rig,
     Seed,
+    Target,
     Task,
     Workers,
     job_flags,
@@ -44,6 +46,8 @@ def record(
     seed: Seed = None,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("dataset"),
     task: Task = None,
+    item: Object = None,
+    target: Target = None,
     rig: Rig = None,
     grasp: Grasp = None,
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
@@ -81,7 +85,7 @@ def record(
     """
     mode = mode_of(resume=resume, overwrite=overwrite)
     where = locations()
-    flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
+    flags = job_flags(rig=rig, task=task, item=item, target=target, n=n, workers=workers, seed=seed, grasp=grasp) | {
         "--wrist": (("wrist",), wrist),
         "--boards": (("boards",), boards),
         "--truth": (("truth",), truth),

@@ -29,6 +29,15 @@ Rig = Annotated[str | None, typer.Option(help="Rig: a name from configs/rigs/ or
 RigName = Annotated[str, typer.Option("--rig", help="Rig: a name from configs/rigs/ or a YAML file.")]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
 Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
+Object = Annotated[
+    str | None,
+    typer.Option(
+        "--object", metavar="NAME|FILE", help="What is picked up: a name from configs/objects/ or a YAML file."
+    ),
+]
+Target = Annotated[
+    str | None, typer.Option(metavar="NAME|FILE", help="Onto or into what it is put, named as the object is.")
+]
 Grasp = Annotated[
     str | None,
     typer.Option(
@@ -55,10 +64,20 @@ Flags = dict[str, tuple[tuple[str, ...], Any]]
 
 
 def job_flags(
-    *, rig: str | None, task: str | None, n: int | None, workers: int | None, seed: int | None, grasp: str | None
+    *,
+    rig: str | None,
+    task: str | None,
+    item: str | None,
+    target: str | None,
+    n: int | None,
+    workers: int | None,
+    seed: int | None,
+    grasp: str | None,
 ) -> Flags:
     """The flags that `record` and `pickplace batch` share, each with the config key it overrides."""
     return {
+        "--object": (("task", "object"), item),
+        "--target": (("task", "target"), target),
         "--rig": (("rig",), rig),
         "--task": (("task",), task),
         "--n": (("episodes",), n),
@@ -72,9 +91,13 @@ def record_config(name: str, where: Locations, flags: Flags) -> RecordConfig:
     """The named record config with the flags that were given (not None) put over it: flag -> (key path, value)."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.tasks.kinds import kind_of
 
     overrides = {path: (flag, value) for flag, (path, value) in flags.items() if value is not None}
-    return load_config(RecordConfig, "record", name, where, overrides)
+    config = load_config(RecordConfig, "record", name, where, overrides)
+    # What cannot be demonstrated is told before anything is made.
+    kind_of(config.task)
+    return config
 
 
 def rig_config(name: str, where: Locations, margin: float | None = None) -> RigConfig:
@@ -146,9 +169,12 @@ def resolve_meshes(names: Iterable[str], where: Locations, *, reduced: bool = Fa
         reduced: rather the meshes with fewer faces, which are made when they are not there yet.
     """
     from yamsim_cli.core.assets import AssetStore, load_lock
+    from yamsim_cli.core.resources import IMPORTED
 
     lock, store = load_lock(where), AssetStore(where.assets)
-    meshes = {assets.name: store.resolve(assets) for assets in lock.select(names)}
+    wanted = set(names)
+    locked = wanted - {IMPORTED}
+    meshes = {assets.name: store.resolve(assets) for assets in (lock.select(locked) if locked else ())}
     if missing := [name for name, folder in meshes.items() if folder is None]:
         note(
             f"The meshes of {' and '.join(missing)} are not here, so primitives are drawn: run `yamsim assets fetch`, "
@@ -156,6 +182,8 @@ def resolve_meshes(names: Iterable[str], where: Locations, *, reduced: bool = Fa
         )
     if reduced:
         meshes |= {name: _reduced(lock, store, name, folder) for name, folder in meshes.items() if folder}
+    if IMPORTED in wanted:
+        meshes[IMPORTED] = where.assets / IMPORTED
     return meshes
 
 

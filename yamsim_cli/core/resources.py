@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,9 @@ from .errors import ConfigError, ResourceError, suggest
 
 # The quality that names another one, chosen by whoever knows what draws.
 AUTO = ("quality", "auto")
+
+# The asset set of the user's own meshes: a folder of that name among the fetched ones, in no lock.
+IMPORTED = "imported"
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -67,6 +71,8 @@ class Locations:
     def config_file(self, kind: str, name: str) -> Path:
         """The YAML file of a named config, or of a path the user gave (anything ending in `.yaml` or `.yml`).
 
+        A number in front, as in `013_apple`, may be left out.
+
         Raises:
             ConfigError: no such config; the message lists the names there are.
         """
@@ -76,6 +82,13 @@ class Locations:
                 return path
             raise ConfigError(f"{kind.removesuffix('s')} config file {name} does not exist")
         if name not in self.config_names(kind):
+            name = self._numbered(kind, name) or name
+        if name not in self.config_names(kind):
             raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {suggest(name, self.config_names(kind))}")
         found = self.auto_quality if (kind, name) == AUTO else name
         return self.file(f"configs/{kind}/{found}.yaml")
+
+    def _numbered(self, kind: str, name: str) -> str | None:
+        """The only config whose name is a number and this name, as `013_apple` for `apple`; None if there is none."""
+        found = [other for other in self.config_names(kind) if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]
+        return found[0] if len(found) == 1 else None

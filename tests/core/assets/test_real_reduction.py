@@ -19,7 +19,13 @@ LOCK = load_lock(LOCATIONS)
 FILES = [(name, file) for name, assets in LOCK.sets.items() for file in assets.files]
 
 # Faces of the whole set at most: the crank arm has 104,574, banana and plate 16,384 each.
-MOST = {"i2rt_yam_crank": 15_000, "i2rt_yam_linear_4310": 5_600, "ycb": 4_600, "ycb_small": 11_500}
+MOST = {
+    "i2rt_yam_crank": 15_000,
+    "i2rt_yam_linear_4310": 5_600,
+    "ycb": 4_600,
+    "ycb_small": 11_500,
+    "ycb_objects": 52_000,
+}
 
 
 @cache

@@ -112,7 +112,10 @@ def test_an_unknown_key_names_file_line_valid_keys_and_the_closest(puck, tmp_pat
 
 def test_an_unknown_key_inside_names_the_keys_valid_there(puck):
     message = refusal(puck, "mass_g: 10", "mass_g: 10, masss: 3")
-    assert "puck.yaml:2: inertia.masss: unknown key; did you mean 'mass_g'? valid: diagonal, mass_g, quat" in message
+    assert (
+        "puck.yaml:2: inertia.masss: unknown key; did you mean 'mass_g'? valid: centre, diagonal, mass_g, quat"
+        in message
+    )
 
 
 def test_an_unknown_key_of_a_list_item_has_the_items_number_in_its_path(puck):
@@ -193,10 +196,10 @@ def test_an_unknown_reference_names_where_it_stands_and_what_there_is(record, lo
 def test_an_unknown_object_of_a_named_task_is_found_in_the_tasks_file(tmp_path, record, locations):
     text = locations.config_file("tasks", "pickplace").read_text()
     task = tmp_path / "mytask.yaml"
-    task.write_text(text.replace("object: banana", "object: bananna"))
-    line = text[: text.index("object: banana")].count("\n") + 1
+    task.write_text(text.replace("object: 011_banana", "object: 011_bananna"))
+    line = text[: text.index("object: 011_banana")].count("\n") + 1
     message = refusal(record, None, {("task",): ("--task", str(task))})
-    assert f"{task}:{line}: task.object: unknown object 'bananna'; did you mean 'banana'? valid: " in message
+    assert f"{task}:{line}: task.object: unknown object '011_bananna'; did you mean '011_banana'? valid: " in message
 
 
 def test_a_reference_to_a_file_that_is_not_there_is_named(record):

@@ -183,6 +183,8 @@ def test_the_footprint_knows_every_primitive(config):
         "capsule": {"type": "capsule", "start": (1, 0, 0), "end": (1, 0.1, 0), "radius": 0.1},
         "cylinder": {"type": "cylinder", "centre": (2, 3, 0), "radius": 0.2, "half_height": 0.1},
         "ring": {"type": "ring", "inner": (0.1, 0.0), "outer": (0.3, 0.1), "thickness": 0.01, "segments": 8},
+        "sphere": {"type": "sphere", "centre": (5, 5, 0), "radius": 0.2},
+        "box": {"type": "box", "centre": (7, 7, 0), "half_size": (0.1, 0.35, 0.1), "yaw_deg": 30},
     }
     annotation = ObjectConfig.model_fields["collision"].annotation
     branches = get_args(get_args(get_args(annotation)[0])[0])
@@ -191,6 +193,10 @@ def test_the_footprint_knows_every_primitive(config):
         assert ObjectConfig.model_validate(plain | {"collision": [part]}).footprint
     whole = ObjectConfig.model_validate(plain | {"collision": list(parts.values())})
     assert covered(whole.footprint, around((1, 0.1), 0.1) + around((2, 3), 0.2) + around((0, 0), 0.3))
+    # The box: its corners, turned by 30 degrees.
+    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    corners = [(7 + c * x - s * y, 7 + s * x + c * y) for x in (-0.1, 0.1) for y in (-0.35, 0.35)]
+    assert covered(whole.footprint, corners)
 
 
 def test_things_come_to_lie_on_the_highest_cylinder(config):

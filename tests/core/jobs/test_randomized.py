@@ -73,14 +73,14 @@ def _actions(frames: list[dict]) -> object:
 
 def test_distractors_stand_clear_of_everything(visual: EpisodeRunner, config: RecordConfig) -> None:
     model, clearance = visual.scene.model, 0.03
-    names = [item.name for item in _extras(visual)]
+    rests = {item.name: item.rest_height for item in _extras(visual)}
     data = mujoco.MjData(model)
     for job in JOBS[:3]:
         rollout = visual.simulate(job)[2]
         assert rollout is not None
         drawn = visual.randomized.distractors
         assert drawn
-        assert set(drawn) <= set(names)
+        assert set(drawn) <= set(rests)
         mujoco.mj_resetData(model, data)
         data.qpos[:] = rollout.states[0].qpos
         mujoco.mj_kinematics(model, data)
@@ -89,7 +89,7 @@ def test_distractors_stand_clear_of_everything(visual: EpisodeRunner, config: Re
             body = model.body(name).id
             np.testing.assert_allclose(data.xpos[body], (x, y, z))
             assert abs(x - config.table.position[0]) < config.table.half_size[0]
-            assert z == config.table.top
+            assert z == config.table.top + rests[name]
             own = [g for g in solid if model.geom_bodyid[g] == body]
             others = [
                 g for g in solid

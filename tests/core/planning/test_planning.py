@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 import pytest
@@ -185,3 +187,19 @@ def test_torques_move_the_arm_along_the_path(config: RecordConfig, locations: Lo
         data.qfrc_applied[:6] = torque
         mujoco.mj_step(model, data, 10)
     np.testing.assert_allclose(data.qpos[:6], joints[-1], atol=0.05)
+
+
+@pytest.mark.parametrize(("rig", "widest"), [("single", 0.0375), ("single_linear", 0.0475)])
+def test_fingers_open_no_wider_than_they_go(
+    rig: str, widest: float, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    """An apple is as wide as the crank opens: there is no room for more around it."""
+    config = make_config({("rig",): rig, ("task", "object"): "013_apple", ("task", "target"): "024_bowl"})
+    arm, scene = config.rig.arms[0], build_scene(config, locations, {})
+    ik = IkSolver(bare_arm(arm, locations), scene.T_base_in_world)
+    chooser = PathChooser(ik, ArmDynamics(arm_spec(arm, locations, None).compile()), scene, config.task, "weld")
+    layout = sample_layout(config.task, config.table, generator(EpisodeJob(2, 0), Stream.LAYOUT))
+    assert layout is not None
+    _, path = chooser.choose(layout)
+    assert path.gripper.max() <= widest + 1e-4
+    assert path.gripper.max() >= 0.0372

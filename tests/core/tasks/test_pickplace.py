@@ -94,6 +94,26 @@ def test_judge(config: RecordConfig, offset: tuple[float, ...], speed: float, ca
     assert bool(outcome.detail) is (cause is not None)
 
 
+@pytest.mark.parametrize(
+    ("target", "height", "cause"),
+    [
+        # The can's top is 17 mm over its middle.
+        ("007_tuna_fish_can", 0.042, None),
+        ("007_tuna_fish_can", 0.008, Cause.DROPPED),
+        # The bowl's floor is 2 mm over its foot.
+        ("024_bowl", 0.026, None),
+        ("024_bowl", -0.005, Cause.DROPPED),
+    ],
+)
+def test_what_lies_under_what_carries_it_was_dropped(
+    target: str, height: float, cause: Cause | None, make_config: Callable[..., RecordConfig]
+) -> None:
+    config = make_config({("task", "object"): "061_foam_brick", ("task", "target"): target})
+    T_target = pose((0.4, 0.1, 0.0165))
+    poses = _poses(pose(T_target[:3, 3] + (0.045, 0, height)), T_target)
+    assert judge(config.task, "weld", poses, 0.0, _motion(), 0.0, 0.0).cause is cause
+
+
 def test_knocked(config: RecordConfig) -> None:
     assert _judge(config, pushed=0.019).success
     outcome = _judge(config, pushed=0.03)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
@@ -54,6 +55,9 @@ GraspKind = Literal["weld", "contact"]
 # Grippers whose fingers can hold an object by friction.
 _PADS = ("linear_4310",)
 
+# How far each finger opens, m. Source: MuJoCo Menagerie i2rt_yam, the ranges of the fingers' joints.
+_OPENS: Mapping[str, float] = {"crank": 0.0375, "linear_4310": 0.0475}
+
 
 class RecordConfig(Config):
     """What `yamsim record` and `yamsim pickplace batch` run.
@@ -92,6 +96,19 @@ class RecordConfig(Config):
         names = [self.task.object.name, self.task.target.name, *(item.name for item in self.randomization.extras)]
         if len(set(names)) < len(names):
             raise ValueError(f"distractors and the task's objects must all differ: {', '.join(names)}")
+        return self
+
+    @model_validator(mode="after")
+    def _fits_between_the_fingers(self) -> RecordConfig:
+        item = self.task.object
+        assert item.grasp is not None  # checked by the task
+        for arm in self.rig.arms:
+            if item.grasp.opening > _OPENS[arm.gripper]:
+                raise ValueError(
+                    f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
+                    f"gripper {arm.gripper} of rig {self.rig.name!r} opens {2000 * _OPENS[arm.gripper]:.0f} mm; "
+                    "it can still be a target or a distractor"
+                )
         return self
 
     @model_validator(mode="after")

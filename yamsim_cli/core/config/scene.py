@@ -38,6 +38,37 @@ class Cylinder(Config):
     rgba: Rgba | None = None
 
 
+class Sphere(Config):
+    """A ball: centre and radius."""
+
+    type: Literal["sphere"]
+    centre: Vector
+    radius: Positive
+    rgba: Rgba | None = None
+
+
+class Box(Config):
+    """A block that stands upright: centre, half its size along its own axes, and how far these are turned about z."""
+
+    type: Literal["box"]
+    centre: Vector
+    half_size: tuple[Positive, Positive, Positive]
+    yaw_deg: float = 0.0
+    rgba: Rgba | None = None
+
+    @property
+    def discs(self) -> tuple[tuple[float, float, float], ...]:
+        """Discs (x, y, radius) that cover it seen from above, m: as many as it takes squares to cover it."""
+        long = self.half_size[0] >= self.half_size[1]
+        length, width = (self.half_size[0], self.half_size[1]) if long else (self.half_size[1], self.half_size[0])
+        angle = math.radians(self.yaw_deg) + (0 if long else math.pi / 2)
+        count = math.ceil(length / width)
+        places = [length * ((2 * k + 1) / count - 1) for k in range(count)]
+        radius = math.hypot(width, length / count)
+        x, y, _ = self.centre
+        return tuple((x + d * math.cos(angle), y + d * math.sin(angle), radius) for d in places)
+
+
 class Ring(Config):
     """A sloping rim of boxes around the object's z axis, such as a plate's.
 
@@ -55,7 +86,7 @@ class Ring(Config):
     rgba: Rgba | None = None
 
 
-Primitive = Annotated[Capsule | Cylinder | Ring, Field(discriminator="type")]
+Primitive = Annotated[Sphere | Capsule | Cylinder | Box | Ring, Field(discriminator="type")]
 
 
 class ObjectMesh(Config):
@@ -70,9 +101,10 @@ class ObjectMesh(Config):
 
 
 class Inertia(Config):
-    """Mass in grams, principal moments (kg m2) and the frame they hold in; the origin is the centre of mass."""
+    """Mass in grams, centre of mass (m) in the object's frame, principal moments (kg m2) and the frame they hold in."""
 
     mass_g: Positive
+    centre: Vector = (0.0, 0.0, 0.0)
     diagonal: tuple[Positive, Positive, Positive]
     quat: Quaternion
 
@@ -144,6 +176,7 @@ class ObjectConfig(Config):
 
     Attributes:
         rest_height: of the origin over the surface it lies on, m.
+        preposition: how things are put there: "on" a plate, "in" a bowl.
         look: extra primitives that are only seen, such as a banana's brown ends.
     """
 
@@ -154,6 +187,7 @@ class ObjectConfig(Config):
     collision: tuple[Primitive, ...] = Field(min_length=1)
     look: tuple[Primitive, ...] = ()
     rest_height: NonNegative
+    preposition: Literal["on", "in"] = "on"
     grasp: Grasp | None = None
 
     @property
@@ -166,8 +200,10 @@ class ObjectConfig(Config):
                     for k in range(5):
                         x, y = (part.start[i] + (part.end[i] - part.start[i]) * k / 4 for i in (0, 1))
                         discs.append((x, y, part.radius))
-                case Cylinder():
+                case Cylinder() | Sphere():
                     discs.append((part.centre[0], part.centre[1], part.radius))
+                case Box():
+                    discs.extend(part.discs)
                 case Ring():
                     discs.append((0.0, 0.0, part.outer[0]))
         return tuple(discs)
@@ -175,9 +211,23 @@ class ObjectConfig(Config):
     @property
     def support_height(self) -> float:
         """Height over the origin of the surface on which something put into the middle comes to lie, m."""
-        return max(
-            (part.centre[2] + part.half_height for part in self.collision if isinstance(part, Cylinder)), default=0.0
-        )
+        return max((top for part in self.collision if (top := _flat_top(part)) is not None), default=0.0)
+
+    @property
+    def carries(self) -> bool:
+        """Whether something can be put onto it, or into it: it has a flat top, or a floor."""
+        return any(_flat_top(part) is not None for part in self.collision)
+
+
+def _flat_top(part: Primitive) -> float | None:
+    """Height of a primitive's flat upper face over the object's origin, m; None if it has none."""
+    match part:
+        case Cylinder():
+            return part.centre[2] + part.half_height
+        case Box():
+            return part.centre[2] + part.half_size[2]
+        case _:
+            return None
 
 
 class Table(Config):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from .base import Config, Name, NonNegative, Positive, Range, Reference
 from .scene import ObjectConfig
@@ -75,10 +75,16 @@ class Success(Config):
 
 
 class TaskConfig(Config):
-    """Pick `object` up and put it onto `target`."""
+    """Something to demonstrate with `object` and `target`.
+
+    Attributes:
+        kind: what is done with them, one of `core.tasks.kinds`: pickplace picks `object` up and puts it onto `target`.
+        language_task, language_prompt: how the task is called and told in the data; {object}, {target} and the target's
+            {preposition} are filled in.
+    """
 
     name: Name
-    kind: Literal["pickplace"]
+    kind: Name
     object: Annotated[ObjectConfig, Reference("objects")]
     target: Annotated[ObjectConfig, Reference("objects")]
     language_task: str
@@ -89,10 +95,25 @@ class TaskConfig(Config):
     timing: Timing
     success: Success
 
+    @field_validator("language_task", "language_prompt")
+    @classmethod
+    def _filled_in(cls, text: str, info: ValidationInfo) -> str:
+        item, target = (info.data.get(key) for key in ("object", "target"))
+        if item is None or target is None:
+            return text  # Their own faults are told.
+        words = {"object": item.name, "target": target.name, "preposition": target.preposition}
+        for key, word in words.items():
+            # A task's name is one word; what is said of it has several.
+            said = word.replace("_", " ") if info.field_name == "language_prompt" else word
+            text = text.replace(f"{{{key}}}", said)
+        return text
+
     @model_validator(mode="after")
     def _graspable(self) -> TaskConfig:
         if self.object.grasp is None:
             raise ValueError(f"object {self.object.name!r} has no `grasp`, so it cannot be picked up")
         if self.object.name == self.target.name:
             raise ValueError(f"object and target are both {self.object.name!r}")
+        if not self.target.carries:
+            raise ValueError(f"target {self.target.name!r} has neither a floor nor a flat top to put something on")
         return self

@@ -17,7 +17,7 @@ from ..resources import Locations
 from ..scene.build import SCENE_CAMERA, add_fixed_camera, add_grasp_weld
 from ..scene.compose import Contents, Meshes, add_home_key, compose
 from ..scene.export import scene_files, zip_bytes
-from ..tasks.pickplace import sample_layout
+from ..tasks.kinds import kind_of
 from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob
 
@@ -53,7 +53,7 @@ def task_spec(
         SimulationError: the sampling box has no room for both objects.
     """
     task = config.task
-    layout = sample_layout(task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    layout = kind_of(task).sample_layout(task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
     if layout is None:
         raise SimulationError(f"task {task.name!r}: the sampling box has no room for both objects")
     spec = compose(config.rig, config.scene, contents, locations, meshes)

@@ -28,8 +28,9 @@ from ..scene.robot import arm_spec, bare_arm
 from ..sim.replica import Replica
 from ..sim.rollout import Rollout, roll_out, simulate
 from ..sim.watch import object_pose
-from ..tasks.pickplace import Poses, judge, sample_layout
-from ..tasks.plans import phases, phases_of
+from ..tasks.kinds import kind_of
+from ..tasks.pickplace import Poses
+from ..tasks.plans import phases_of
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
 from ..vision.jpeg import encode_jpeg
@@ -77,6 +78,7 @@ class EpisodeRunner:
         self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], *, draw: bool
     ) -> None:
         self._config = config
+        self._kind = kind_of(config.task)
         self._draw = draw
         self._scene = build_scene(config, locations, meshes)
         arm = config.rig.arms[0]
@@ -130,7 +132,7 @@ class EpisodeRunner:
         """One attempt in physics alone: where things stood, how it ended, and what happened, if anything moved."""
         task = self._config.task
         self._variation.begin(job)
-        layout = sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
+        layout = self._kind.sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
         if layout is None:
             detail = f"no free place for the {task.target.name} in the sampling box"
             return None, Outcome(False, Cause.NO_LAYOUT, detail), None
@@ -171,7 +173,7 @@ class EpisodeRunner:
                 also `judge`.
         """
         task = self._config.task
-        held = phases(task, self._config.grasp) if planned else phases_of(actions.magnet)
+        held = self._kind.phases(task, self._config.grasp) if planned else phases_of(actions.magnet)
         rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
@@ -188,7 +190,7 @@ class EpisodeRunner:
             rollout.T_in_world[task.target.name],
         )
         speed, grasp = rollout.object_speed, self._config.grasp
-        return judge(task, grasp, poses, speed, rollout.motion, plan_error, tilt, planned=planned)
+        return self._kind.judge(task, grasp, poses, speed, rollout.motion, plan_error, tilt, planned=planned)
 
     def frames(self, states: Sequence[StepState]) -> list[dict[str, Any]]:
         """The low-dimensional data of recorded states, see `dataset.lowdim`; nothing is drawn for it."""

@@ -20,7 +20,8 @@ from ..scene.compose import Meshes
 from ..scene.robot import JOINTS, bare_arm
 from ..sim.closed_loop import ClosedLoop
 from ..sim.obstruction import Obstruction
-from ..tasks.pickplace import OPEN, sample_layout
+from ..tasks.kinds import kind_of
+from ..tasks.pickplace import OPEN
 from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob, Layout
 from ..viewers.driven import DriveStatus
@@ -234,9 +235,10 @@ class TeleopSession:
         self._asked: list[Array] = []
 
     def _draw_layout(self) -> Layout:
-        layout = sample_layout(self._config.task, self._config.table, generator(self._job, Stream.LAYOUT))
+        task = self._config.task
+        layout = kind_of(task).sample_layout(task, self._config.table, generator(self._job, Stream.LAYOUT))
         if layout is None:
-            raise SimulationError(f"task {self._config.task.name!r}: the sampling box has no room for both objects")
+            raise SimulationError(f"task {task.name!r}: the sampling box has no room for both objects")
         return layout
 
     def _tick(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from ..config.record import GraspKind
 from ..config.scene import GraspPoint
 from ..config.task import TaskConfig
 from ..scene.compiled import CompiledScene
-from ..tasks.plans import Hold, grasp_points, make_plan
+from ..tasks.kinds import kind_of
+from ..tasks.plans import Hold
 from ..types import JointPath, Layout, Plan
 from .clearance import Clearance
 from .dynamics import ArmDynamics
@@ -75,8 +76,10 @@ class PathChooser:
         self._clearance = Clearance(scene)
         self._scene = scene
         self._task = task
+        self._kind = kind_of(task)
         self._grasp: GraspKind = grasp
         self._start = np.array(task.start_joints)
+        self._widest = _widest(scene)
 
     def choose(self, layout: Layout) -> tuple[Plan, JointPath]:
         """The first way to hold the object in which the arm reaches everything with ease and touches nothing, else the
@@ -100,7 +103,7 @@ class PathChooser:
         return best[1:]
 
     def _candidates(self, layout: Layout) -> Iterator[_Candidate]:
-        for point in grasp_points(self._task, self._grasp):
+        for point in self._kind.grasp_points(self._task, self._grasp):
             for flipped in self._ways_round(layout, point):
                 for lean in _LEANS:
                     yield self._candidate(layout, Hold(point, flipped, lean))
@@ -109,22 +112,26 @@ class PathChooser:
         """Both ways round, the better one first. That is a matter of the last joint, however the hand leans."""
         margins = {}
         for flipped in (False, True):
-            plan = make_plan(
-                self._task, self._grasp, layout, self._scene.T_base_in_world, Hold(point, flipped, _LEANS[0])
-            )
+            plan = self._plan(layout, Hold(point, flipped, _LEANS[0]))
             self._ik.hold(plan.T_object_in_pinch)
             solution = self._ik.solve(plan.waypoints[plan.grasp].T_object_in_world, self._start, _ITERATIONS)
             margins[flipped] = round(solution.margin - solution.tilt_error - solution.heading_error, 3)
         return sorted(margins, key=lambda flipped: -margins[flipped])
 
     def _candidate(self, layout: Layout, hold: Hold) -> _Candidate:
-        plan = make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
+        plan = self._plan(layout, hold)
         self._ik.hold(plan.T_object_in_pinch)
         joints, solutions = self._start, list[IkSolution]()
         for waypoint in plan.waypoints:
             solutions.append(self._ik.solve(waypoint.T_object_in_world, joints, _ITERATIONS))
             joints = solutions[-1].joints
         return _Candidate(hold, plan, solutions, self._clearance.touched(plan, solutions, layout))
+
+    def _plan(self, layout: Layout, hold: Hold) -> Plan:
+        """The task's plan, the fingers as wide as it asks and no wider than they go."""
+        plan = self._kind.make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
+        waypoints = (replace(waypoint, gripper=min(waypoint.gripper, self._widest)) for waypoint in plan.waypoints)
+        return replace(plan, waypoints=tuple(waypoints))
 
     def _strain(self, path: JointPath) -> float:
         """By how much a path needs more than the arm should give; 0 if it does not."""
@@ -135,3 +142,10 @@ class PathChooser:
         speed = float((np.abs(path.velocities) / scene.motor_speed).max())
         torque = float((np.abs(path.torques) / scene.most_torque).max())
         return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)
+
+
+def _widest(scene: CompiledScene) -> float:
+    """How far each finger can open, m; its drive could be told to go farther."""
+    joints = np.searchsorted(scene.model.jnt_qposadr, scene.gripper_qpos)
+    ends = scene.model.jnt_range[joints] * scene.gripper_sign[:, None]
+    return float(ends.max(axis=1).min())

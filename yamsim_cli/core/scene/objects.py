@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.scene import Capsule, Contact, Cylinder, ObjectConfig, Primitive, Ring
+from ..config.scene import Box, Capsule, Contact, Cylinder, ObjectConfig, Primitive, Ring, Sphere
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ..geometry.stl import stl_bytes
 
@@ -28,7 +28,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None, *, 
     body = spec.worldbody.add_body(name=item.name, mocap=fixed)
     if not fixed:
         body.add_freejoint(name=item.name)
-    body.mass, body.ipos = item.inertia.mass, (0, 0, 0)
+    body.mass, body.ipos = item.inertia.mass, item.inertia.centre
     body.inertia = item.inertia.diagonal
     body.iquat = np.asarray(item.inertia.quat) / np.linalg.norm(item.inertia.quat)
     body.explicitinertial = True
@@ -84,6 +84,20 @@ def _add_primitive(
                 type=mujoco.mjtGeom.mjGEOM_CYLINDER,
                 pos=part.centre,
                 size=[part.radius, part.half_height, 0],
+                **common,
+            )
+        case Sphere():
+            body.add_geom(
+                name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=part.centre, size=[part.radius, 0, 0], **common
+            )
+        case Box():
+            turn = rotation_z(math.radians(part.yaw_deg))
+            body.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=part.centre,
+                quat=quat_from_rotation(turn),
+                size=part.half_size,
                 **common,
             )
         case Ring():

@@ -150,11 +150,10 @@ def _at_the_end(task: TaskConfig, dxy: float, dz: float, speed: float) -> tuple[
     limits = task.success
     if speed > limits.max_speed:
         return Cause.UNSTABLE, f"still moving at {speed:.3f} m/s, at most {limits.max_speed:g}"
-    if dz < 0.0:
-        return (
-            Cause.DROPPED,
-            f"{-dz * 1000:.0f} mm below the {task.target.name}, {dxy * 1000:.0f} mm beside its centre",
-        )
+    # Under what carries it, it lies beside the target, however near: on the table beside a can, say.
+    if dz < task.target.support_height:
+        below = (task.target.support_height - dz) * 1000
+        return Cause.DROPPED, f"{below:.0f} mm below the {task.target.name}, {dxy * 1000:.0f} mm beside its centre"
     if dxy > limits.threshold or dz > limits.max_height:
         return Cause.OFF_TARGET, (
             f"{dxy * 1000:.0f} mm from the {task.target.name}'s centre (at most {limits.threshold * 1000:.0f}), "

@@ -1,0 +1,163 @@
+"""An object's config, written from its scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..config.document import dump_yaml
+from ..config.scene import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..geometry.se3 import Array
+from .body import Body
+from .grasps import grasp
+from .hollows import fit_hollow
+from .scan import Scan
+from .solids import Fit, fit_solid
+
+# Deeper vessels have things put in them, flatter ones on them, m.
+_IN = 0.03
+
+# Sliding and torsional friction (m) of everything.
+_FRICTION = (0.8, 0.005)
+
+# Balls and capsules touch the table in points. So much rolling friction, as a share of the radius, keeps them still on
+# a slope of 3 degrees, as real fruit and felt stay where they are put.
+_ROLLING = 0.05
+
+
+@dataclass(frozen=True)
+class Thing:
+    """What a scan does not tell: what it is called, its mass in grams, its colour and its file.
+
+    Attributes:
+        set, file: the asset set and the file in it.
+        source: where name and mass are from, for the comment on top.
+    """
+
+    name: str
+    mass_g: float
+    rgba: tuple[float, float, float, float]
+    set: str
+    file: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Description:
+    """An object's config as YAML, its comment included, and how well its primitives fit the scan."""
+
+    yaml: str
+    data: dict[str, Any]
+    fit: Fit
+
+
+def describe(thing: Thing, scan: Scan) -> Description:
+    """Fit primitives to a scan that stands as the thing is to stand, and work the rest out from them.
+
+    A vessel's origin is on its axis, level with its foot; another thing's is its centre of mass.
+    """
+    solid, hollow = fit_solid(scan.points), fit_hollow(scan)
+    if hollow and hollow[0].rms < solid.rms:
+        fit, axis = hollow
+        origin = np.array([*axis, scan.foot])
+        parts = tuple(_moved(part, np.array([0.0, 0.0, -scan.foot])) for part in fit.parts)
+    else:
+        fit, hollow = solid, None
+        low, high = scan.points.min(axis=0) - 0.01, scan.points.max(axis=0) + 0.01
+        alone = _middle(fit.parts[0]) if len(fit.parts) == 1 else None
+        origin = Body.fill(fit.parts, low, high).centre if alone is None else alone
+        parts = tuple(_moved(part, -origin) for part in fit.parts)
+    points = scan.points - origin
+    body = Body.fill(parts, points.min(axis=0) - 0.01, points.max(axis=0) + 0.01)
+    moments, quat = body.inertia(thing.mass_g / 1000)
+    foot = min(_foot(part) for part in parts)
+    data: dict[str, Any] = {
+        "name": thing.name,
+        "mesh": {"set": thing.set, "file": thing.file, "origin": _rounded(origin), "rgba": list(thing.rgba)},
+        "inertia": {
+            "mass_g": thing.mass_g,
+            "centre": [0.0, 0.0, round(float(body.centre[2]), 5) if hollow else 0.0],
+            "diagonal": [float(f"{moment:.3e}") for moment in moments],
+            "quat": [round(float(q), 5) for q in quat],
+        },
+        "contact": _contact(parts),
+        "collision": [_plain(part) for part in parts],
+        "rest_height": 0.0 if hollow else round(-foot, 4),
+    }
+    if hollow and np.ptp(points[:, 2]) >= _IN:
+        data["preposition"] = "in"
+    if not hollow:
+        data["grasp"] = grasp(body, thing.mass_g / 1000, foot, float(points[:, 2].max()))
+    return Description(_comment(thing, parts, fit) + dump_yaml(data), data, fit)
+
+
+def _comment(thing: Thing, parts: tuple[Primitive, ...], fit: Fit) -> str:
+    kinds = [part.type for part in parts]
+    made = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+    return (
+        f"# {thing.source}. Written by `yamsim assets import`.\n"
+        f"# Fitted to the scan by least squares: {made}; {fit.rms * 1000:.1f} mm off it (rms), 99 % of it within "
+        f"{fit.most * 1000:.1f} mm.\n"
+    )
+
+
+def _contact(parts: tuple[Primitive, ...]) -> dict[str, Any]:
+    round_ = [part.radius for part in parts if isinstance(part, Sphere | Capsule)]
+    if len(round_) < len(parts):
+        return {"friction": [*_FRICTION, 0.0005], "condim": 4}
+    return {"friction": [*_FRICTION, round(_ROLLING * min(round_), 4)], "condim": 6}
+
+
+def _middle(part: Primitive) -> Array | None:
+    """A solid primitive's centre of mass (3,), m."""
+    match part:
+        case Capsule():
+            return np.add(part.start, part.end) / 2
+        case Ring():
+            return None
+        case _:
+            return np.array(part.centre)
+
+
+def _moved(part: Primitive, by: Array) -> Primitive:
+    def at(place: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (round(float(a + b), 5) for a, b in zip(place, by, strict=True))
+        return x, y, z
+
+    match part:
+        case Capsule():
+            return part.model_copy(update={"start": at(part.start), "end": at(part.end)})
+        case Ring():
+            edges = {key: (getattr(part, key)[0], getattr(part, key)[1] + float(by[2])) for key in ("inner", "outer")}
+            return part.model_copy(update=edges)
+        case _:
+            return part.model_copy(update={"centre": at(part.centre)})
+
+
+def _foot(part: Primitive) -> float:
+    match part:
+        case Sphere():
+            return part.centre[2] - part.radius
+        case Capsule():
+            return min(part.start[2], part.end[2]) - part.radius
+        case Cylinder():
+            return part.centre[2] - part.half_height
+        case Box():
+            return part.centre[2] - part.half_size[2]
+        case Ring():
+            return min(part.inner[1], part.outer[1]) - part.thickness
+
+
+def _plain(part: Primitive) -> dict[str, Any]:
+    data: dict[str, Any] = part.model_dump(exclude_none=True)
+    return {key: _rounded(value) if isinstance(value, tuple) else _figure(value) for key, value in data.items()}
+
+
+def _rounded(values: Any) -> list[float]:
+    return [round(float(value), 5) for value in values]
+
+
+def _figure(value: Any) -> Any:
+    return round(value, 5) if isinstance(value, float) else value

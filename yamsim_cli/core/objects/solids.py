@@ -1,0 +1,193 @@
+"""Solid primitives fitted to a scan: each kind's least squares of the signed distance, and of those the best."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config.scene import Box, Capsule, Cylinder, Primitive, Sphere
+from ..geometry.se3 import Array
+from .distance import signed_distance
+
+# How much better, m, a shape must fit for each number more that describes it.
+_WORTH = 3e-4
+
+# What lies deeper under the planes that touch it all round is a dimple, which nothing ever touches, m.
+_DIMPLE = 0.0015
+_PLANES = 600
+
+# Ends that hang less than this over the ground are laid on it: what lies on the table touches it there.
+_LAID = 0.004
+
+_STEPS = 30
+_NUDGE = 1e-5
+
+Parts = tuple[Primitive, ...]
+Make = Callable[[Array], Parts]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Primitives, and how far a scan's surface is from theirs: root mean square and 99 % of it, m."""
+
+    parts: Parts
+    rms: float
+    most: float
+
+
+def measure(parts: Parts, points: Array) -> Fit:
+    """How well primitives fit points (n, 3) of a surface."""
+    distance = np.abs(signed_distance(parts, points))
+    return Fit(parts, float(np.sqrt(np.mean(distance**2))), float(np.percentile(distance, 99)))
+
+
+def fit_solid(points: Array) -> Fit:
+    """The ball, cylinder, block, or row of up to three capsules that comes closest to a surface (n, 3), m.
+
+    Dimples and holes, such as an apple's, do not count.
+    """
+    points = _outside(points)
+    best: tuple[float, Fit] | None = None
+    for make, start in _candidates(points):
+        parts = _laid(make(_least_squares(make, start, points)), float(points[:, 2].min()))
+        fit = measure(parts, points)
+        cost = fit.rms + fit.most / 4 + _WORTH * len(start)
+        if best is None or cost < best[0]:
+            best = cost, fit
+    assert best is not None  # there are always candidates
+    return best[1]
+
+
+def _outside(points: Array) -> Array:
+    """The points near the convex hull."""
+    k = np.arange(_PLANES) + 0.5
+    down, round_ = np.arccos(1 - 2 * k / _PLANES), np.pi * (1 + math.sqrt(5)) * k
+    heights = points @ np.array([np.cos(round_) * np.sin(down), np.sin(round_) * np.sin(down), np.cos(down)])
+    depth = (heights.max(axis=0) - heights).min(axis=1)
+    near: Array = points[depth < _DIMPLE]
+    return near
+
+
+def _candidates(points: Array) -> Iterator[tuple[Make, Array]]:
+    low, high = np.percentile(points, (0.5, 99.5), axis=0)
+    centre, half = (low + high) / 2, (high - low) / 2
+    yield lambda p: _sphere(p, half[:2].min()), np.array([*centre, half.mean()])
+    yield _cylinder, np.array([*centre, half[:2].mean(), half[2]])
+    yaw = min(np.radians(np.arange(0, 90, 2)), key=lambda yaw: float(np.prod(_extent(points, yaw)[1])))
+    middle, size = _extent(points, yaw)
+    yield _box, np.array([*middle, centre[2], *size, half[2], yaw])
+    for count in (1, 2, 3):
+        yield _capsules, _row(points, count)
+
+
+def _sphere(p: Array, most: float) -> Parts:
+    """No wider than the scan: fingers have to fit around it."""
+    return (Sphere(type="sphere", centre=_vector(p[:3]), radius=min(_size(p[3]), most)),)
+
+
+def _cylinder(p: Array) -> Parts:
+    return (Cylinder(type="cylinder", centre=_vector(p[:3]), radius=_size(p[3]), half_height=_size(p[4])),)
+
+
+def _box(p: Array) -> Parts:
+    size = (_size(p[3]), _size(p[4]), _size(p[5]))
+    return (Box(type="box", centre=_vector(p[:3]), half_size=size, yaw_deg=round(math.degrees(p[6]), 2)),)
+
+
+def _capsules(p: Array) -> Parts:
+    """A row: places (x, y, z) of all joints, and a radius for each capsule."""
+    count = (len(p) - 3) // 4
+    joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
+    return tuple(
+        Capsule(type="capsule", start=_vector(joints[k]), end=_vector(joints[k + 1]), radius=_size(radii[k]))
+        for k in range(count)
+    )
+
+
+def _extent(points: Array, yaw: float) -> tuple[Array, Array]:
+    """Centre (x, y) and half-size of the rectangle around points seen from above, turned by `yaw`."""
+    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+    low, high = np.percentile(points[:, :2] @ turn.T, (0.5, 99.5), axis=0)
+    return (low + high) / 2 @ turn, (high - low) / 2
+
+
+def _row(points: Array, count: int) -> Array:
+    """Where a row of capsules starts from: slices of equal length along the longest horizontal axis."""
+    centre = points.mean(axis=0)
+    along = np.linalg.svd(points[:, :2] - centre[:2], full_matrices=False)[2][0]
+    across = np.array([-along[1], along[0]])
+    t, w = ((points[:, :2] - centre[:2]) @ axis for axis in (along, across))
+    first, end = np.percentile(t, (0.2, 99.8))
+    edges = np.linspace(first, end, count + 1)
+    length = edges[-1] - edges[0]
+    joints, radii = list[Array](), list[float]()
+
+    def place(t: float, w: float, z: float) -> Array:
+        return np.array([*(centre[:2] + t * along + w * across), z])
+
+    for k in range(count):
+        inside = (t >= edges[k]) & (t <= edges[k + 1])
+        (w0, w1), (z0, z1) = (np.percentile(value[inside], (1, 99)) for value in (w, points[:, 2]))
+        radii.append((w1 - w0 + z1 - z0) / 4)
+        start = edges[k] + (min(radii[k], length / 2) if k == 0 else 0)
+        joints.append(place(start, (w0 + w1) / 2, (z0 + z1) / 2))
+        last = place(max(start + 1e-3, edges[-1] - radii[k]), (w0 + w1) / 2, (z0 + z1) / 2)
+    return np.concatenate([*joints, last, radii])
+
+
+def _least_squares(make: Make, start: Array, points: Array) -> Array:
+    """Levenberg's method with numeric derivatives: the numbers that make the squares of the distances least."""
+    p, damping = start, 1e-3
+    rest = signed_distance(make(p), points)
+    for _ in range(_STEPS):
+        slope = np.column_stack(
+            [(signed_distance(make(p + nudge), points) - rest) / _NUDGE for nudge in _NUDGE * np.eye(len(p))]
+        )
+        normal = slope.T @ slope
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope.T @ rest)
+        new = signed_distance(make(p + step), points)
+        if new @ new < rest @ rest:
+            done = rest @ rest - new @ new < 1e-6 * (rest @ rest)
+            p, rest, damping = p + step, new, damping / 5
+            if done:
+                break
+        else:
+            damping *= 5
+    return p
+
+
+def _laid(parts: Parts, ground: float) -> Parts:
+    """The parts as they lie on the ground: what nearly touches it does, and nothing goes below it."""
+    laid: list[Primitive] = []
+    for part in parts:
+        match part:
+            case Sphere():
+                laid.append(part.model_copy(update={"centre": (*part.centre[:2], ground + part.radius)}))
+            case Capsule():
+                ends = {key: getattr(part, key) for key in ("start", "end")}
+                for key, (x, y, z) in ends.items():
+                    if z - part.radius - ground < _LAID:
+                        ends[key] = (x, y, ground + part.radius)
+                laid.append(part.model_copy(update=ends))
+            case Cylinder():
+                top = part.centre[2] + part.half_height
+                half = (top - ground) / 2
+                laid.append(part.model_copy(update={"centre": (*part.centre[:2], ground + half), "half_height": half}))
+            case Box():
+                half = (part.centre[2] + part.half_size[2] - ground) / 2
+                size = (*part.half_size[:2], half)
+                laid.append(part.model_copy(update={"centre": (*part.centre[:2], ground + half), "half_size": size}))
+            case _:
+                laid.append(part)
+    return tuple(laid)
+
+
+def _vector(p: Sequence[float] | Array) -> tuple[float, float, float]:
+    return float(p[0]), float(p[1]), float(p[2])
+
+
+def _size(value: float) -> float:
+    return max(float(abs(value)), 1e-4)
