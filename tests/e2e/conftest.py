@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import shutil
 import socket
 import subprocess
 from collections.abc import Iterator
@@ -32,3 +34,24 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
 def screens(repository: Path) -> Path:
     """Where pictures of screens are kept for people to look at; git does not know it."""
     return repository / "out" / "screens"
+
+
+@pytest.fixture
+def screen() -> Iterator[str]:
+    """A virtual screen's name."""
+    if shutil.which("Xvfb") is None:
+        pytest.skip("Xvfb is not here: tools/ensure_test_programs.sh")
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
+        pass_fds=[write],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        os.close(write)
+        with os.fdopen(read) as pipe:
+            number = pipe.readline().strip()
+        yield f":{number}"
+    finally:
+        server.terminate()
+        server.wait(10)
