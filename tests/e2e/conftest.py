@@ -4,12 +4,14 @@ import os
 import shutil
 import socket
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.e2e.browser import CHROMEDRIVER, CHROMIUM, Browser, answers, wait_until
+from yamsim_cli.core.files import exclusive_lock
 
 
 @pytest.fixture
@@ -19,10 +21,16 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
+    # One at a time: two that draw without a GPU take each other's time until something gives up.
+    with exclusive_lock(Path(tempfile.gettempdir()) / "yamsim-tests-browser.lock"):
+        yield from _drive(port, tmp_path / "profile")
+
+
+def _drive(port: int, profile: Path) -> Iterator[Browser]:
     driver = subprocess.Popen([CHROMEDRIVER, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         wait_until(lambda: answers(port))
-        client = Browser(port, tmp_path / "profile")
+        client = Browser(port, profile)
         yield client
         client.close()
     finally:
