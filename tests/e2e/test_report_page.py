@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.checks.sample import Sample, episode
-from tests.e2e.test_view_page import Browser, browser  # noqa: F401  (a fixture)
+from tests.e2e.browser import Browser
 from yamsim_cli.core.config.record import RecordConfig
 
 pytestmark = pytest.mark.slow
@@ -47,7 +47,7 @@ def page(request: pytest.FixtureRequest, tmp_path: Path, config: RecordConfig) -
     return request.param, tmp_path / "report.html"
 
 
-def test_the_page_is_drawn_whole_from_nothing_but_itself(page: tuple[str, Path], browser: Browser) -> None:  # noqa: F811
+def test_the_page_is_drawn_whole_from_nothing_but_itself(page: tuple[str, Path], browser: Browser) -> None:
     kind, file = page
     browser.open(file.as_uri())
     text = browser.text()
@@ -68,14 +68,14 @@ def test_the_page_is_drawn_whole_from_nothing_but_itself(page: tuple[str, Path],
         assert "lowdim.damaged" in text
 
 
-def test_nothing_sticks_out(page: tuple[str, Path], browser: Browser) -> None:  # noqa: F811
+def test_nothing_sticks_out(page: tuple[str, Path], browser: Browser) -> None:
     browser.open(page[1].as_uri())
     for width in (1200, 420):
         emulate(browser, "setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
         assert evaluate(browser, "document.documentElement.scrollWidth") <= width
 
 
-def test_light_dark_and_paper_can_be_read(page: tuple[str, Path], browser: Browser) -> None:  # noqa: F811
+def test_light_dark_and_paper_can_be_read(page: tuple[str, Path], browser: Browser) -> None:
     browser.open(page[1].as_uri())
     style = "[getComputedStyle(document.body).backgroundColor, getComputedStyle(document.body).color]"
     brightness = {}

@@ -16,13 +16,11 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
+from tests.e2e.browser import Browser, wait_until
 from tests.e2e.test_record_summarize import digest
-from tests.e2e.test_view_page import Browser, browser, screen, wait_until
 from yamsim_cli.core.dataset.lowdim import load_frame
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
-
-__all__ = ["browser", "screen"]  # fixtures
 
 
 @pytest.fixture(scope="module")

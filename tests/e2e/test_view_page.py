@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -186,27 +185,6 @@ def command(*args: str) -> Iterator[str]:
     finally:
         process.kill()
         process.communicate()
-
-
-@pytest.fixture
-def screen() -> Iterator[str]:
-    """A virtual screen's name."""
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not here: tools/ensure_test_programs.sh")
-    read, write = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
-        pass_fds=[write],
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        os.close(write)
-        with os.fdopen(read) as pipe:
-            number = pipe.readline().strip()
-        yield f":{number}"
-    finally:
-        server.terminate()
-        server.wait(10)
 
 
 def test_the_window_opens_on_a_display_and_a_signal_ends_it(screen: str, repository: Path) -> None:
