@@ -44,8 +44,8 @@ def test_compose_xml_folder_and_zip(tmp_path: Path) -> None:
     [
         (["compose-xml", "--rig", "nothing"], 3, "'nothing'"),
         (["compose-xml", "--rig", "bimanual", "--margin", "-1"], 2, "--margin"),
-        (["record", "--rig", "russet", "--n", "1"], 3, "demonstrated by one arm"),
-        (["pickplace", "batch", "--rig", "bimanual"], 3, "demonstrated by one arm"),
+        (["record", "--arm", "left", "--n", "1"], 2, "rig 'single' has only a right one"),
+        (["pickplace", "batch", "--rig", "bimanual", "--arm", "middle"], 2, "--arm 'middle'"),
         (["compose-xml", "--task", "nothing"], 3, "'nothing'"),
         (["render-views", "--quality", "superb"], 3, "valid: auto, balanced, fast, high"),
         (["render-views", "--size", "9999x10"], 2, "16..4096"),

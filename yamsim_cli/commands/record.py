@@ -12,6 +12,7 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line, progress_bar
 from .session import (
+    Arm,
     ConfigOption,
     Grasp,
     Json,
@@ -45,6 +46,7 @@ def record(
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("dataset"),
     task: Task = None,
     rig: Rig = None,
+    arm: Arm = None,
     grasp: Grasp = None,
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
     randomize: Annotated[
@@ -81,7 +83,7 @@ def record(
     """
     mode = _mode(resume=resume, overwrite=overwrite)
     where = locations()
-    flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
+    flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp, arm=arm) | {
         "--wrist": (("wrist",), wrist),
         "--boards": (("boards",), boards),
         "--truth": (("truth",), truth),

@@ -37,6 +37,10 @@ Grasp = Annotated[
         "(--rig single_linear).  [default: weld]",
     ),
 ]
+Arm = Annotated[
+    str | None,
+    typer.Option(metavar="left|right", help="Which arm of a rig with two does the task.  [default: right]"),
+]
 Seed = Annotated[int | None, typer.Option(help="Everything random follows from it.")]
 Quality = Annotated[
     str | None, typer.Option(help="fast, balanced, high, auto (by what draws), or a YAML file.  [default: auto]")
@@ -55,7 +59,14 @@ Flags = dict[str, tuple[tuple[str, ...], Any]]
 
 
 def job_flags(
-    *, rig: str | None, task: str | None, n: int | None, workers: int | None, seed: int | None, grasp: str | None
+    *,
+    rig: str | None,
+    task: str | None,
+    n: int | None,
+    workers: int | None,
+    seed: int | None,
+    grasp: str | None,
+    arm: str | None,
 ) -> Flags:
     """The flags that `record` and `pickplace batch` share, each with the config key it overrides."""
     return {
@@ -65,6 +76,7 @@ def job_flags(
         "--workers": (("workers",), workers),
         "--seed": (("seed",), seed),
         "--grasp": (("grasp",), grasp),
+        "--arm": (("arm",), arm),
     }
 
 

@@ -9,12 +9,12 @@ from tests.core.dataset.making import CAMERA, frame
 from yamsim_cli.core.dataset.actions import recorded_actions
 from yamsim_cli.core.dataset.checks.lowdim import frame_faults
 from yamsim_cli.core.dataset.lowdim import (
-    SHAPES,
     SimulationData,
     dump_frame,
     frame_data,
     has_simulation,
     load_frame,
+    shapes,
 )
 from yamsim_cli.core.errors import DatasetError
 
@@ -25,7 +25,7 @@ CTRL = 0.2 + np.arange(14).reshape(2, 7) * 1e-12
 
 
 def simulated() -> dict:
-    plain = {key: np.zeros(shape) for key, shape in SHAPES.items()}
+    plain = {key: np.zeros(shape) for key, shape in shapes(1).items()}
     return frame_data(
         **plain,
         timestamp=0.064,

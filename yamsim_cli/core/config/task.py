@@ -25,6 +25,10 @@ class Sampling(Config):
     min_separation: NonNegative
     clearance: NonNegative
 
+    def moved(self, y: float) -> Sampling:
+        """The same box, shifted along world y by so many metres."""
+        return self.model_copy(update={"y": (self.y[0] + y, self.y[1] + y)})
+
 
 class Heights(Config):
     """Heights in metres of the carried object's origin over where it lies or will lie."""

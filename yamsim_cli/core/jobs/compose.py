@@ -52,15 +52,17 @@ def task_spec(
     Raises:
         SimulationError: the sampling box has no room for both objects.
     """
-    task = config.task
-    layout = sample_layout(task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    task, scene = config.task, config.surroundings
+    rng = generator(EpisodeJob(config.seed, 0), Stream.LAYOUT)
+    layout = sample_layout(task, config.table, rng, config.object_box, config.target_box)
     if layout is None:
         raise SimulationError(f"task {task.name!r}: the sampling box has no room for both objects")
-    spec = compose(config.rig, config.scene, contents, locations, meshes)
+    spec = compose(config.rig, scene, contents, locations, meshes)
     spec.option.timestep = task.timing.timestep
-    add_grasp_weld(spec, task.object.name)
-    assert config.scene.scene_camera is not None  # checked when the config was loaded
-    add_fixed_camera(spec, SCENE_CAMERA, config.scene.scene_camera)
+    for arm in config.rig.arms:
+        add_grasp_weld(spec, task.object.name, arm.prefix)
+    assert scene.scene_camera is not None  # checked when the config was loaded
+    add_fixed_camera(spec, SCENE_CAMERA, scene.scene_camera)
     return spec, add_home_key(spec, config.rig, layout.T_in_world, task.start_joints)
 
 

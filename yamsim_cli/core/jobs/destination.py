@@ -15,7 +15,7 @@ from ..dataset.stage import MAX_WAITING, StagedWriter
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import InterruptedJobError
 from ..mounts import Mount, network_mount, read_mounts
-from ..tasks.plans import ticks
+from ..tasks.schedule import attempt_ticks
 from .collect import Sink, Watch
 from .stop import Stop
 
@@ -153,7 +153,7 @@ def _files(config: RecordConfig) -> int:
 
 
 def _frames(config: RecordConfig) -> int:
-    return math.ceil(ticks(config.task, config.grasp) / config.task.timing.ticks_per_frame)
+    return math.ceil(attempt_ticks(config) / config.task.timing.ticks_per_frame)
 
 
 def _cameras(config: RecordConfig) -> int:

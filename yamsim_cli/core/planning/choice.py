@@ -11,6 +11,7 @@ import numpy as np
 from ..config.record import GraspKind
 from ..config.scene import GraspPoint
 from ..config.task import TaskConfig
+from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..tasks.plans import Hold, grasp_points, make_plan
 from ..types import JointPath, Layout, Plan
@@ -65,15 +66,27 @@ class _Candidate:
 
 
 class PathChooser:
-    """Plans attempts: for one scene, task and kind of grasp."""
+    """Plans attempts: for one arm of a scene, one task and kind of grasp.
+
+    Args:
+        arm: its number in the scene.
+        stand: where the scene's arms stand otherwise, see `Clearance`.
+    """
 
     def __init__(
-        self, ik: IkSolver, dynamics: ArmDynamics, scene: CompiledScene, task: TaskConfig, grasp: GraspKind
+        self,
+        ik: IkSolver,
+        dynamics: ArmDynamics,
+        scene: CompiledScene,
+        task: TaskConfig,
+        grasp: GraspKind,
+        arm: int = 0,
+        stand: Array | None = None,
     ) -> None:
         self._ik = ik
         self._dynamics = dynamics
-        self._clearance = Clearance(scene)
-        self._scene = scene
+        self._clearance = Clearance(scene, arm, stand)
+        self._arm = scene.arms[arm]
         self._task = task
         self._grasp: GraspKind = grasp
         self._start = np.array(task.start_joints)
@@ -110,7 +123,7 @@ class PathChooser:
         margins = {}
         for flipped in (False, True):
             plan = make_plan(
-                self._task, self._grasp, layout, self._scene.T_base_in_world, Hold(point, flipped, _LEANS[0])
+                self._task, self._grasp, layout, self._arm.T_base_in_world, Hold(point, flipped, _LEANS[0])
             )
             self._ik.hold(plan.T_object_in_pinch)
             solution = self._ik.solve(plan.waypoints[plan.grasp].T_object_in_world, self._start, _ITERATIONS)
@@ -118,7 +131,7 @@ class PathChooser:
         return sorted(margins, key=lambda flipped: -margins[flipped])
 
     def _candidate(self, layout: Layout, hold: Hold) -> _Candidate:
-        plan = make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
+        plan = make_plan(self._task, self._grasp, layout, self._arm.T_base_in_world, hold)
         self._ik.hold(plan.T_object_in_pinch)
         joints, solutions = self._start, list[IkSolution]()
         for waypoint in plan.waypoints:
@@ -128,10 +141,9 @@ class PathChooser:
 
     def _strain(self, path: JointPath) -> float:
         """By how much a path needs more than the arm should give; 0 if it does not."""
-        scene = self._scene
-        low, high = scene.joint_range.T
+        low, high = self._arm.joint_range.T
         # The start is the task's and not the path's.
         free = float(np.minimum(path.joints[1:] - low, high - path.joints[1:]).min())
-        speed = float((np.abs(path.velocities) / scene.motor_speed).max())
-        torque = float((np.abs(path.torques) / scene.most_torque).max())
+        speed = float((np.abs(path.velocities) / self._arm.motor_speed).max())
+        torque = float((np.abs(path.torques) / self._arm.most_torque).max())
         return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array
-from ..scene.compiled import FORBIDDEN, CompiledScene, Kind
+from ..scene.compiled import CompiledScene, Kind
 from ..types import Layout, Plan
 from .ik import IkSolution
 
@@ -20,13 +20,20 @@ _FINGERS = (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)
 
 
 class Clearance:
-    """Looks for contacts of the arm with table and target, and of open fingers with the object they are to close on."""
+    """Looks for contacts of an arm with table, target and other arms, and of its open fingers with the object that they
+    are to close on.
 
-    def __init__(self, scene: CompiledScene) -> None:
+    Args:
+        arm: its number in the scene.
+        stand: where the scene's arms stand otherwise (arms, 7): joints in rad, and the opening of one finger in m.
+    """
+
+    def __init__(self, scene: CompiledScene, arm: int = 0, stand: Array | None = None) -> None:
         self._scene = scene
+        self._arm = arm
+        self._stand = np.zeros((len(scene.arms), 7)) if stand is None else stand
         self._model = copy.copy(scene.model)
-        on_arm = np.isin(scene.geom_kind, (Kind.ARM, *_FINGERS))
-        self._model.geom_margin[on_arm] = _DISTANCE
+        self._model.geom_margin[scene.geom_arm >= 0] = _DISTANCE
         self._data = mujoco.MjData(self._model)
 
     def touched(self, plan: Plan, solutions: Sequence[IkSolution], layout: Layout) -> str | None:
@@ -41,12 +48,14 @@ class Clearance:
 
     def _touched(self, joints: Array, opening: float, layout: Layout, *, takes: bool) -> str | None:
         model, data = self._model, self._data
-        data.qpos[:] = self._scene.start_qpos(layout, joints, opening)
+        stand = self._stand.copy()
+        stand[self._arm] = (*joints, opening)
+        data.qpos[:] = self._scene.start_qpos(layout, stand[:, :6], stand[:, 6])
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         geoms = data.contact.geom
         kinds = self._scene.geom_kind[geoms]
-        near = FORBIDDEN[kinds[:, 0], kinds[:, 1]]
+        near = self._scene.forbidden(geoms)
         if takes:
             near |= np.isin(kinds, _FINGERS).any(axis=1) & (kinds == Kind.OBJECT).any(axis=1)
         if not near.any():

@@ -74,6 +74,13 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
     )
 
 
+def stand_still(dynamics: ArmDynamics, joints: Array, gripper: float, ticks: int, tick: float) -> JointPath:
+    """An arm that holds its place: `joints` (6,) in rad and `gripper` in m, for so many ticks of `tick` seconds."""
+    path, opening = np.tile(joints, (ticks + 1, 1)), np.full(ticks, gripper)
+    torques = dynamics.torques(path, opening, tick)
+    return JointPath(path, torques, opening, np.zeros(ticks), (False,) * ticks, tick, position_error=0.0, tilt=0.0)
+
+
 def _ease(fraction: float) -> float:
     """Minimum jerk from 0 to 1."""
     u = fraction
