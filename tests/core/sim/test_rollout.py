@@ -136,14 +136,8 @@ def test_action_is_the_plan_and_ctrl_what_the_drives_got(
 def test_recorded_actions_give_the_same_bits_from_the_first_frame(
     scene: CompiledScene, config: RecordConfig, rollout: Rollout
 ) -> None:
-    again = simulate(
-        scene,
-        rollout.states[0].qpos,
-        joined(rollout.states),
-        "banana",
-        config.task.timing,
-        [phases(config.task, "weld")],
-    )
+    held = [phases(config.task, "weld")]
+    again = simulate(scene, rollout.states[0].qpos, joined(rollout.states), "banana", config.task.timing, held)
     for before, after in zip(rollout.states, again.states, strict=True):
         assert (before.qpos == after.qpos).all()
     assert (rollout.T_in_world["banana"] == again.T_in_world["banana"]).all()
