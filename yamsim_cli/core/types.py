@@ -75,6 +75,7 @@ class Plan:
         grasp, release: indices of the waypoints at which the hand takes the object and lets go of it.
         weld: whether a weld holds the object, or friction alone.
         phases: when it is held.
+        settle_ticks: control ticks after the last waypoint, in which the arm goes back to where it started.
     """
 
     object: str
@@ -84,6 +85,7 @@ class Plan:
     release: int
     weld: bool
     phases: Phases
+    settle_ticks: int
 
 
 @dataclass(frozen=True)

@@ -105,6 +105,21 @@ class RecordConfig(Config):
         return self
 
     @model_validator(mode="after")
+    def _can_hand_over(self) -> RecordConfig:
+        if self.task.kind != "handover":
+            return self
+        if len(self.rig.arms) < 2:
+            raise ValueError(
+                f"task {self.task.name!r} needs two arms, and rig {self.rig.name!r} has one; use --rig bimanual"
+            )
+        if self.arm != "right" or self.grasp != "weld":
+            raise ValueError(
+                f"task {self.task.name!r}: the right arm gives to the left one and both hold by the weld; leave out "
+                f"arm {self.arm!r} and grasp {self.grasp!r}"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _can_be_held(self) -> RecordConfig:
         if self.grasp != "contact":
             return self
@@ -138,6 +153,8 @@ class RecordConfig(Config):
     def acting(self) -> tuple[int, ...]:
         """Numbers, in the rig, of the arms that do the task: the one that picks first, the one that places last."""
         by_side = {arm.side: k for k, arm in enumerate(self.rig.arms)}
+        if self.task.kind == "handover":
+            return by_side["right"], by_side["left"]
         return (by_side.get(self.arm, 0),)
 
     @property

@@ -214,7 +214,7 @@ class Light(Config):
 
 
 # How far a camera steps back for each metre that the scene grows wider.
-_STEP_BACK = 0.75
+_STEP_BACK = 0.5
 
 
 class FixedCamera(Config):

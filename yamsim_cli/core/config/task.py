@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat, model_validator
 
 from .base import Config, Name, NonNegative, Positive, Range, Reference
-from .scene import ObjectConfig
+from .scene import GraspPoint, ObjectConfig
 
 
 class Sampling(Config):
@@ -78,11 +78,38 @@ class Success(Config):
     max_speed: Positive
 
 
+class Exchange(Config):
+    """How one hand gives the object to another, in the air between two arms.
+
+    Attributes:
+        x: of the place in `world`, m; it lies in the middle between the arms.
+        height: of the object's origin over where it lies on the table, m.
+        points: where the two hands may hold the object: either hand at either one, the other at the other.
+        clear: how far, along the object, the taking hand comes from and the giving hand goes to, m.
+        carry_ticks: control ticks from the lift to the exchange, and from the exchange to the place.
+        take_ticks: control ticks in which the taking hand moves in and closes.
+        both_ticks: control ticks in which both hold, and the giving hand opens.
+    """
+
+    x: FiniteFloat
+    height: Positive
+    points: tuple[GraspPoint, GraspPoint]
+    clear: Positive
+    carry_ticks: int = Field(ge=4, le=1000)
+    take_ticks: int = Field(ge=2, le=1000)
+    both_ticks: int = Field(ge=2, le=1000)
+
+
 class TaskConfig(Config):
-    """Pick `object` up and put it onto `target`."""
+    """Pick `object` up and put it onto `target`: one arm alone, or two with a hand-over between them.
+
+    Attributes:
+        sampling: for an arm at the origin; of two arms, it is moved to the one that picks and the one that places.
+        exchange: of a hand-over.
+    """
 
     name: Name
-    kind: Literal["pickplace"]
+    kind: Literal["pickplace", "handover"]
     object: Annotated[ObjectConfig, Reference("objects")]
     target: Annotated[ObjectConfig, Reference("objects")]
     language_task: str
@@ -92,6 +119,7 @@ class TaskConfig(Config):
     heights: Heights
     timing: Timing
     success: Success
+    exchange: Annotated[Exchange | None, Field(exclude_if=lambda exchange: exchange is None)] = None
 
     @model_validator(mode="after")
     def _graspable(self) -> TaskConfig:
@@ -99,4 +127,6 @@ class TaskConfig(Config):
             raise ValueError(f"object {self.object.name!r} has no `grasp`, so it cannot be picked up")
         if self.object.name == self.target.name:
             raise ValueError(f"object and target are both {self.object.name!r}")
+        if (self.kind == "handover") != (self.exchange is not None):
+            raise ValueError(f"kind {self.kind!r} and `exchange`: a handover needs one, and no other task may have one")
         return self

@@ -16,7 +16,7 @@ from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..geometry.se3 import Array, inverse, yaw
-from ..planning.demonstration import make_planner
+from ..planning.planners import make_planner
 from ..resources import Locations
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene

@@ -12,7 +12,7 @@ from ..config.record import GraspKind
 from ..config.scene import GraspPoint
 from ..config.task import TaskConfig
 from ..geometry.se3 import Array
-from ..scene.compiled import CompiledScene
+from ..scene.compiled import CompiledScene, SceneArm
 from ..tasks.plans import Hold, grasp_points, make_plan
 from ..types import JointPath, Layout, Plan
 from .clearance import Clearance
@@ -51,18 +51,34 @@ class _Candidate:
     @property
     def badness(self) -> tuple[bool, bool, float]:
         """Out of reach, in touch with something, and how much it lacks otherwise."""
-        near = max(0.0, _FREE - min(solution.margin for solution in self.solutions))
-        turned = max(solution.tilt_error + solution.heading_error for solution in self.solutions)
-        return not self._reached, self.touched is not None, round(near + turned, 2)
+        return not near_enough(self.plan, self.solutions), self.touched is not None, lacking(self.solutions)
 
-    @property
-    def _reached(self) -> bool:
-        # The grasp and the release have to be as planned; elsewhere the hand may lean a little more.
-        key = (self.solutions[self.plan.grasp], self.solutions[self.plan.release])
-        return (
-            max(solution.position_error for solution in self.solutions) <= _POSITION
-            and max(solution.tilt_error + solution.heading_error for solution in key) <= _ROTATION
-        )
+
+def near_enough(plan: Plan, solutions: Sequence[IkSolution]) -> bool:
+    """Whether the arm reaches a plan's waypoints."""
+    # The grasp and the release have to be as planned; elsewhere the hand may lean a little more.
+    key = (solutions[plan.grasp], solutions[plan.release])
+    return (
+        max(solution.position_error for solution in solutions) <= _POSITION
+        and max(solution.tilt_error + solution.heading_error for solution in key) <= _ROTATION
+    )
+
+
+def lacking(solutions: Sequence[IkSolution]) -> float:
+    """By how much solutions come too near to a joint's stop, or turn away from their poses, rad; 0 if they do not."""
+    near = max(0.0, _FREE - min(solution.margin for solution in solutions))
+    turned = max(solution.tilt_error + solution.heading_error for solution in solutions)
+    return round(near + turned, 2)
+
+
+def path_strain(arm: SceneArm, path: JointPath) -> float:
+    """By how much a path needs more than an arm should give; 0 if it does not."""
+    low, high = arm.joint_range.T
+    # The start is the task's and not the path's.
+    free = float(np.minimum(path.joints[1:] - low, high - path.joints[1:]).min())
+    speed = float((np.abs(path.velocities) / arm.motor_speed).max())
+    torque = float((np.abs(path.torques) / arm.most_torque).max())
+    return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)
 
 
 class PathChooser:
@@ -104,7 +120,7 @@ class PathChooser:
                 continue
             path = plan_path(self._ik, self._dynamics, candidate.plan, self._start, self._task.timing)
             *faults, lacking = candidate.badness
-            badness = (faults[0], faults[1], round(lacking + self._strain(path), 2))
+            badness = (faults[0], faults[1], round(lacking + path_strain(self._arm, path), 2))
             if best is None or badness < best[0]:
                 best = badness, candidate.plan, path
             if not any(badness):
@@ -138,12 +154,3 @@ class PathChooser:
             solutions.append(self._ik.solve(waypoint.T_object_in_world, joints, _ITERATIONS))
             joints = solutions[-1].joints
         return _Candidate(hold, plan, solutions, self._clearance.touched(plan, solutions, layout))
-
-    def _strain(self, path: JointPath) -> float:
-        """By how much a path needs more than the arm should give; 0 if it does not."""
-        low, high = self._arm.joint_range.T
-        # The start is the task's and not the path's.
-        free = float(np.minimum(path.joints[1:] - low, high - path.joints[1:]).min())
-        speed = float((np.abs(path.velocities) / self._arm.motor_speed).max())
-        torque = float((np.abs(path.torques) / self._arm.most_torque).max())
-        return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)

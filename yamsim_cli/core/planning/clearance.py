@@ -36,19 +36,30 @@ class Clearance:
         self._model.geom_margin[scene.geom_arm >= 0] = _DISTANCE
         self._data = mujoco.MjData(self._model)
 
-    def touched(self, plan: Plan, solutions: Sequence[IkSolution], layout: Layout) -> str | None:
-        """Names of a waypoint and of two geoms that come too near each other there; None if there are none."""
+    def touched(
+        self,
+        plan: Plan,
+        solutions: Sequence[IkSolution],
+        layout: Layout,
+        stands: Sequence[Array] | None = None,
+    ) -> str | None:
+        """Names of a waypoint and of two geoms that come too near each other there; None if there are none.
+
+        Args:
+            stands: where the scene's arms stand otherwise at each waypoint, if not always at the same place.
+        """
         opening = plan.waypoints[0].gripper
         for k, (waypoint, solution) in enumerate(zip(plan.waypoints, solutions, strict=True)):
             # On the way to a waypoint fingers are as wide as before it, or as at it.
             widest, opening = max(opening, waypoint.gripper), waypoint.gripper
-            if found := self._touched(solution.joints, widest, layout, takes=not plan.weld and k == plan.grasp):
+            stand = self._stand if stands is None else stands[k]
+            if found := self._touched(stand, solution.joints, widest, layout, takes=not plan.weld and k == plan.grasp):
                 return f"{waypoint.name}: {found}"
         return None
 
-    def _touched(self, joints: Array, opening: float, layout: Layout, *, takes: bool) -> str | None:
+    def _touched(self, elsewhere: Array, joints: Array, opening: float, layout: Layout, *, takes: bool) -> str | None:
         model, data = self._model, self._data
-        stand = self._stand.copy()
+        stand = elsewhere.copy()
         stand[self._arm] = (*joints, opening)
         data.qpos[:] = self._scene.start_qpos(layout, stand[:, :6], stand[:, 6])
         mujoco.mj_kinematics(model, data)

@@ -95,8 +95,3 @@ class OneArmPlanner:
             for k, (tools, stand) in enumerate(zip(self._tools, self._stand, strict=True))
         )
         return Demonstration(paths, chosen.position_error, chosen.tilt)
-
-
-def make_planner(config: RecordConfig, scene: CompiledScene, locations: Locations) -> Planner:
-    """The planner of a recording's task."""
-    return OneArmPlanner(config, scene, arm_tools(config, scene, locations))

@@ -56,8 +56,8 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
             # The pinch frame's z axis points where the fingers do.
             leaned = max(leaned, math.pi - tilt((ik.pose_of(joints[-1]) @ T_pinch_in_object)[:3, :3]))
     last = joints[-1]
-    for k in range(1, timing.settle_ticks + 1):
-        joints.append(last + _ease(k / timing.settle_ticks) * (start_joints - last))
+    for k in range(1, plan.settle_ticks + 1):
+        joints.append(last + _ease(k / plan.settle_ticks) * (start_joints - last))
         gripper.append(gripper[-1])
         grip.append(grip[-1])
 
