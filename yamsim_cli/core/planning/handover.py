@@ -12,7 +12,7 @@ from ..config.record import RecordConfig
 from ..config.scene import GraspPoint
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
-from ..tasks.handover import LEFT, RIGHT, exchange, exchange_pose, giving_plan, taking_plan
+from ..tasks.handover import LEFT, RIGHT, exchange, exchange_pose, giving_plan, taking_plan, wrist_turn
 from ..tasks.plans import Hold
 from ..types import Layout, Plan
 from .choice import lacking, near_enough, path_strain
@@ -24,10 +24,10 @@ from .path import plan_path
 # From a cold start the iteration may have to cross the workspace.
 _ITERATIONS = 100
 
-# How far a hand may lean, and how far the way from one hand to the other may turn from straight across, in the order in
-# which that is tried.
-_LEANS = tuple(math.radians(angle) for angle in (0, 15, 25))
-_TURNS = tuple(math.radians(angle) for angle in (0, 25, -25, 50, -50))
+# How far a hand may lean, in the order in which that is tried; and where the way from the right hand to the left one
+# may head: straight to the left, or turned from that.
+_LEANS = tuple(math.radians(angle) for angle in (15, 25, 5))
+_HEADINGS = tuple(math.radians(angle) for angle in range(30, 151, 15))
 
 
 @dataclass(frozen=True)
@@ -90,12 +90,18 @@ class HandoverPlanner:
         return best[1]
 
     def _giving(self, layout: Layout) -> Iterator[_Half]:
-        points = exchange(self._task).points
-        for turn in _TURNS:
-            heading = math.pi / 2 + turn
+        """First those in which the wrist has to turn the object least on its way: a hand that leans outwards where it
+        picks the object up then does so at the exchange too.
+        """
+        points, T_base = exchange(self._task).points, self._scene.arms[RIGHT].T_base_in_world
+        ways = []
+        for heading in _HEADINGS:
             for point, other in (points, points[::-1]):
                 T_exchange = exchange_pose(self._task, layout, point, other, heading)
-                yield from self._halves(RIGHT, giving_plan, layout, point, T_exchange, heading)
+                turn = wrist_turn(layout.T_in_world[self._task.object.name], T_exchange, T_base)
+                ways.append((abs(turn), point, T_exchange, heading))
+        for _, point, T_exchange, heading in sorted(ways, key=lambda way: way[0]):
+            yield from self._halves(RIGHT, giving_plan, layout, point, T_exchange, heading)
 
     def _taking(self, layout: Layout, giving: _Half) -> Iterator[_Half]:
         other = next(point for point in exchange(self._task).points if point != giving.hold.point)

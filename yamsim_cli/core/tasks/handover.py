@@ -82,6 +82,12 @@ def exchange_pose(task: TaskConfig, layout: Layout, giving: GraspPoint, taking: 
     return pose((x, y, height), R)
 
 
+def wrist_turn(T_from: Array, T_to: Array, T_base_in_world: Array) -> float:
+    """By how much an object turns on its way, beyond what an arm that carries it turns about its base; -pi..pi."""
+    turned = yaw(T_to) - yaw(T_from) - azimuth(T_to, T_base_in_world) + azimuth(T_from, T_base_in_world)
+    return math.remainder(turned, 2 * math.pi)
+
+
 def _aside(task: TaskConfig, T_exchange: Array, heading: float) -> Array:
     """The exchange as seen by a hand that is clear of the object: beside it along `heading`, and higher."""
     T = raised(T_exchange, task.heights.approach)
