@@ -65,6 +65,7 @@ def test_a_frame_has_all_of_it_or_none():
         ({"sim_qpos": QPOS * 1e300}, "sim_qpos has values that are not finite, or beyond 1000 m or rad"),
         ({"sim_magnet": [True, False]}, "sim_magnet is list, not bool with 1 dimensions"),
         ({"sim_magnet": np.array([True])}, "sim_ctrl has 2 ticks and sim_magnet 1"),
+        ({"sim_magnet": np.ones((2, 2), bool)}, "sim_magnet is bool (2, 2), not bool with 1 dimensions"),
     ],
 )
 def test_each_fault_is_named(change, fault):

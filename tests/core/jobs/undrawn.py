@@ -47,6 +47,7 @@ def write_dataset(path: Path, config: RecordConfig, locations: Locations, episod
                 frames=len(frames),
                 frame_period_s=0.064,
                 cameras={"scene_camera": SIZE},
+                arms=len(config.rig.arms),
                 objects=[config.task.object.name, config.task.target.name],
                 outcome=OutcomeRecord.of(outcome),
                 max_height_m=config.task.success.max_height,

@@ -25,11 +25,12 @@ _PER_ARM = 7
 # Where the right arm stands, in the left one's base; only of two arms.
 BETWEEN_BASES = "T_right_base_in_left_base"
 
-# Dtype and numbers of dimensions of the keys that simulation alone has: a frame has all of them or none.
-SIMULATION: Mapping[str, tuple[type[np.generic], tuple[int, ...]]] = {
-    "sim_qpos": (np.float64, (1,)),
-    "sim_ctrl": (np.float64, (2,)),
-    "sim_magnet": (np.bool_, (1, 2)),
+# Dtype and number of dimensions of the keys that simulation alone has: a frame has all of them or none. Each entry of
+# `sim_magnet` is as `magnet` is.
+SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
+    "sim_qpos": (np.float64, 1),
+    "sim_ctrl": (np.float64, 2),
+    "sim_magnet": (np.bool_, 1),
 }
 
 # Nothing on a table is farther away, m or rad; a simulation that starts with larger numbers blows up.
@@ -198,15 +199,17 @@ def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
     faults: list[str] = []
     if not any(key in frame for key in SIMULATION):
         return faults
-    for key, (dtype, dimensions) in SIMULATION.items():
+    of_arms = getattr(frame.get("magnet"), "shape", ())
+    for key, (dtype, each) in SIMULATION.items():
         value = frame.get(key)
+        dimensions = each + (len(of_arms) if key == "sim_magnet" else 0)
         if value is None:
             faults.append(f"{key} is missing")
-        elif not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim not in dimensions:
+        elif not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != dimensions:
             found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-            faults.append(
-                f"{key} is {found}, not {np.dtype(dtype)} with {' or '.join(map(str, dimensions))} dimensions"
-            )
+            faults.append(f"{key} is {found}, not {np.dtype(dtype)} with {dimensions} dimensions")
+        elif key == "sim_magnet" and value.shape[1:] != of_arms:
+            faults.append(f"{key} is {value.shape}, and magnet {of_arms}")
         elif not (np.abs(value) < _FARTHEST).all():
             faults.append(f"{key} has values that are not finite, or beyond {_FARTHEST:g} m or rad")
     if not faults and len(frame["sim_ctrl"]) != len(frame["sim_magnet"]):
