@@ -18,6 +18,7 @@ from yamsim_cli.core.dataset.checks.lowdim import frame_faults
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.jobs.photos import episode_photos
 from yamsim_cli.core.jobs.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.tasks.handover import schedule
@@ -174,6 +175,14 @@ def test_a_hand_over_is_made_again_bit_for_bit(dataset: Path, locations: Locatio
     assert verdict.agrees
     assert set(verdict.checks) == {SEED, ACTIONS}
     assert verdict.checks[ACTIONS].max_error == 0.0
+
+
+def test_a_recorded_camera_is_given_in_the_first_arms_base(dataset: Path, handover: RecordConfig) -> None:
+    photo = episode_photos(dataset / "ep_000000", None, handover.rig)[0]
+    frame = read_frame(dataset / "ep_000000", 0)
+    T_right_in_cam = inverse(frame["extrinsics"]["scene_camera"]) @ frame["T_right_base_in_left_base"]
+    np.testing.assert_allclose(photo.T_base_in_cam, T_right_in_cam, atol=1e-5)
+    np.testing.assert_allclose(photo.joints, [frame["joints"][RIGHT], frame["joints"][LEFT]], atol=1e-6)
 
 
 def test_summarize_accepts_two_arms_and_checks_both(dataset: Path, tmp_path: Path) -> None:
