@@ -108,7 +108,6 @@ def giving_plan(
     T_start = layout.T_in_world[task.object.name]
     closed, opened = _openings(task, hold)
     giving = meeting.take_ticks + meeting.both_ticks
-    # The object is lifted by as much as is left to the exchange's height at the end of the way, not before.
     waypoints = (
         _waypoint("pre-grasp", raised(T_start, task.heights.approach), way, opened),
         _waypoint("grasp", T_start, way, closed),
