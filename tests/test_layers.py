@@ -26,13 +26,17 @@ FLOORS: dict[str, int] = {
     "core.scene": 4,
     "core.tasks": 4,
     "core.dataset": 4,
+    "core.policies": 4,
     "core.sim": 5,
     "core.vision": 5,
     "core.planning": 5,
     "core.viewers": 5,
     "core.report": 5,
     "core.jobs": 6,
+    "policy_server": 6,
     "commands": 7,
+    "api": 8,
+    "gym_env": 8,
     "main": 8,
     "__main__": 9,
 }
@@ -50,6 +54,10 @@ CONFINED = {
     "viser": {"core.viewers"},
     "ray": {"core.jobs.ray_workers"},
     "av": {"core.vision.video"},
+    "pyarrow": {"core.jobs.exports"},
+    "rerun": {"core.jobs.exports.rrd"},
+    "msgpack": {"core.policies.wire"},
+    "gymnasium": {"gym_env"},
 }
 
 

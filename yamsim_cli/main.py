@@ -12,16 +12,19 @@ import typer
 from typer.exceptions import TyperException
 
 from . import __version__
-from .commands import assets, config, pickplace
+from .commands import assets, config, export, pickplace
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
+from .commands.evaluate import evaluate
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
+from .commands.serve_policy import serve_policy
 from .commands.signals import raise_signals
 from .commands.summarize import summarize
+from .commands.teleop import teleop
 from .commands.verify import verify
 from .commands.view import view
 from .core.errors import YamsimError
@@ -37,12 +40,16 @@ app.command()(record)
 app.command()(summarize)
 app.command()(verify)
 app.command()(replay)
+app.command("eval")(evaluate)
+app.command("serve-policy")(serve_policy)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)
 app.command()(boards)
 app.command()(view)
 app.command()(doctor)
+app.add_typer(export.app, name="export")
+app.command()(teleop)
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(assets.app, name="assets")
@@ -72,7 +79,7 @@ def _root(
 
 _INTERRUPTED = 130
 # Commands with no other end than a signal: for them it is no failure.
-_ENDED_BY_SIGNAL = ("view",)
+_ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:

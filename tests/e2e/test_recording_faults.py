@@ -80,10 +80,13 @@ def test_a_second_recorder_is_refused(undisturbed: dict[str, str], tmp_path: Pat
     path = tmp_path / "d"
     with start(path, "--n", "4", "--workers", "1") as first:
         wait_until(lambda: (path / ".lock").exists() and (path / "config.yaml").exists())
+        # However long the others take, it is still at it.
+        first.send_signal(signal.SIGSTOP)
         for flag in ("--resume", "--overwrite", "--no-wrist"):
             code, err = run(path, "--n", "4", flag)
             assert code == 4
             assert f"is being recorded into by process {first.pid} on {socket.gethostname()}" in err
+        first.send_signal(signal.SIGCONT)
         err = without_progress(first.communicate(timeout=120)[1])
     assert (first.returncode, err) == (0, "")
     assert digest(path) == undisturbed

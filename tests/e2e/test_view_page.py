@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
-import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.cli.run_cli import yamsim
+from tests.e2e.browser import Browser, wait_until
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
@@ -30,102 +28,23 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.jobs.view import live_rig, view_in_browser
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.live import LiveRig
 from yamsim_cli.core.viewers.viewpoint import Viewpoint
 
 pytestmark = pytest.mark.slow
 
-CHROMIUM, CHROMEDRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
-ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # the key under which WebDriver names an element
-CHROMIUM_ARGS = [
-    "--headless=new",
-    "--no-sandbox",
-    "--no-first-run",
-    "--disable-quic",
-    "--disable-sync",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=1400,900",
-]
-
-
-class Browser:
-    """As much of a WebDriver client as these tests need."""
-
-    def __init__(self, port: int, profile: Path) -> None:
-        self._root = f"http://127.0.0.1:{port}"
-        options = {"binary": str(CHROMIUM), "args": [*CHROMIUM_ARGS, f"--user-data-dir={profile}"]}
-        wanted = {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": options}}
-        self._root += f"/session/{self._call('POST', '/session', {'capabilities': wanted})['sessionId']}"
-
-    def _call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
-        data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(self._root + path, method=method, data=data)
-        with urllib.request.urlopen(request, timeout=60) as answer:
-            return json.load(answer)["value"]
-
-    def open(self, url: str) -> None:
-        self._call("POST", "/url", {"url": url})
-
-    def text(self) -> str:
-        text: str = self._call("POST", "/execute/sync", {"script": "return document.body.innerText", "args": []})
-        return text
-
-    def screenshot(self) -> Array:
-        png = np.frombuffer(base64.b64decode(self._call("GET", "/screenshot")), np.uint8)
-        return np.asarray(cv2.imdecode(png, cv2.IMREAD_COLOR))
-
-    def press(self, selector: str, keys: str) -> None:
-        element = self._call("POST", "/element", {"using": "css selector", "value": selector})[ELEMENT]
-        self._call("POST", f"/element/{element}/value", {"text": keys})
-
-    def click(self, label: str) -> None:
-        path = f"//button[contains(., '{label}')]"
-        element = self._call("POST", "/element", {"using": "xpath", "value": path})[ELEMENT]
-        self._call("POST", f"/element/{element}/click", {})
-
-    def close(self) -> None:
-        self._call("DELETE", "")
-
-
-@pytest.fixture
-def browser(tmp_path: Path) -> Iterator[Browser]:
-    if not (CHROMIUM.exists() and CHROMEDRIVER.exists()):
-        pytest.skip("chromium and chromium-driver are not here: tools/ensure_test_programs.sh")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    driver = subprocess.Popen([CHROMEDRIVER, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        wait_until(lambda: answers(port))
-        client = Browser(port, tmp_path / "profile")
-        yield client
-        client.close()
-    finally:
-        driver.terminate()
-        driver.wait(10)
-
-
-def answers(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
-
-
-def wait_until(true: Callable[[], object], seconds: float = 30) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it never came true"
-        time.sleep(0.1)
-
 
 @contextmanager
-def served(live: LiveRig) -> Iterator[str]:
+def served(live: LiveRig, *, pictures: bool = False) -> Iterator[str]:
     """The URL of a page on which the rig runs."""
     urls: list[str] = []
     ended = threading.Event()
-    thread = threading.Thread(target=view_in_browser, args=(live, 0, urls.append, ended.is_set))
+    thread = threading.Thread(
+        target=view_in_browser,
+        args=(live, PageAddress(), urls.append, ended.is_set),
+        kwargs={"pictures": pictures},
+    )
     thread.start()
     try:
         wait_until(lambda: urls)
@@ -143,7 +62,7 @@ def live(locations: Locations) -> LiveRig:
     return live_rig(rig, scene, Contents(), locations, {"i2rt_yam_crank": None})
 
 
-def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser) -> None:
+def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser, screens: Path) -> None:
     with served(live) as url:
         browser.open(url)
         wait_until(lambda: "real time" in browser.text())
@@ -156,6 +75,7 @@ def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser) 
         browser.press("[role=slider]", "\ue014" * 200)  # arrow right, 1 mrad each
         wait_until(lambda: live.data.ctrl[0] > 0.15)
         wait_until(lambda: joint.qpos[0] > 0.1)
+        browser.screenshot(screens / "view_slider.png")
         browser.click("Home")
         wait_until(lambda: live.data.ctrl[0] == 0 and abs(joint.qpos[0]) < 0.01)
         browser.click("Pause")
@@ -202,6 +122,70 @@ def test_the_boards_on_the_page_are_the_rigs_own(
     scale = np.sum((pixels - pixels.mean(axis=0)) * flipped) / np.sum(flipped**2)
     assert scale > 0
     assert np.abs(pixels - pixels.mean(axis=0) - scale * flipped).max() < 2.0
+
+
+@pytest.mark.render
+def test_margin_and_cameras_on_the_page(live: LiveRig, browser: Browser, screens: Path) -> None:
+    with served(live, pictures=True) as url:
+        browser.open(url)
+        wait_until(lambda: "real time" in browser.text())
+        browser.click("Take pictures")
+        wait_until(lambda: browser.run("return document.querySelectorAll('img[src^=\"blob:\"]').length") == 2)
+        # The margin's slider is the one after both arms' seven.
+        script = "document.querySelectorAll('[role=slider]')[14].focus()"
+        browser.run(script)
+        browser.keys("\ue014" * 100)
+        wait_until(lambda: live.rig.margin > 0.65)
+        base = live.model.body("arm2_base_board").id
+        assert live.body_poses()[0][base][1] == pytest.approx(live.rig.margin / 2)
+        browser.screenshot(screens / "view_cameras.png")
+        browser.click("Look through right_wrist_camera")
+        time.sleep(1)
+        browser.screenshot(screens / "view_through_wrist.png")
+
+
+@pytest.mark.render
+def test_a_task_and_its_episode_in_the_browser(browser: Browser, tmp_path: Path, screens: Path) -> None:
+    out = tmp_path / "d"
+    done = yamsim("record", "--n", "1", "--workers", "1", "--out", str(out), "--wrist", "--size", "160x120")
+    assert done.code == 0, done.err
+    for name, args in (("task", ("--task", "pickplace")), ("episode", ("--episode", str(out / "ep_000000")))):
+        with command("view", "--web", "--port", "0", *args) as url:
+            browser.open(url)
+            wait_until(lambda: " s" in browser.text() and "Pause" in browser.text())
+            if name == "episode":
+                wait_until(lambda: browser.run("return document.querySelectorAll('img[src^=\"blob:\"]').length") == 2)
+                assert "scene_camera" in browser.text()
+                assert "right_wrist_camera" in browser.text()
+            time.sleep(2)
+            browser.screenshot(screens / f"view_{name}.png")
+
+
+@contextmanager
+def command(*args: str) -> Iterator[str]:
+    """A command that serves a page, in a process of its own that a signal ends; its URL."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "yamsim_cli", *args, "--json"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        said = ""
+        while not said.endswith("}\n"):
+            line = process.stdout.readline()
+            assert line, process.stderr and process.stderr.read()
+            said += line
+        yield json.loads(said)["url"]
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+        assert process.returncode == 0
+        assert "Traceback" not in err
+    finally:
+        process.kill()
+        process.communicate()
 
 
 @pytest.fixture

@@ -81,7 +81,7 @@ def record(
 
     Example: yamsim record --n 500 --workers 4
     """
-    mode = _mode(resume=resume, overwrite=overwrite)
+    mode = mode_of(resume=resume, overwrite=overwrite)
     where = locations()
     flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp, arm=arm) | {
         "--wrist": (("wrist",), wrist),
@@ -108,7 +108,8 @@ def record(
     _show(report, json)
 
 
-def _mode(*, resume: bool, overwrite: bool) -> OpenMode:
+def mode_of(*, resume: bool, overwrite: bool) -> OpenMode:
+    """What to do with an output that is not empty."""
     from yamsim_cli.core.dataset.opening import OpenMode
 
     if resume and overwrite:

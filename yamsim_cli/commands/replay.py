@@ -14,13 +14,14 @@ from yamsim_cli.core.errors import DatasetError, UsageError
 from .console import note, print_json, print_line
 from .session import Json, locations, parse_size, scene_meshes, skip_gl, use_gl
 from .signals import noted_signals
-from .viewing import Port, Web, choose_viewer, prepare_viewer
+from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.record import RecordConfig
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.core.jobs.replay import Film
     from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.viewers.address import PageAddress
 
 
 def replay(
@@ -36,6 +37,7 @@ def replay(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move an older video aside.")] = False,
     web: Web = None,
     port: Port = None,
+    host: Host = None,
     json: Json = False,
 ) -> None:
     """Play a recorded episode in a viewer, or make a video of it; its actions are repeated in physics and compared.
@@ -43,7 +45,7 @@ def replay(
     Example: yamsim replay dataset/ep_000003 --video ep3.mp4
     """
     for_video = {"--camera": camera, "--render": render, "--size": size, "--overwrite": overwrite}
-    for_viewer = {"--web or --native": web is not None, "--port": port is not None}
+    for_viewer = {"--web or --native": web is not None, "--port": port is not None, "--host": host is not None}
     for flag, given in (for_video if video is None else for_viewer).items():
         if given:
             raise UsageError(f"{flag} is for {'a video: give' if video is None else 'the viewer: leave out'} --video")
@@ -56,7 +58,7 @@ def replay(
 
     stored, where = find_episode(episode, number), locations()
     if video is None:
-        _watch(stored, where, speed, web, port, json)
+        watch(stored, where, speed, choose_viewer(web, port, host), json)
         return
     pixels = parse_size(size) if size else None
     film = _film(stored, where, video, camera or [], render, pixels, speed, overwrite)
@@ -103,11 +105,9 @@ def _film(
         return film_rendered(stored, runner, cameras, video, period, overwrite=overwrite)
 
 
-def _watch(
-    stored: StoredEpisode, where: Locations, speed: float, web: bool | None, port: int | None, json: bool
-) -> None:
-    page_port = choose_viewer(web, port)
-    prepare_viewer(page_port)
+def watch(stored: StoredEpisode, where: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
+    """Play an episode in a page, or in MuJoCo's window, until a signal ends it."""
+    prepare_viewer(page)
 
     from yamsim_cli.core.jobs.replay import play
 
@@ -121,7 +121,7 @@ def _watch(
     # A server or a window that is broken off while it starts cannot be closed.
     with noted_signals() as stopped:
         found = _physics(stored, where)
-        play(stored, config, where, meshes, speed, page_port, ready, stopped)
+        play(stored, config, where, meshes, speed, page, ready, stopped)
 
 
 def _config(stored: StoredEpisode, where: Locations) -> RecordConfig:

@@ -1,39 +1,72 @@
-"""`yamsim view`: watch a rig and move its joints."""
+"""`yamsim view`: watch a rig, a task or an episode, and move its joints."""
 
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from yamsim_cli.core.errors import ResourceError, UsageError
+
 from .console import print_json, print_line
-from .session import Json, Margin, RigName, locations, resolve_meshes, rig_config
+from .session import Json, Margin, Rig, Seed, Task, locations, record_config, resolve_meshes, rig_config, use_gl
 from .signals import noted_signals
-from .viewing import Port, Web, choose_viewer, prepare_viewer
+from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.config.record import RenderConfig
+    from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.viewers.live import LiveRig
+    from yamsim_cli.core.viewers.viewpoint import Viewpoint
 
 
 def view(
-    rig: RigName = "single",
+    rig: Rig = None,
     margin: Margin = None,
+    task: Task = None,
+    seed: Seed = None,
+    episode: Annotated[
+        Path | None, typer.Option(help="A recorded episode, such as dataset/ep_000003, in place of a rig.")
+    ] = None,
     web: Web = None,
     port: Port = None,
+    host: Host = None,
     boards: Annotated[bool, typer.Option("--boards/--no-boards", help="Base boards and their mounts.")] = True,
     json: Json = False,
 ) -> None:
-    """Watch a rig in real time and move its joints: in MuJoCo's window, or in a page on 127.0.0.1. Ctrl-C ends it.
+    """Watch a rig in real time and move its joints, in MuJoCo's window or in a browser page. Ctrl-C ends it.
+
+    With --task, its objects stand where the seed's first attempt has them; with --episode, it is played as by replay.
 
     Example: yamsim view --rig russet --web
     """
-    page_port = choose_viewer(web, port)
+    given = {"--rig": rig, "--margin": margin, "--task": task, "--seed": seed, "--no-boards": None if boards else True}
+    for flag, value in given.items():
+        if episode is not None and value is not None:
+            raise UsageError(f"{flag} is not for --episode, which shows the rig and the task that were recorded")
+    if seed is not None and task is None:
+        raise UsageError(f"--seed {seed} is of a task's layout; give --task with it")
+    page = choose_viewer(web, port, host)
     where = locations()
-    settings = rig_config(rig, where, margin)
-    prepare_viewer(page_port)
+    if episode is not None:
+        from yamsim_cli.core.dataset.reader import find_episode
 
-    from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.jobs.view import live_rig, view_in_browser, view_in_window
-    from yamsim_cli.core.scene.compose import Contents, mesh_sets
+        from .replay import watch
+
+        watch(find_episode(episode, None), where, 1.0, page, json)
+        return
+
+    flags = {"--rig": (("rig",), rig), "--margin": (("rig", "margin"), margin), "--seed": (("seed",), seed)}
+    if task is None:
+        settings = rig_config(rig or "single", where, margin)
+    else:
+        settings = record_config("default", where, flags | {"--task": (("task",), task)})
+    pictures = page is not None and _can_draw(where)
+    prepare_viewer(page)
+
+    from yamsim_cli.core.jobs.view import view_in_browser, view_in_window
 
     def ready(url: str | None) -> None:
         if json:
@@ -43,12 +76,39 @@ def view(
         # Whoever reads a pipe must not have to wait for the end.
         sys.stdout.flush()
 
-    scene = load_config(SceneConfig, "scenes", "studio", where)
-    meshes = resolve_meshes(mesh_sets(settings), where)
     # A server or a window that is broken off while it starts cannot be closed.
     with noted_signals() as stopped:
-        live = live_rig(settings, scene, Contents(boards=boards), where, meshes)
-        if page_port is None:
-            view_in_window(live, lambda: ready(None), stopped)
+        live, viewpoint = _live(settings, where, boards=boards or page is not None, pictures=pictures)
+        if page is None:
+            view_in_window(live, lambda: ready(None), stopped, viewpoint)
         else:
-            view_in_browser(live, page_port, ready, stopped)
+            view_in_browser(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)
+
+
+def _can_draw(where: Locations) -> bool:
+    """Whether the cameras' pictures can be drawn here; settles by what."""
+    try:
+        use_gl(where)
+    except ResourceError:
+        return False
+    return True
+
+
+def _live(settings: object, where: Locations, *, boards: bool, pictures: bool) -> tuple[LiveRig, Viewpoint | None]:
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.record import RecordConfig, RenderConfig
+    from yamsim_cli.core.config.rig import RigConfig
+    from yamsim_cli.core.config.scene import SceneConfig
+    from yamsim_cli.core.jobs.view import live_rig, live_task, task_viewpoint
+    from yamsim_cli.core.scene.compose import Contents, mesh_sets
+
+    contents = Contents(boards=boards)
+    quality: RenderConfig | None = load_config(RenderConfig, "quality", "fast", where) if pictures else None
+    if isinstance(settings, RecordConfig):
+        items = (settings.task.object, settings.task.target)
+        contents = Contents(boards=boards, objects=items)
+        meshes = resolve_meshes(mesh_sets(settings.rig, items), where)
+        return live_task(settings, contents, where, meshes, quality), task_viewpoint(settings)
+    assert isinstance(settings, RigConfig)
+    scene = load_config(SceneConfig, "scenes", "studio", where)
+    return live_rig(settings, scene, contents, where, resolve_meshes(mesh_sets(settings), where), quality), None

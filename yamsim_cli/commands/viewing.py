@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 
+from .console import note
 from .session import skip_gl
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.viewers.address import PageAddress
 
 _PORT = 8090
 
@@ -21,32 +25,55 @@ Port = Annotated[
     int | None,
     typer.Option(min=0, max=65535, help=f"Of the browser page, {_PORT} unless given; 0 takes a free one."),
 ]
+Host = Annotated[
+    str | None,
+    typer.Option(help="Of the browser page: an address of this machine, 127.0.0.1 unless given; 0.0.0.0 is all."),
+]
 
 
-def choose_viewer(web: bool | None, port: int | None) -> int | None:
-    """The browser page's port, or None for MuJoCo's window.
+def page_address(port: int | None, host: str | None) -> PageAddress:
+    """Where a browser page is to listen; the user is told of one that others can reach."""
+    from yamsim_cli.core.viewers.address import LOOPBACK, PageAddress
 
-    The viewer is the one asked for, else the page where a port is given or no window can open.
+    address = PageAddress(_PORT if port is None else port, host or LOOPBACK)
+    if not address.is_private:
+        note(
+            f"Whoever reaches {address.host} can watch and move what the page shows: it asks for no password and "
+            "encrypts nothing. Safer: leave --host out, and come through ssh -L."
+        )
+    return address
+
+
+def choose_viewer(web: bool | None, port: int | None, host: str | None = None) -> PageAddress | None:
+    """The browser page's address, or None for MuJoCo's window.
+
+    The viewer is the one asked for, else the page where a port or host is given or no window can open.
 
     Raises:
-        UsageError: a port for a window.
+        UsageError: a port or host for a window.
         ResourceError: a window where none can open.
     """
     missing = _missing_for_window()
-    if web is False and port is not None:
-        raise UsageError(f"--port {port} is for the browser page; leave it out, or give --web")
+    for flag, value in (("--port", port), ("--host", host)):
+        if web is False and value is not None:
+            raise UsageError(f"{flag} {value} is for the browser page; leave it out, or give --web")
     if web is False and missing:
         raise ResourceError(f"--native needs {missing}: use --web")
-    in_browser = web or (web is None and (port is not None or missing is not None))
-    return (_PORT if port is None else port) if in_browser else None
+    in_browser = web or (web is None and any(given is not None for given in (port, host, missing)))
+    return page_address(port, host) if in_browser else None
 
 
-def prepare_viewer(page_port: int | None) -> None:
-    """Settle what MuJoCo draws with, before it is imported."""
-    if page_port is None:
+def prepare_viewer(page: PageAddress | None) -> None:
+    """Settle what MuJoCo draws with, before it is imported, unless that is settled."""
+    if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
     skip_gl()
+    quiet_page()
+
+
+def quiet_page() -> None:
+    """Keep a page's library from writing to stdout."""
     # Viser tells of its server on stdout, by rich's own console; ours are others.
     import rich
 

@@ -14,7 +14,12 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
+
+# Flushing waits for the disk, and does not hold the interpreter.
+_FLUSHERS = 16
 
 
 def sha256_bytes(data: bytes) -> str:
@@ -138,6 +143,64 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
     except BaseException:
         shutil.rmtree(stage, ignore_errors=True)
         raise
+
+
+@dataclass
+class Stage:
+    """A directory that is being filled.
+
+    Attributes:
+        path: where to write until all is done.
+        moved_aside: where what was in the way has gone; known once all is done.
+    """
+
+    path: Path
+    moved_aside: Path | None = None
+
+
+@contextlib.contextmanager
+def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Stage]:
+    """A hidden directory beside `final`, to be filled in the block; then flushed to the disk and renamed to `final`.
+
+    For trees that are too large for `publish_directory`. Leaving the block by an exception removes what was written.
+
+    Args:
+        overwrite: move what is at `final` aside, once the new directory is whole.
+
+    Raises:
+        FileExistsError: `final` exists, and not as an empty directory.
+        OSError: the tree could not be written; nothing appeared under `final`.
+    """
+    stage = Stage(final.with_name(f".{final.name}.{uuid.uuid4().hex}.part"))
+    stage.path.mkdir()
+    try:
+        yield stage
+        _fsync_tree(stage.path)
+        if final.is_dir() and not any(final.iterdir()):
+            final.rmdir()
+        if overwrite and final.exists():
+            stage.moved_aside = move_aside(final)
+        # rename(2) refuses a non-empty target, and would silently replace a file.
+        if final.exists():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(final))
+        os.rename(stage.path, final)
+        fsync_directory(final.parent)
+    except BaseException:
+        shutil.rmtree(stage.path, ignore_errors=True)
+        raise
+
+
+def _fsync_tree(root: Path) -> None:
+    """Flush all files and directories below `root`; many at a time, which the disk takes together."""
+    paths = [root, *root.rglob("*")]
+    with ThreadPoolExecutor(_FLUSHERS) as flushers:
+        for _ in flushers.map(_fsync, paths):
+            pass
+
+
+def _fsync(path: Path) -> None:
+    with _opened(path, os.O_RDONLY) as descriptor:
+        os.fsync(descriptor)
 
 
 def move_aside(path: Path) -> Path:

@@ -19,12 +19,18 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.jobs.view import PERIOD, live_rig
+from yamsim_cli.core.geometry.se3 import quat_from_rotation
+from yamsim_cli.core.jobs.view import PERIOD, LivePictures, live_rig, live_task
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.tasks.pickplace import sample_layout
+from yamsim_cli.core.tasks.randomness import Stream, generator
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.live import LiveRig
 from yamsim_cli.core.viewers.viewpoint import FOV_DEG, frame_rig
 
@@ -146,7 +152,7 @@ def test_the_first_view_holds_every_arm_and_board(name: str, locations: Location
 
 def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(live: LiveRig, free_port: int) -> None:
     page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
-    page = page_module.Page(live, frame_rig(live.rig), free_port)
+    page = page_module.Page(live, frame_rig(live.rig), PageAddress(free_port))
     try:
         assert page.url == f"http://127.0.0.1:{free_port}"
         with urllib.request.urlopen(page.url, timeout=10) as answer:
@@ -160,10 +166,89 @@ def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(live: L
         page.update()
         assert live.data.joint("joint1").qpos[0] == pytest.approx(0.4, abs=0.05)
         with pytest.raises(UsageError, match=rf"--port {free_port} cannot be used .*: give another, or 0"):
-            page_module.Page(live, frame_rig(live.rig), free_port)
+            page_module.Page(live, frame_rig(live.rig), PageAddress(free_port))
     finally:
         page.close()
     assert listeners(free_port) == []
+
+
+def test_another_margin_moves_arms_and_boards_together(live: LiveRig) -> None:
+    live.place(0.9)
+    for action in (lambda: run(live, 0.5), live.reset):
+        action()
+        positions, quaternions = live.body_poses()
+        for k, arm in enumerate(live.rig.arms):
+            T = live.rig.T_base_in_world(k)
+            assert abs(T[1, 3]) == pytest.approx(0.45)
+            for name in ("arm", "base_board", "base_mount"):
+                body = live.model.body(arm.prefix + name).id
+                assert np.allclose(positions[body], T[:3, 3], atol=1e-6), name
+                assert np.allclose(quaternions[body], quat_from_rotation(T[:3, :3]), atol=1e-6), name
+
+
+def test_a_task_stands_as_its_seed_says(config: RecordConfig, locations: Locations) -> None:
+    objects = (config.task.object, config.task.target)
+    live = live_task(config, Contents(objects=objects), locations, {"i2rt_yam_crank": None, "ycb": None})
+    layout = sample_layout(config.task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    assert layout
+    positions, _ = live.body_poses()
+    for name, T in layout.T_in_world.items():
+        assert np.allclose(positions[live.model.body(name).id], T[:3, 3], atol=1e-3)
+    assert [live.model.cam(k).name for k in range(live.model.ncam)] == ["scene_camera", "right_wrist_camera"]
+
+
+def test_the_page_shows_what_its_switches_say(live: LiveRig) -> None:
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
+    page = page_module.Page(live, frame_rig(live.rig), PageAddress(), boards=False)
+    try:
+        board = live.model.body("arm2_base_board").id
+        assert not page._bodies.frames[board].visible
+        assert all(node.visible for node in page._bodies.looks)
+        page.margin.value = 0.8
+        assert live.rig.margin == 0.8
+    finally:
+        page.close()
+
+
+@pytest.mark.render
+def test_pictures_are_what_the_cameras_see_now(live: LiveRig) -> None:
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
+    pictures = LivePictures(live)
+    page = page_module.Page(live, frame_rig(live.rig), PageAddress(), pictures=pictures)
+    try:
+        panel = page._cameras
+        page.update()
+        assert not panel._images, "nothing is drawn before it is asked for"
+        panel._want(None)
+        page.update()
+        assert set(panel._images) == {"right_wrist_camera", "left_wrist_camera"}
+        before = panel._images["right_wrist_camera"].image
+        assert before.shape == (240, 320, 3)
+        assert before.std() > 5
+        live.command(live.drives[0], 1.0)
+        run(live, 2.0)
+        panel._want(None)
+        page.update()
+        assert np.abs(panel._images["right_wrist_camera"].image.astype(int) - before).mean() > 1
+    finally:
+        page.close()
+        pictures.close()
+
+
+@pytest.mark.parametrize(
+    ("args", "warned"), [((), False), (("--host", "127.0.0.1"), False), (("--host", "0.0.0.0"), True)]
+)
+def test_a_page_that_others_can_reach_warns_that_it_is_open(args: tuple[str, ...], warned: bool) -> None:
+    pytest.importorskip("viser", reason="yamsim[view] is not installed")
+    with viewing("--port", "0", *args) as (process, url):
+        port = int(url.rpartition(":")[2])
+        assert url == f"http://127.0.0.1:{port}"
+        if Path("/proc/net/tcp").exists():
+            assert listeners(port) == ["00000000" if warned else "0100007F"]
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=20)
+    assert any("asks for no password" in line for line in err.splitlines()) == warned
+    assert process.returncode == 0
 
 
 def test_boards_are_shown_where_the_rig_has_them(live: LiveRig) -> None:
@@ -196,6 +281,12 @@ def test_faults_are_one_line() -> None:
     assert (native.code, native.message.endswith("use --web")) == (4, True)
     both = yamsim("view", "--native", "--port", "8000")
     assert (both.code, both.message.startswith("--port 8000")) == (2, True)
+    host = yamsim("view", "--native", "--host", "0.0.0.0")
+    assert (host.code, host.message.startswith("--host 0.0.0.0 is for the browser page")) == (2, True)
+    both = yamsim("view", "--episode", "dataset/ep_000000", "--rig", "russet")
+    assert (both.code, both.message.startswith("--rig is not for --episode")) == (2, True)
+    alone = yamsim("view", "--seed", "3")
+    assert (alone.code, "give --task" in alone.message) == (2, True)
     margin = yamsim("view", "--web", "--rig", "russet", "--margin", "-1")
     assert (margin.code, margin.message.startswith("--margin: ")) == (2, True)
     unreachable = yamsim("view", "--native", env={"DISPLAY": ":987", "WAYLAND_DISPLAY": ""})

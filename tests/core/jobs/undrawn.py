@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +24,25 @@ from yamsim_cli.core.types import EpisodeJob
 SIZE = (24, 16)
 
 
-def write_dataset(path: Path, config: RecordConfig, locations: Locations, episodes: int) -> None:
-    """The episodes that `yamsim record` would make, as long as none of its attempts fails."""
+def grey(camera: str, episode: int, frame: int) -> bytes:
+    """The same image whatever it is of."""
+    return cv2.imencode(".jpg", np.full((SIZE[1], SIZE[0], 3), 128, np.uint8))[1].tobytes()
+
+
+def write_dataset(
+    path: Path,
+    config: RecordConfig,
+    locations: Locations,
+    episodes: int,
+    image: Callable[[str, int, int], bytes] = grey,
+    others: Callable[[str, int, int], dict[str, bytes]] = lambda camera, episode, frame: {},
+) -> None:
+    """The episodes that `yamsim record` would make, as long as none of its attempts fails.
+
+    `image` gives the JPEG of a camera's frame, `others` more files that belong to it.
+    """
     path.mkdir()
     (path / CONFIG).write_text(dump_yaml(config.data_config()))
-    grey = cv2.imencode(".jpg", np.full((SIZE[1], SIZE[0], 3), 128, np.uint8))[1].tobytes()
     with EpisodeRunner(config, locations, {}, draw=False) as runner:
         for number in range(episodes):
             layout, outcome, rollout = runner.simulate(EpisodeJob(config.seed, number))
@@ -34,7 +50,9 @@ def write_dataset(path: Path, config: RecordConfig, locations: Locations, episod
             assert rollout
             frames = runner.frames(rollout.states)
             files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(frames)}
-            files |= {image_name("scene_camera", k): grey for k in range(len(frames))}
+            cameras = runner.scene.cameras
+            for camera, k in itertools.product(cameras, range(len(frames))):
+                files |= {image_name(camera, k): image(camera, number, k)} | others(camera, number, k)
             record = EpisodeRecord(
                 episode=number,
                 attempt=number,
@@ -46,7 +64,7 @@ def write_dataset(path: Path, config: RecordConfig, locations: Locations, episod
                 grasp=config.grasp,
                 frames=len(frames),
                 frame_period_s=0.064,
-                cameras={"scene_camera": SIZE},
+                cameras=dict.fromkeys(cameras, SIZE),
                 arms=len(config.rig.arms),
                 objects=[config.task.object.name, config.task.target.name],
                 outcome=OutcomeRecord.of(outcome),

@@ -123,6 +123,9 @@ def test_a_bad_motion_fails_wherever_the_object_ends(
     assert told in outcome.detail
     assert (outcome.dxy, outcome.dz) == (0.0, 0.02)
     assert outcome.margins == motion.margins
+    # Of a person or a policy only the object's end is asked.
+    free = judge(config.task, "contact", _poses(pose((0, 0, 0.02)), pose()), 0.0, motion, 0.0, 0.0, planned=False)
+    assert (free.cause, free.margins) == (None, motion.margins)
 
 
 def test_a_weld_neither_slips_nor_lets_go(config: RecordConfig) -> None:

@@ -8,7 +8,7 @@ import pytest
 from yamsim_cli.core.config.record import GraspKind, RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z, tilt
 from yamsim_cli.core.tasks.pickplace import sample_layout
-from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan, phases, ticks
+from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan, phases, phases_of, ticks
 from yamsim_cli.core.types import Layout, Plan
 
 BASE = pose((0.1, -0.2, 0.0), rotation_z(0.3))
@@ -104,3 +104,10 @@ def test_phases_follow_from_the_config_alone(
     assert plan.phases.reached == ends[plan.grasp]
     assert plan.phases.held == range(held_from, ends[plan.release])
     assert ticks(config.task, grasp) == ends[-1] + config.task.timing.settle_ticks
+
+
+def test_without_a_plan_the_weld_tells_when_the_object_is_in_hand() -> None:
+    found = phases_of([False, False, True, True, False, True, False])
+    assert (found.reached, found.held) == (2, range(2, 6))
+    never = phases_of([False] * 5)
+    assert (never.reached, list(never.held)) == (5, [])

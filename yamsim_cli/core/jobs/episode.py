@@ -15,6 +15,7 @@ from ... import __version__
 from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
+from ..dataset.records import Pose2D
 from ..errors import ConfigError
 from ..geometry.se3 import Array, inverse, yaw
 from ..planning.planners import make_planner
@@ -25,6 +26,7 @@ from ..sim.replica import Replica
 from ..sim.rollout import Rollout, roll_out, simulate
 from ..sim.watch import object_pose
 from ..tasks.pickplace import Poses, judge, sample_layout
+from ..tasks.plans import phases_of
 from ..tasks.randomness import Stream, generator
 from ..tasks.schedule import attempt_phases
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
@@ -107,7 +109,12 @@ class EpisodeRunner:
     def run(self, job: EpisodeJob) -> EpisodePayload:
         """Make one attempt; draw it if it succeeded."""
         layout, outcome, rollout = self.simulate(job)
-        starts = start_poses(layout)
+        return self.payload(job, start_poses(layout), outcome, rollout)
+
+    def payload(
+        self, job: EpisodeJob, starts: Mapping[str, Pose2D], outcome: Outcome, rollout: Rollout | None
+    ) -> EpisodePayload:
+        """An attempt's bytes from what happened in it; without files unless it succeeded, and this runner draws."""
         if not outcome.success or rollout is None or not self._draw:
             return EpisodePayload(job, outcome, starts, randomized=self.randomized)
         frames = self.frames(rollout.states)
@@ -150,20 +157,27 @@ class EpisodeRunner:
         """Let the scene be as it was drawn for an attempt; `simulate` does so by itself."""
         self._variation.apply(job, drawn)
 
-    def repeat(self, start: Array, actions: Actions, plan_error: float, tilt: float) -> tuple[Outcome, Rollout]:
+    def repeat(
+        self, start: Array, actions: Actions, plan_error: float, tilt: float, *, planned: bool = True
+    ) -> tuple[Outcome, Rollout]:
         """Let recorded actions act again, in physics alone, without any plan, in the scene as it is varied now.
 
         Args:
             start: MuJoCo's positions (nq,) of the first frame.
             plan_error, tilt: of the plan that the actions came from, m and rad; they are passed on to the outcome.
+            planned: whether they came from a plan, which says when the object is to be in hand; else the weld does. See
+                also `judge`.
         """
         task = self._config.task
-        rollout = simulate(self._scene, start, actions, task.object.name, task.timing, self._phases)
+        held = self._phases if planned else (phases_of([bool(np.any(holds)) for holds in actions.magnet]),)
+        rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
-        return self._judge(rollout, T_at_start, plan_error, tilt), rollout
+        return self._judge(rollout, T_at_start, plan_error, tilt, planned=planned), rollout
 
-    def _judge(self, rollout: Rollout, T_at_start: Array, plan_error: float, tilt: float) -> Outcome:
+    def _judge(
+        self, rollout: Rollout, T_at_start: Array, plan_error: float, tilt: float, *, planned: bool = True
+    ) -> Outcome:
         task = self._config.task
         poses = Poses(
             T_at_start,
@@ -171,7 +185,8 @@ class EpisodeRunner:
             rollout.T_in_world[task.object.name],
             rollout.T_in_world[task.target.name],
         )
-        return judge(task, self._config.grasp, poses, rollout.object_speed, rollout.motion, plan_error, tilt)
+        speed, grasp = rollout.object_speed, self._config.grasp
+        return judge(task, grasp, poses, speed, rollout.motion, plan_error, tilt, planned=planned)
 
     def frames(self, states: Sequence[StepState]) -> list[dict[str, Any]]:
         """The low-dimensional data of recorded states, see `dataset.lowdim`; nothing is drawn for it."""
@@ -240,7 +255,7 @@ class EpisodeRunner:
         self.close()
 
 
-def start_poses(layout: Layout | None) -> dict[str, tuple[float, float, float, float]]:
+def start_poses(layout: Layout | None) -> dict[str, Pose2D]:
     """Object -> start pose `[x, y, z, yaw]` in `world`, m and rad; empty without a layout."""
     if layout is None:
         return {}

@@ -20,7 +20,7 @@ from ..vision.jpeg import decode_jpeg, encode_jpeg
 from ..vision.video import VideoWriter, require_encoder
 from ..vision.views import label
 from .episode import EpisodeRunner
-from .executor import Executor
+from .executor import Executor, J
 from .workers import WorkerPool
 
 # Trials that end before anything moves.
@@ -158,23 +158,24 @@ def film_trials(
     factory = functools.partial(TrialDrawer, config, locations, dict(meshes))
     try:
         with WorkerPool[EpisodeJob, list[bytes]](factory, min(config.workers, len(chosen))) as pool:
-            return films.write(_drawn(chosen, pool, progress))
+            jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]
+            return films.write(drawn_in_order(chosen, jobs, pool, progress))
     except KeyboardInterrupt:
         raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None
 
 
-def _drawn(
-    chosen: Sequence[dict[str, Any]], pool: Executor[EpisodeJob, list[bytes]], progress: Progress
+def drawn_in_order(
+    trials: Sequence[dict[str, Any]], jobs: Sequence[J], pool: Executor[J, list[bytes]], progress: Progress
 ) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
-    """Trials with their frames, in the order given, whichever is drawn first."""
-    jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]
-    waiting = list(reversed(jobs))
-    drawn: dict[EpisodeJob, list[bytes]] = {}
-    for done, (trial, wanted) in enumerate(zip(chosen, jobs, strict=True), start=1):
-        while wanted not in drawn:
+    """Trials with the frames that their jobs give, in the order given, whichever is drawn first."""
+    waiting = list(reversed(range(len(jobs))))
+    numbers = {id(job): number for number, job in enumerate(jobs)}
+    drawn: dict[int, list[bytes]] = {}
+    for number, trial in enumerate(trials):
+        while number not in drawn:
             while pool.idle and waiting:
-                pool.submit(waiting.pop())
+                pool.submit(jobs[waiting.pop()])
             job, frames = pool.result()
-            drawn[job] = frames
-        yield trial, drawn.pop(wanted)
-        progress(done, len(chosen))
+            drawn[numbers[id(job)]] = frames
+        yield trial, drawn.pop(number)
+        progress(number + 1, len(trials))

@@ -159,7 +159,8 @@ def repeat_actions(
         return None
     vary(runner, episode)
     stored = episode.record.outcome
-    outcome, rollout = runner.repeat(*recorded, stored.plan_error_m or 0.0, stored.tilt_rad or 0.0)
+    planned = episode.record.source == "record"
+    outcome, rollout = runner.repeat(*recorded, stored.plan_error_m or 0.0, stored.tilt_rad or 0.0, planned=planned)
     # What the plan knew of itself, its actions cannot tell.
     judged = OutcomeRecord.of(outcome).model_copy(
         update={"plan_error_m": stored.plan_error_m, "tilt_rad": stored.tilt_rad}

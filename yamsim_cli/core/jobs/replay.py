@@ -15,14 +15,14 @@ from ..dataset.reader import StoredEpisode
 from ..errors import DatasetError, UsageError, suggest
 from ..geometry.se3 import Array
 from ..resources import Locations
+from ..viewers.address import PageAddress
 from ..viewers.player import EpisodePlayer
-from ..viewers.viewpoint import frame_workspace
 from ..vision.jpeg import decode_jpeg
 from ..vision.renderer import Image
 from ..vision.video import VideoWriter
 from .episode import EpisodeRunner
 from .remake import repeat_actions, vary
-from .view import PERIOD, require_page, run_page
+from .view import PERIOD, require_page, run_page, task_viewpoint
 
 Meshes = Mapping[str, Path | None]
 
@@ -54,7 +54,7 @@ def film_recorded(
         ResourceError: see `VideoWriter`.
     """
     chosen = _choose(cameras, tuple(episode.record.cameras))
-    return _film(_recorded(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
+    return _film(recorded_images(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
 
 
 def film_rendered(
@@ -100,16 +100,35 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
     return tuple(wanted) or (valid[0],)
 
 
-def _recorded(episode: StoredEpisode, cameras: Sequence[str]) -> Iterator[Image]:
+class RecordedImages:
+    """An episode's images as they were recorded.
+
+    Attributes:
+        cameras: whose there are.
+    """
+
+    def __init__(self, episode: StoredEpisode) -> None:
+        self._episode = episode
+        self.cameras = tuple(episode.record.cameras)
+
+    def read(self, camera: str, frame: int) -> Image:
+        """An RGB image (height, width, 3).
+
+        Raises:
+            DatasetError: it is missing, altered or damaged.
+        """
+        image = decode_jpeg(self._episode.image(camera, frame))
+        width, height = self._episode.record.cameras[camera]
+        if image is None or image.shape[:2] != (height, width):
+            raise DatasetError(f"{self._episode.directory}: frame {frame} of {camera} is no JPEG of {width}x{height}")
+        return image
+
+
+def recorded_images(episode: StoredEpisode, cameras: Sequence[str]) -> Iterator[Image]:
+    """Each frame's images, those of all cameras side by side; raises as `RecordedImages.read`."""
+    images = RecordedImages(episode)
     for k in range(episode.record.frames):
-        images = []
-        for camera in cameras:
-            image = decode_jpeg(episode.image(camera, k))
-            width, height = episode.record.cameras[camera]
-            if image is None or image.shape[:2] != (height, width):
-                raise DatasetError(f"{episode.directory}: frame {k} of {camera} is no JPEG of {width}x{height}")
-            images.append(image)
-        yield np.concatenate(images, axis=1)
+        yield np.concatenate([images.read(camera, k) for camera in cameras], axis=1)
 
 
 def scene_config(config: RecordConfig, size: tuple[int, int] | None = None) -> RecordConfig:
@@ -162,7 +181,7 @@ def play(
     locations: Locations,
     meshes: Meshes,
     speed: float,
-    port: int | None,
+    address: PageAddress | None,
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
@@ -172,25 +191,23 @@ def play(
         config: the dataset's own.
         meshes: asset set -> folder of its files, or None for primitives.
         speed: how fast time passes; 1 is real time.
-        port: of the browser page, 0 for a free one; None for MuJoCo's window.
+        address: of the browser page; None for MuJoCo's window.
         ready: called once, with the page's URL.
 
     Raises:
         DatasetError: the episode was not simulated, or is damaged.
-        UsageError: the port cannot be had.
+        UsageError: the address cannot be had.
         ResourceError: the viewer is not installed, or no window can be opened.
     """
     record = episode.record
-    x, y, _ = config.table.position
-    # Between the arm and the middle of the table.
-    viewpoint = frame_workspace(x - 0.15, y, config.table.top + 0.1)
+    viewpoint = task_viewpoint(config)
     with EpisodeRunner(scene_config(config), locations, meshes, draw=False) as runner:
         states = positions(episode, runner)
         vary(runner, episode)
         player = EpisodePlayer(
             f"{config.task.name} {record.episode}", runner.scene.model, states, record.frame_period_s, speed
         )
-        if port is None:
+        if address is None:
             from ..viewers.window import run_window
 
             run_window(player, viewpoint, PERIOD, lambda: ready(None), stopped)
@@ -198,4 +215,5 @@ def play(
         require_page()
         from ..viewers.episode_page import EpisodePage
 
-        run_page(EpisodePage(player, viewpoint, port), player, ready, stopped)
+        images = RecordedImages(episode)
+        run_page(EpisodePage(player, viewpoint, address, images), player, ready, stopped)

@@ -54,7 +54,7 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     assert scene.scene_camera is not None  # checked when the config was loaded
     add_fixed_camera(spec, SCENE_CAMERA, scene.scene_camera)
     for arm in config.wrist_arms:
-        _add_wrist_camera(spec, arm)
+        add_wrist_camera(spec, arm)
         cameras.append(arm.wrist_camera_name)
     return _addresses(compile_spec(spec), config, tuple(cameras), locations)
 
@@ -90,7 +90,8 @@ def _look_at(camera: FixedCamera) -> Array:
     return np.column_stack([right, np.cross(right, forward), -forward])
 
 
-def _add_wrist_camera(spec: mujoco.MjSpec, arm: ArmConfig) -> None:
+def add_wrist_camera(spec: mujoco.MjSpec, arm: ArmConfig) -> None:
+    """Add an arm's wrist camera, which moves with its hand."""
     camera = arm.wrist_camera
     x = np.asarray(camera.x_axis) / np.linalg.norm(camera.x_axis)
     y = np.asarray(camera.y_axis) / np.linalg.norm(camera.y_axis)

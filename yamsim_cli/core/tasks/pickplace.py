@@ -105,6 +105,8 @@ def judge(
     motion: Motion,
     plan_error: float,
     tilt: float,
+    *,
+    planned: bool = True,
 ) -> Outcome:
     """Tell how an episode ended.
 
@@ -113,11 +115,16 @@ def judge(
         speed: of the object at the end, m/s.
         motion: what was seen on the way.
         plan_error, tilt: the plan's own figures, m and rad.
+        planned: whether it is to be a demonstration, which touches nothing and keeps to all limits. Of a person or a
+            policy, only what becomes of the object is asked; how it moved is told by the margins.
     """
     dx, dy, dz = (float(d) for d in poses.T_object_at_end[:3, 3] - poses.T_target_at_end[:3, 3])
     dxy = math.hypot(dx, dy)
     cause, detail = (
-        _before_the_grasp(poses) or _on_the_way(grasp, motion) or _at_the_end(task, dxy, dz, speed) or (None, "")
+        _before_the_grasp(poses)
+        or (_on_the_way(grasp, motion) if planned else None)
+        or _at_the_end(task, dxy, dz, speed)
+        or (None, "")
     )
     return Outcome(cause is None, cause, detail, dxy, dz, speed, plan_error, tilt, motion.margins)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..config.record import GraspKind
@@ -53,6 +54,12 @@ def ticks(task: TaskConfig, grasp: GraspKind) -> int:
     held = phases(task, grasp).held
     grip = held.start - 2 * task.timing.ticks_per_waypoint
     return held.stop + grip + task.timing.ticks_per_waypoint + task.timing.settle_ticks
+
+
+def phases_of(magnet: Sequence[bool]) -> Phases:
+    """When the object was in hand where nothing was planned: while the weld held it, from first to last."""
+    on = [tick for tick, holds in enumerate(magnet) if holds]
+    return Phases(reached=on[0], held=range(on[0], on[-1] + 1)) if on else Phases(reached=len(magnet), held=range(0))
 
 
 def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_world: Array, hold: Hold) -> Plan:

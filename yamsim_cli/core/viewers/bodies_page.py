@@ -1,4 +1,4 @@
-"""What every browser page has: bodies that move, a button to stop them, and this machine's loopback address alone."""
+"""What every browser page has: bodies that move, a button to stop them, and one address that it listens on."""
 
 from __future__ import annotations
 
@@ -8,17 +8,20 @@ import os
 import socket
 from typing import Any
 
+import numpy as np
 import viser
 
 from ..errors import UsageError
+from .address import PageAddress
 from .shapes import add_bodies
 from .shown import Shown
 from .viewpoint import FOV_DEG, Viewpoint
 
-HOST = "127.0.0.1"
+# Of positions in m, and of quaternions.
+_DECIMALS = 5
 
 
-class _LoopbackServer(viser.ViserServer):
+class _LocalServer(viser.ViserServer):
     """viser's server without its way out: any client can ask it for a tunnel to a public address."""
 
     def request_share_url(self, verbose: bool = True) -> None:
@@ -28,20 +31,17 @@ class _LoopbackServer(viser.ViserServer):
 class BodiesPage:
     """A page on which the bodies of `shown` stand where they are; closing it frees its port.
 
-    Args:
-        port: to listen on; 0 takes a free one.
-
     Raises:
-        UsageError: the port cannot be had.
+        UsageError: the address cannot be had.
     """
 
-    def __init__(self, shown: Shown, viewpoint: Viewpoint, port: int) -> None:
+    def __init__(self, shown: Shown, viewpoint: Viewpoint, address: PageAddress) -> None:
         # A browser drops connections as it pleases; without a handler, each one would be a traceback on stderr.
         logging.getLogger("websockets").addHandler(logging.NullHandler())
         self._shown = shown
-        self._server = _serve(port, f"yamsim: {shown.title}")
-        self.url = f"http://{HOST}:{self._server.get_port()}"
-        self._frames = add_bodies(self._server.scene, shown.model)
+        self._server = _serve(address, f"yamsim: {shown.title}")
+        self.url = f"http://{address.url_host}:{self._server.get_port()}"
+        self._bodies = add_bodies(self._server.scene, shown.model)
         self._place_camera(viewpoint)
         self._status = self._server.gui.add_markdown("")
         self._pause_button = self._server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
@@ -49,9 +49,10 @@ class BodiesPage:
 
     def update(self) -> None:
         """Send what has changed since the last call to whoever watches."""
-        positions, quaternions = self._shown.body_poses()
+        # An arm at rest trembles by less than anyone sees; sent, each tremble would be drawn.
+        positions, quaternions = (np.round(poses, _DECIMALS) for poses in self._shown.body_poses())
         with self._server.atomic():
-            for body, frame in self._frames.items():
+            for body, frame in self._bodies.frames.items():
                 # viser drops a pose that has not changed.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
 
@@ -70,28 +71,42 @@ class BodiesPage:
         self._pause_button.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
 
 
-def _serve(port: int, title: str) -> viser.ViserServer:
-    _check_free(port)
-    server = _LoopbackServer(host=HOST, port=port, label=title, verbose=False)
-    if port and server.get_port() != port:
+def _serve(address: PageAddress, title: str) -> viser.ViserServer:
+    check_free(address)
+    server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
+    if address.port and server.get_port() != address.port:
         # Somebody was faster; viser then takes the next free port, which is not what was asked for.
         server.stop()
-        raise _taken(port, "it is in use")
+        raise _taken(address, "it is in use")
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.scene.world_axes.visible = False
     return server
 
 
-def _check_free(port: int) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+def check_free(address: PageAddress) -> None:
+    """Make sure that a page can listen there.
+
+    Raises:
+        UsageError: it cannot.
+    """
+    try:
+        family, kind, _, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
+    except socket.gaierror as error:
+        reason = error.strerror or str(error)
+        raise UsageError(f"--host {address.host} is not valid ({reason}): give an address of this machine") from error
+    with socket.socket(family, kind) as probe:
         if os.name == "posix":
             # As the server does: connections of an earlier page that are still winding down are not in the way.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((HOST, port))
+            probe.bind(place)
         except OSError as error:
-            raise _taken(port, error.strerror or str(error)) from error
+            raise _taken(address, error.strerror or str(error)) from error
 
 
-def _taken(port: int, reason: str) -> UsageError:
-    return UsageError(f"--port {port} cannot be used on {HOST} ({reason}): give another, or 0 for a free one")
+def _taken(address: PageAddress, reason: str) -> UsageError:
+    if address.port == 0:
+        return UsageError(f"--host {address.host} cannot be used ({reason}): give an address of this machine")
+    return UsageError(
+        f"--port {address.port} cannot be used on {address.host} ({reason}): give another, or 0 for a free one"
+    )

@@ -2,21 +2,44 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from ..errors import DatasetError
+from .address import PageAddress
 from .bodies_page import BodiesPage
 from .player import EpisodePlayer
 from .viewpoint import Viewpoint
 
 
-class EpisodePage(BodiesPage):
-    """The page of one player; its slider says which frame is shown, and takes it there."""
+class Images(Protocol):
+    """The images that belong to an episode's frames."""
 
-    def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, port: int) -> None:
-        super().__init__(player, viewpoint, port)
+    cameras: tuple[str, ...]
+
+    def read(self, camera: str, frame: int) -> NDArray[np.uint8]:
+        """An RGB image (height, width, 3) of uint8.
+
+        Raises:
+            DatasetError: it is missing or damaged.
+        """
+        ...
+
+
+class EpisodePage(BodiesPage):
+    """The page of one player; its slider says which frame is shown, and takes it there, pictures and all."""
+
+    def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: Images) -> None:
+        super().__init__(player, viewpoint, address)
         self._player = player
+        self._images = images
+        self._pictured: int | None = None
         self.slider = self._server.gui.add_slider("frame", 0, player.frames - 1, step=1, initial_value=0)
         self.slider.on_update(self._seek)
+        self.pictures: dict[str, viser.GuiImageHandle] = {}
         self.update()
 
     def update(self) -> None:
@@ -27,6 +50,23 @@ class EpisodePage(BodiesPage):
         self.slider.value = frame  # type: ignore[misc]
         state = ", paused" if self._player.paused else ""
         self._status.content = f"{frame * self._player.frame_period:.2f} s{state}"
+        # Nobody watching, nothing is read.
+        if frame != self._pictured and (self._server.get_clients() or self._pictured is None):
+            self._pictured = frame
+            self._show_pictures(frame)
+
+    def _show_pictures(self, frame: int) -> None:
+        for camera in self._images.cameras:
+            try:
+                image = self._images.read(camera, frame)
+            except DatasetError as error:
+                # The scene needs no picture to be played.
+                self._status.content += f"  \n{error}"
+                continue
+            if camera in self.pictures:
+                self.pictures[camera].image = image
+            else:
+                self.pictures[camera] = self._server.gui.add_image(image, label=camera, format="jpeg", jpeg_quality=80)
 
     def _seek(self, event: Any) -> None:
         # Moved by nobody's hand, the slider only says what is shown.

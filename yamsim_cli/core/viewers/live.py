@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import mujoco
 
 from ..config.rig import RigConfig
-from ..geometry.se3 import Array
+from ..geometry.se3 import Array, quat_from_rotation
+from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
 from ..scene.robot import ACTUATORS, JOINTS
 
 # Longest stretch of time that is made up for in one go, s. After a stall, such as a machine that slept, physics goes on
@@ -40,12 +41,13 @@ class LiveRig:
     """Owns a rig's state. Its methods may be called from any thread.
 
     Args:
-        model: a compiled rig whose first keyframe is `home`.
+        model: a compiled rig, with or without a task's objects, whose first keyframe is `home`.
+        title: for the page's tab; the rig's name unless given.
     """
 
-    def __init__(self, rig: RigConfig, model: mujoco.MjModel) -> None:
+    def __init__(self, rig: RigConfig, model: mujoco.MjModel, title: str = "") -> None:
         self.rig = rig
-        self.title = rig.name
+        self.title = title or rig.name
         self.model = model
         self.data = mujoco.MjData(model)
         self.drives = tuple(_drive(model, arm.name, arm.prefix, name) for arm in rig.arms for name in ACTUATORS)
@@ -65,12 +67,34 @@ class LiveRig:
         """Back to keyframe `home`, at rest, every drive holding its place."""
         with self.lock:
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+            self._follow_bases()
             mujoco.mj_forward(self.model, self.data)
 
     def command(self, drive: Drive, value: float) -> None:
         """Tell a drive where to go, in its unit; what is beyond its range counts as the end of it."""
         with self.lock:
             self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
+
+    def place(self, margin: float) -> None:
+        """Put the arms at another distance (m) from each other; boards and mounts go with them."""
+        with self.lock:
+            self.rig = self.rig.model_copy(update={"margin": margin})
+            for k, arm in enumerate(self.rig.arms):
+                T = self.rig.T_base_in_world(k)
+                base = self.model.body(f"{arm.prefix}arm")
+                base.pos[:], base.quat[:] = T[:3, 3], quat_from_rotation(T[:3, :3])
+            self._follow_bases()
+            mujoco.mj_forward(self.model, self.data)
+
+    def _follow_bases(self) -> None:
+        """Boards and mounts stand where their arm's base stands; a reset of the model's would leave them behind."""
+        for arm in self.rig.arms:
+            base = self.model.body(f"{arm.prefix}arm")
+            for body in (BOARD_BODY, MOUNT_BODY):
+                number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, arm.prefix + body)
+                if number >= 0:
+                    mocap = self.model.body_mocapid[number]
+                    self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base.pos, base.quat
 
     def advance(self, now: float) -> None:
         """Step physics up to `now`, s on a steady clock; while paused, time passes without a step."""

@@ -9,7 +9,9 @@ from typing import Any
 
 import viser
 
+from .address import PageAddress
 from .bodies_page import BodiesPage
+from .cameras_panel import CamerasPanel, Pictures
 from .live import Drive, LiveRig
 from .viewpoint import Viewpoint
 
@@ -18,22 +20,42 @@ _STATUS_PERIOD = 1.0  # s
 # Of a slider, rad or m.
 _STEP = 0.001
 
+# Distances between two arms that a person can try, m: nearer their bases would touch.
+_MARGINS = (0.2, 1.2)
+
 
 class Page(BodiesPage):
-    """The page of one live rig, with a slider for every drive."""
+    """The page of one live rig: a slider for every drive, what is shown, and the pictures of its cameras.
 
-    def __init__(self, live: LiveRig, viewpoint: Viewpoint, port: int) -> None:
-        super().__init__(live, viewpoint, port)
+    Args:
+        boards: whether boards and mounts are shown at first, if the rig has them.
+        pictures: what the rig's cameras see; None where nothing can be drawn.
+    """
+
+    def __init__(
+        self,
+        live: LiveRig,
+        viewpoint: Viewpoint,
+        address: PageAddress,
+        *,
+        boards: bool = True,
+        pictures: Pictures | None = None,
+    ) -> None:
+        super().__init__(live, viewpoint, address)
         self._live = live
         self._measured = (time.monotonic(), live.time)
         home = self._server.gui.add_button("Home", icon=viser.Icon.HOME, hint="Arms back to rest, grippers shut")
         home.on_click(self._go_home)
         self.sliders = self._add_sliders()
+        self.margin = self._add_margin()
+        self._add_switches(boards=boards)
+        self._cameras = CamerasPanel(self._server, live, pictures)
         self.update()
 
     def update(self) -> None:
         """Send what has changed since the last call to whoever watches."""
         super().update()
+        self._cameras.update()
         self._show_status()
 
     def _add_sliders(self) -> dict[tuple[str, str], viser.GuiSliderHandle[float]]:
@@ -53,6 +75,40 @@ class Page(BodiesPage):
         )
         slider.on_update(lambda _: self._live.command(drive, slider.value))
         return slider
+
+    def _add_margin(self) -> viser.GuiSliderHandle[float] | None:
+        """A slider for the distance between two arms."""
+        rig = self._live.rig
+        if len(rig.arms) < 2:
+            return None
+        low, high = min(_MARGINS[0], rig.margin), max(_MARGINS[1], rig.margin)
+        slider = self._server.gui.add_slider("margin (m)", low, high, step=_STEP, initial_value=rig.margin)
+        slider.on_update(lambda _: self._live.place(slider.value))
+        return slider
+
+    def _add_switches(self, *, boards: bool) -> None:
+        """Check boxes for what is shown."""
+        gui, bodies = self._server.gui, self._bodies
+        model = self._live.model
+        mocap = [frame for body, frame in bodies.frames.items() if model.body_mocapid[body] >= 0]
+        with gui.add_folder("Shown"):
+            for label, nodes, shown in (
+                ("boards", mocap, boards),
+                ("looks", bodies.looks, True),
+                ("collision primitives", bodies.colliders, False),
+            ):
+                if nodes:
+                    self._add_switch(label, nodes, shown=shown)
+
+    def _add_switch(self, label: str, nodes: Any, *, shown: bool) -> None:
+        box = self._server.gui.add_checkbox(label, initial_value=shown)
+
+        def show(_: Any = None) -> None:
+            for node in nodes:
+                node.visible = box.value
+
+        box.on_update(show)
+        show()
 
     def _go_home(self, _: Any) -> None:
         for drive in self._live.drives:

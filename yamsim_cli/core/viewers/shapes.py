@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -20,25 +21,47 @@ _NO_RGBA = (0.5, 0.5, 0.5, 1.0)
 # A viser image lies in its xy plane with y down the picture; in a MuJoCo plane, y points up it.
 _IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)
 
+# Primitives that collide are seen through, to what they stand for.
+_COLLISION_PAINT = {"color": (230, 120, 30), "opacity": 0.6}
+
+Paint = dict[str, Any]
 Mjt = mujoco.mjtGeom
 
 
-def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> dict[int, viser.FrameHandle]:
-    """Put every visible geom into the page.
+@dataclass(frozen=True)
+class BodyNodes:
+    """A page's nodes.
 
-    Returns:
-        Body -> its frame in `world`, for bodies that have something to show. Frames start at the origin.
+    Attributes:
+        frames: body -> its frame in `world`, for bodies that have something to show. Frames start at the origin.
+        looks: parents of the geoms that are seen, one a body; what belongs to the world itself is not among them.
+        colliders: parents of the primitives that collide behind what is seen, one a body; hidden at first.
     """
+
+    frames: dict[int, viser.FrameHandle]
+    looks: tuple[viser.FrameHandle, ...]
+    colliders: tuple[viser.FrameHandle, ...]
+
+
+def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> BodyNodes:
+    """Put every geom into the page."""
     frames: dict[int, viser.FrameHandle] = {}
+    groups: dict[tuple[int, bool], viser.FrameHandle] = {}
     for geom in range(model.ngeom):
-        if model.geom_group[geom] >= _SEEN_GROUPS:
-            continue
-        body = int(model.geom_bodyid[geom])
+        body, hidden = int(model.geom_bodyid[geom]), bool(model.geom_group[geom] >= _SEEN_GROUPS)
         path = f"/{model.body(body).name}"
+        group = f"{path}/{'collision' if hidden else 'look'}"
         if body not in frames:
             frames[body] = scene.add_frame(path, show_axes=False)
-        _ADDERS[Mjt(model.geom_type[geom])](scene, model, geom, f"{path}/{model.geom(geom).name or geom}")
-    return frames
+        if (body, hidden) not in groups:
+            groups[body, hidden] = scene.add_frame(group, show_axes=False, visible=not hidden)
+        paint = _COLLISION_PAINT if hidden else {"color": _colour(model, geom)}
+        _ADDERS[Mjt(model.geom_type[geom])](scene, model, geom, f"{group}/{model.geom(geom).name or geom}", paint)
+    return BodyNodes(
+        frames,
+        tuple(node for (body, hidden), node in groups.items() if not hidden and body),
+        tuple(node for (_, hidden), node in groups.items() if hidden),
+    )
 
 
 def _placed(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
@@ -58,7 +81,7 @@ def _rgb(colour: Array) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _add_mesh(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+def _add_mesh(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
     mesh = model.geom_dataid[geom]
     vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
@@ -66,14 +89,14 @@ def _add_mesh(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str
         name,
         model.mesh_vert[vertices],
         model.mesh_face[faces],
-        color=_colour(model, geom),
         # Machined parts: shared vertices would round every edge off.
         flat_shading=True,
+        **paint,
         **_placed(model, geom),
     )
 
 
-def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
     """A printed board where the material's texture covers the plane once; a floor where it repeats."""
     material = model.geom_matid[geom]
     texture = model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB] if material >= 0 else -1
@@ -115,28 +138,28 @@ def _texture(model: mujoco.MjModel, texture: int) -> Array:
     return pixels
 
 
-def _add_box(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+def _add_box(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
     size = tuple(2 * model.geom_size[geom])
-    scene.add_box(name, color=_colour(model, geom), dimensions=size, **_placed(model, geom))
+    scene.add_box(name, **paint, dimensions=size, **_placed(model, geom))
 
 
-def _add_sphere(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
-    scene.add_icosphere(name, model.geom_size[geom, 0], color=_colour(model, geom), **_placed(model, geom))
+def _add_sphere(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
+    scene.add_icosphere(name, model.geom_size[geom, 0], **paint, **_placed(model, geom))
 
 
-def _add_cylinder(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+def _add_cylinder(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
     radius, half = model.geom_size[geom, :2]
-    scene.add_cylinder(name, radius, 2 * half, color=_colour(model, geom), **_placed(model, geom))
+    scene.add_cylinder(name, radius, 2 * half, **paint, **_placed(model, geom))
 
 
-def _add_capsule(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str) -> None:
+def _add_capsule(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
     radius, half = model.geom_size[geom, :2]
-    _add_cylinder(scene, model, geom, name)
+    _add_cylinder(scene, model, geom, name, paint)
     for end, z in (("bottom", -half), ("top", half)):
-        scene.add_icosphere(f"{name}/{end}", radius, color=_colour(model, geom), position=(0.0, 0.0, z))
+        scene.add_icosphere(f"{name}/{end}", radius, position=(0.0, 0.0, z), **paint)
 
 
-_ADDERS: dict[mujoco.mjtGeom, Callable[[viser.SceneApi, mujoco.MjModel, int, str], None]] = {
+_ADDERS: dict[mujoco.mjtGeom, Callable[[viser.SceneApi, mujoco.MjModel, int, str, Paint], None]] = {
     Mjt.mjGEOM_PLANE: _add_plane,
     Mjt.mjGEOM_SPHERE: _add_sphere,
     Mjt.mjGEOM_CAPSULE: _add_capsule,

@@ -78,6 +78,7 @@ class VideoWriter:
         path: ends in `.mp4`; its directory has to exist.
         frame_period: from one image to the next, s.
         overwrite: move an existing file aside instead of refusing to start.
+        key_frame_interval: every so many frames one can be decoded alone; those of a second unless given.
 
     Raises:
         ResourceError: PyAV is not installed or has no H.264 encoder, or the file cannot be written.
@@ -85,7 +86,14 @@ class VideoWriter:
         SimulationError: the encoder refused the images.
     """
 
-    def __init__(self, path: Path, frame_period: float | Fraction, *, overwrite: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        frame_period: float | Fraction,
+        *,
+        overwrite: bool = False,
+        key_frame_interval: int | None = None,
+    ) -> None:
         if not frame_period > 0:
             raise ValueError(f"frame_period must be above 0, not {frame_period}")
         self.path = path
@@ -93,12 +101,18 @@ class VideoWriter:
         self.moved_aside: Path | None = None
         self._period = Fraction(frame_period).limit_denominator(_FINEST_PERIOD)
         self._overwrite = overwrite
+        self._interval = key_frame_interval or max(1, round(_SECONDS_BETWEEN_KEY_FRAMES / self._period))
         require_encoder()
         self._check_path()
         self._part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
         self._size = (0, 0)
+
+    @property
+    def written(self) -> int:
+        """Bytes on the disk so far, while it is being written; the encoder and the muxer hold some back."""
+        return self._part.stat().st_size
 
     def write(self, image: Image) -> None:
         """Add an RGB image (height, width, 3), all of one size; an odd side gets its last row or column twice."""
@@ -134,8 +148,7 @@ class VideoWriter:
 
         # faststart: the index comes first, so that a browser plays while it still loads.
         container = av.open(str(self._part), "w", format="mp4", options={"movflags": "+faststart"})
-        interval = max(1, round(_SECONDS_BETWEEN_KEY_FRAMES / self._period))
-        stream = container.add_stream("libx264", rate=1 / self._period, options=_ENCODER | {"g": str(interval)})
+        stream = container.add_stream("libx264", rate=1 / self._period, options=_ENCODER | {"g": str(self._interval)})
         stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
         context = stream.codec_context
         context.time_base = self._period

@@ -117,6 +117,11 @@ def label(image: Image, texts: Mapping[str, tuple[float, float]], title: str) ->
     return labelled
 
 
+def resized(image: Image, width: int, height: int) -> Image:
+    """An image in another size, px; averaged where it gets smaller."""
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
 def montage(images: Sequence[Image]) -> Image:
     """Images of the same size side by side, with a thin white line between them."""
     line = np.full((images[0].shape[0], 4, 3), 255, np.uint8)

@@ -1,0 +1,117 @@
+"""What a policy may answer, how it is found, and what travels to another process."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.policies.base import InvalidActionError, read_action
+from yamsim_cli.core.policies.loading import load_policy, reset_policy, wanted_images
+from yamsim_cli.core.policies.wire import WireError, pack, unpack
+
+HERE = Path(__file__).parent
+
+
+def test_an_action_is_read() -> None:
+    action = read_action({"ctrl": [0, 1, 2, 3, 4, 5, 0.01], "magnet": np.float32(1), "done": np.array([False])})
+    np.testing.assert_array_equal(action.ctrl, [0, 1, 2, 3, 4, 5, 0.01])
+    assert (action.magnet, action.done) == (True, False)
+    assert read_action({"ctrl": np.zeros(7, np.float32)}).magnet is False
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (None, "an action is a dictionary with ctrl, magnet and done, not NoneType"),
+        (np.zeros(7), "not ndarray"),
+        ({}, "needs ctrl"),
+        ({"ctrl": np.zeros(8)}, "ctrl has the shape (8,), not (7,)"),
+        ({"ctrl": np.zeros((1, 7))}, "ctrl has the shape (1, 7), not (7,)"),
+        ({"ctrl": [0, 0, 0, float("nan"), 0, 0, 0]}, "ctrl is not finite"),
+        ({"ctrl": [0, 0, 0, float("inf"), 0, 0, 0]}, "ctrl is not finite"),
+        ({"ctrl": ["a"] * 7}, "ctrl is no array of numbers"),
+        ({"ctrl": [[0], [1, 2]]}, "ctrl is no array of numbers"),
+        ({"ctrl": np.zeros(7), "magnet": 0.5}, "magnet is 0.5, not true or false"),
+        ({"ctrl": np.zeros(7), "done": "yes"}, "done is 'yes', not true or false"),
+        ({"ctrl": np.zeros(7), "gripper": 1}, "and not gripper"),
+    ],
+)
+def test_what_is_no_action_is_told(answer: object, told: str) -> None:
+    with pytest.raises(InvalidActionError, match=re.escape(told)):
+        read_action(answer)
+
+
+@pytest.mark.parametrize("name", ["sample_policies.py:Still", "sample_policies:Still"])
+def test_a_policy_is_found_by_file_and_by_module(name: str) -> None:
+    policy = load_policy(name, HERE)
+    assert type(policy).__name__ == "Still"
+    assert wanted_images(policy) == ()
+
+
+def test_a_file_with_one_policy_needs_no_class(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from helper import GAIN\nfrom collections import Counter\n\n\nclass Mine:\n"
+        "    def reset(self, seed):\n        self.seed = seed\n"
+        "    def __call__(self, observation):\n        return GAIN\n"
+    )
+    (tmp_path / "helper.py").write_text("GAIN = 3\n")
+    policy = load_policy("mine.py", tmp_path)
+    assert wanted_images(policy) == ("scene", "wrist")
+    reset_policy(policy, 12)
+    assert policy.seed == 12  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("nothing", "is not valid: give scripted, hold_still, replay:DATASET"),
+        ("nowhere.py", "there is no such file"),
+        ("nowhere:Class", "cannot be loaded: ModuleNotFoundError"),
+        ("sample_policies.py", "has the policies Still, Seeing"),
+        ("sample_policies.py:Stil", "it has no 'Stil'; did you mean 'Still'?"),
+        ("sample_policies.py:NoReset", "NoReset needs the methods reset() and __call__(observation)"),
+        ("sample_policies.py:AsksTooMuch", "it asks for the image 'floor'; valid: scene, wrist"),
+        ("broken.py", "cannot be loaded: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_what_cannot_be_loaded_is_told_in_a_line(name: str, told: str, tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text("1 / 0\n")
+    (tmp_path / "sample_policies.py").write_text((HERE / "sample_policies.py").read_text())
+    with pytest.raises(UsageError) as caught:
+        load_policy(name, tmp_path)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_messages_come_back_as_they_went() -> None:
+    pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
+    image = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
+    message = {"image": image, "T": np.eye(4), "flag": np.bool_(True), "text": "banana", "n": 3, "x": np.float32(0.5)}
+    found = unpack(pack(message))
+    for key in ("image", "T"):
+        np.testing.assert_array_equal(found[key], message[key])
+        assert found[key].dtype == message[key].dtype  # type: ignore[attr-defined]
+    assert (found["flag"], found["text"], found["n"], found["x"]) == (True, "banana", 3, 0.5)
+    # It may be written to.
+    found["image"][0, 0, 0] = 9
+
+
+@pytest.mark.parametrize("data", [b"", b"\xc1", b"\x93\x01", pytest.param(b"\xd6\x02aaaa", id="other type")])
+def test_what_is_no_message_is_refused(data: bytes) -> None:
+    pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
+    with pytest.raises(WireError):
+        unpack(data)
+
+
+def test_objects_are_neither_sent_nor_made() -> None:
+    msgpack = pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
+    with pytest.raises(TypeError):
+        pack({"x": object()})
+    for kind, shape in (("|O", [1]), ("<f8", [1 << 40]), ("|S4", [2])):
+        with pytest.raises(WireError):
+            unpack(msgpack.packb(msgpack.ExtType(1, msgpack.packb([kind, shape, b"12345678"]))))

@@ -1,0 +1,146 @@
+"""A policy in another process: the same answers as here, and every fault told to the client."""
+
+from __future__ import annotations
+
+import http.client
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.jobs.evaluate import evaluate, summary
+from yamsim_cli.core.jobs.trials import PolicyChoice
+from yamsim_cli.core.policies.loading import load_policy
+from yamsim_cli.core.policies.remote import RemoteError, RemotePolicy
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.policy_server import PolicyServer
+
+pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
+
+HERE = Path(__file__).parent
+
+
+@contextmanager
+def served(name: str) -> Iterator[str]:
+    with PolicyServer(lambda: load_policy(f"sample_policies.py:{name}", HERE), port=0) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            yield server.url
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_it_listens_on_this_machine_alone() -> None:
+    with served("Still") as url:
+        assert url.startswith("http://127.0.0.1:")
+
+
+@pytest.mark.slow
+def test_a_remote_policy_does_what_it_does_here(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
+    config = make_config({("episodes",): 3, ("workers",): 2})
+    with served("Random") as url:
+        there = evaluate(config, locations, {}, PolicyChoice(url, HERE, time_limit=0.5), lambda *_: None)
+    here = evaluate(
+        config, locations, {}, PolicyChoice("sample_policies.py:Random", HERE, time_limit=0.5), lambda *_: None
+    )
+    for one, other in zip(there.results, here.results, strict=True):
+        assert one.actions is not None
+        assert other.actions is not None
+        np.testing.assert_array_equal(one.actions.ctrl, other.actions.ctrl)
+        assert one.outcome == other.outcome
+    assert summary(there, config, ())["policy"].startswith("http://")
+
+
+def test_images_and_ticks_are_the_servers_policys() -> None:
+    with served("Seeing") as url:
+        policy = RemotePolicy(url, 5.0)
+        assert (policy.images, policy.ticks) == (("wrist",), 1)
+        policy.reset(seed=1)
+        image = np.random.default_rng(0).integers(0, 255, (8, 8, 3), dtype=np.uint8)
+        assert policy({"wrist_rgb": image})["done"] is True
+        with pytest.raises(RemoteError, match="KeyError"):
+            policy({})
+        # The server goes on.
+        assert policy({"wrist_rgb": np.zeros((8, 8, 3), np.uint8)})["done"] is False
+        policy.close()
+
+
+def test_faults_are_told_as_those_of_a_policy_here(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("episodes",): 4, ("workers",): 2})
+    with served("Faulty") as url:
+        found = evaluate(config, locations, {}, PolicyChoice(url, HERE, call_seconds=1.0), lambda *_: None)
+    told = {result.job.attempt: (result.ended.value, result.error) for result in found.results}
+    assert told[0][0] == "policy_raised"
+    assert "KeyError: 'no such thing', after 3 ticks" in told[0][1]
+    assert [told[k][0] for k in (1, 2)] == ["policy_invalid"] * 2
+    assert told[3][0] == "policy_slow"
+
+
+def test_clients_do_not_share_a_policy() -> None:
+    with served("Random") as url:
+        one, other = RemotePolicy(url, 5.0), RemotePolicy(url, 5.0)
+        one.reset(seed=4)
+        first = one({})["ctrl"]
+        other.reset(seed=4)
+        one({})
+        np.testing.assert_array_equal(other({})["ctrl"], first)
+        one.close()
+        other.close()
+
+
+def test_where_nobody_answers_is_told() -> None:
+    with pytest.raises(ResourceError, match="no policy answers there"):
+        RemotePolicy("http://127.0.0.1:9", 2.0)
+    for url in ("https://127.0.0.1:9", "http://", "http://host/path"):
+        with pytest.raises(UsageError, match="give http://HOST:PORT"):
+            RemotePolicy(url, 2.0)
+
+
+def test_a_server_that_is_gone_is_the_trials_fault() -> None:
+    with served("Still") as url:
+        policy = RemotePolicy(url, 5.0)
+    policy._connection.close()
+    with pytest.raises(RemoteError, match="is gone"):
+        policy({})
+
+
+def test_what_is_no_message_does_not_stop_the_server() -> None:
+    with served("Still") as url:
+        connection = http.client.HTTPConnection(url.removeprefix("http://"), timeout=5)
+        connection.request("POST", "/act", b"\xc1")
+        assert b"not a message" in connection.getresponse().read()
+        connection.putrequest("POST", "/act")
+        connection.putheader("Content-Length", "99999999999")
+        connection.endheaders()
+        assert connection.getresponse().status == 413
+        connection.close()
+        connection.request("POST", "/nonsense", b"\x81\xa7session\x01")
+        assert b"error" in connection.getresponse().read()
+        connection.close()
+        assert RemotePolicy(url, 5.0).images == ()
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    with served("Still") as url, pytest.raises(ResourceError, match="try another --port"):
+        PolicyServer(object, port=int(url.rpartition(":")[2]))
+
+
+@pytest.mark.parametrize(("error", "told"), [(ConnectionResetError(), False), (ZeroDivisionError(), True)])
+def test_a_client_that_goes_without_a_word_is_no_news(
+    error: Exception, told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with PolicyServer(object, port=0) as server:
+        try:
+            raise error
+        except (ConnectionResetError, ZeroDivisionError):
+            server.handle_error(None, ("127.0.0.1", 1))
+    assert (type(error).__name__ in capsys.readouterr().err) == told

@@ -1,0 +1,117 @@
+"""As much of a browser as the pages' tests need: headless Chromium, driven over WebDriver."""
+
+from __future__ import annotations
+
+import base64
+import json
+import socket
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from yamsim_cli.core.geometry.se3 import Array
+
+CHROMIUM, CHROMEDRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
+ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # the key under which WebDriver names an element
+CHROMIUM_ARGS = [
+    "--headless=new",
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-quic",
+    "--disable-sync",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=1400,900",
+]
+
+
+class Browser:
+    """As much of a WebDriver client as these tests need."""
+
+    def __init__(self, port: int, profile: Path) -> None:
+        self._root = f"http://127.0.0.1:{port}"
+        options = {"binary": str(CHROMIUM), "args": [*CHROMIUM_ARGS, f"--user-data-dir={profile}"]}
+        wanted = {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": options}}
+        self._root += f"/session/{self._call('POST', '/session', {'capabilities': wanted})['sessionId']}"
+
+    def _call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(self._root + path, method=method, data=data)
+        with urllib.request.urlopen(request, timeout=180) as answer:
+            return json.load(answer)["value"]
+
+    def open(self, url: str) -> None:
+        self._call("POST", "/url", {"url": url})
+
+    def resize(self, width: int, height: int) -> None:
+        """The fewer pixels, the sooner each picture is drawn, which has no GPU to draw it."""
+        self._call("POST", "/window/rect", {"width": width, "height": height})
+
+    def text(self) -> str:
+        text: str = self._call("POST", "/execute/sync", {"script": "return document.body.innerText", "args": []})
+        return text
+
+    def screenshot(self, file: Path | None = None) -> Array:
+        """What is seen now; kept as a PNG for whoever looks at the test's artifacts, if a file is given."""
+        png = base64.b64decode(self._call("GET", "/screenshot"))
+        if file is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(png)
+        return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR))
+
+    def run(self, script: str, *args: Any) -> Any:
+        return self._call("POST", "/execute/sync", {"script": script, "args": list(args)})
+
+    def keys(self, text: str) -> None:
+        """Press keys with nothing focused."""
+        down_up = [{"type": kind, "value": key} for key in text for kind in ("keyDown", "keyUp")]
+        self._act({"type": "key", "id": "keys", "actions": down_up})
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Pull with the mouse from one pixel to another."""
+
+        def move(k: float, duration: int) -> dict[str, Any]:
+            x, y = (round(a + (b - a) * k) for a, b in zip(start, end, strict=True))
+            return {"type": "pointerMove", "duration": duration, "x": x, "y": y}
+
+        # It has to lie under the pointer for some pictures before it can be taken hold of.
+        pause = {"type": "pause", "duration": 700}
+        steps = [move(0, 0), pause, move(0.02, 50), pause, {"type": "pointerDown", "button": 0}, pause]
+        steps += [move(k / 8, 150) for k in range(1, 9)]
+        steps += [pause, {"type": "pointerUp", "button": 0}]
+        self._act({"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": steps})
+
+    def _act(self, source: dict[str, Any]) -> None:
+        self._call("POST", "/actions", {"actions": [source]})
+
+    def press(self, selector: str, keys: str) -> None:
+        element = self._call("POST", "/element", {"using": "css selector", "value": selector})[ELEMENT]
+        self._call("POST", f"/element/{element}/value", {"text": keys})
+
+    def click(self, label: str) -> None:
+        path = f"//button[contains(., '{label}')]"
+        element = self._call("POST", "/element", {"using": "xpath", "value": path})[ELEMENT]
+        self.run("arguments[0].scrollIntoView({block: 'center'})", {ELEMENT: element})
+        self._call("POST", f"/element/{element}/click", {})
+
+    def close(self) -> None:
+        self._call("DELETE", "")
+
+
+def answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def wait_until(true: Callable[[], object], seconds: float = 90) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it never came true"
+        time.sleep(0.1)

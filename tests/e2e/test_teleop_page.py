@@ -1,0 +1,171 @@
+"""The teleoperation page in a real browser: what a person does there ends as an episode."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.run_cli import yamsim
+from tests.e2e.browser import Browser, wait_until
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.dataset.opening import OpenMode
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.jobs.stop import Stop
+from yamsim_cli.core.jobs.teleop import TeleopSession
+from yamsim_cli.core.jobs.teleop_run import open_seat, run_page
+from yamsim_cli.core.jobs.view import task_viewpoint
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.tasks.pickplace import sample_layout
+from yamsim_cli.core.tasks.randomness import Stream, generator
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.viewers.address import PageAddress
+from yamsim_cli.core.viewers.viewpoint import FOV_DEG
+
+pytestmark = [pytest.mark.slow, pytest.mark.render]
+
+# As React is told of a person's typing; digit by digit the arm would set out for each of them.
+SET_NUMBER = """
+const fields = [...document.querySelectorAll('input')].filter(input => input.type === 'text').slice(-4);
+const input = fields[arguments[0]];
+Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, arguments[1]);
+input.dispatchEvent(new Event('input', {bubbles: true}));
+// In a field, letters are no keys.
+document.activeElement.blur();
+"""
+NUMBERS = "return [...document.querySelectorAll('input')].filter(i => i.type === 'text').slice(-4).map(i => i.value)"
+X, Y, Z, HEADING = range(4)
+
+
+def pixel(config: RecordConfig, browser: Browser, point: Array) -> tuple[float, float]:
+    """Where a point of `world` is in the page's picture."""
+    view = task_viewpoint(config)
+    forward = (view.look_at - view.position) / view.distance
+    right = np.cross(forward, (0, 0, 1))
+    right /= np.linalg.norm(right)
+    ray = point - view.position
+    width, height = browser.run("return [innerWidth, innerHeight]")
+    scale = height / 2 / math.tan(math.radians(FOV_DEG / 2)) / (ray @ forward)
+    return width / 2 + scale * (ray @ right), height / 2 - scale * (ray @ np.cross(right, forward))
+
+
+@contextmanager
+def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[tuple[str, TeleopSession]]:
+    """A page on which an arm is driven: its URL, and the session behind it."""
+    urls: list[str] = []
+    sessions: list[TeleopSession] = []
+    stop = Stop()
+
+    def serve() -> None:
+        meshes = {"i2rt_yam_crank": None, "ycb": None}
+        with open_seat(config, locations, meshes, out, OpenMode.NEW, print) as seat:
+            sessions.append(seat.session)
+            run_page(seat, config, PageAddress(), urls.append, stop)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        wait_until(lambda: urls)
+        yield urls[0], sessions[0]
+    finally:
+        stop.ask()
+        thread.join()
+
+
+def at(session: TeleopSession, place: Array, tolerance: float = 0.006) -> bool:
+    """Whether the hand is there, and at rest."""
+    near = np.linalg.norm(session.data.site("pinch_site").xpos - place) < tolerance
+    return bool(near and np.abs(session.data.qvel[:6]).max() < 0.02)
+
+
+def test_a_drag_of_the_gizmo_moves_the_hand(
+    config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path, screens: Path
+) -> None:
+    with driving(config, locations, tmp_path / "d") as (url, session):
+        browser.resize(900, 700)
+        browser.open(url)
+        wait_until(lambda: "not recording" in browser.text())
+        time.sleep(2)
+        before = session.target
+        # The arrow along the hand's y axis, which is the world's here.
+        arrow = before[:3, 3] + 0.11 * before[:3, 1]
+        start, end = (pixel(config, browser, point) for point in (arrow, arrow + 0.1 * before[:3, 1]))
+        browser.drag(start, end)
+        browser.screenshot(screens / "teleop_dragged.png")
+        wait_until(lambda: session.target[1, 3] > 0.05)
+        moved = session.target[:3, 3] - before[:3, 3]
+        assert np.allclose(moved, (0, moved[1], 0), atol=2e-3)
+        assert moved[1] == pytest.approx(0.1, abs=0.04)
+        wait_until(lambda: at(session, session.target[:3, 3], 0.01))
+
+
+def test_what_is_done_on_the_page_is_an_episode(
+    make_config: Callable[..., RecordConfig], locations: Locations, browser: Browser, tmp_path: Path, screens: Path
+) -> None:
+    config = make_config({("image", "size_px"): [160, 120], ("render",): "fast"})
+    task, out = config.task, tmp_path / "d"
+    layout = sample_layout(task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    assert layout
+    assert task.object.grasp
+    T_grasp = layout.T_in_world[task.object.name] @ task.object.grasp.T_pinch_in_object(False)
+    T_goal = layout.T_in_world[task.target.name]
+    with driving(config, locations, out) as (url, session):
+
+        def go(place: tuple[float, float, float]) -> None:
+            for field in (X, Y, Z):
+                browser.run(SET_NUMBER, field, f"{place[field]:.3f}")
+            wait_until(lambda: at(session, np.array(place)))
+
+        browser.resize(900, 700)
+        browser.open(url)
+        wait_until(lambda: "not recording" in browser.text())
+        browser.click("Start recording")
+        wait_until(lambda: session.recording and "not recording" not in browser.text())
+        browser.click("Point down")
+        heading = math.degrees(math.atan2(T_grasp[1, 1], T_grasp[0, 1]))
+        # The hand is the same the other way round.
+        browser.run(SET_NUMBER, HEADING, f"{heading if heading > 0 else heading + 180:.1f}")
+        x, y, z = T_grasp[:3, 3]
+        go((x, y, 0.15))
+        go((x, y, z))
+        browser.keys("g")
+        wait_until(lambda: "Open gripper" in browser.text())
+        time.sleep(1)
+        browser.keys("m")
+        wait_until(lambda: "holds the object" in browser.text())
+        browser.screenshot(screens / "teleop_grasped.png")
+        go((x, y, 0.2))
+        x, y, _ = T_goal[:3, 3]
+        go((x, y, 0.2))
+        go((x, y, 0.06))
+        browser.screenshot(screens / "teleop_placing.png")
+        browser.keys("gm")
+        wait_until(lambda: not session.status.holds)
+        time.sleep(1)
+        go((x, y, 0.2))
+        browser.click("Stop and judge")
+        wait_until(lambda: "1 episodes, 0 failed" in browser.text())
+        assert "attempt 0: ep_000000" in browser.text()
+
+        # A second one, thrown away, and a target that no hand can reach.
+        browser.keys("r")
+        wait_until(lambda: session.recording)
+        wait_until(lambda: browser.run(NUMBERS) == ["0.364", "0", "0.237", "90"])
+        browser.run(SET_NUMBER, X, "1.200")
+        wait_until(lambda: "out of reach" in browser.text())
+        browser.screenshot(screens / "teleop_out_of_reach.png")
+        browser.keys("x")
+        wait_until(lambda: not session.recording and "discarded" in browser.text())
+    record = json.loads((out / "ep_000000" / "episode.json").read_text())
+    assert (record["source"], record["outcome"]["success"]) == ("teleop", True)
+    summary = yamsim("summarize", str(out), "--strict", "--json")
+    assert summary.code == 0, summary.out
+    verified = yamsim("verify", str(out), "--json")
+    assert (verified.code, json.loads(verified.out)["max_error"]) == (0, 0)

@@ -1,0 +1,68 @@
+"""yamsim from Python: the README's example as it stands, and the same bytes as the command line's."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import yamsim_cli
+from tests.e2e.test_record_summarize import digest
+from yamsim_cli.core.errors import ConfigError, UsageError
+
+pytestmark = pytest.mark.render
+
+
+def example(repository: Path) -> str:
+    text = (repository / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    (found,) = [block for block in blocks if "from yamsim_cli import" in block]
+    return found
+
+
+def test_the_readmes_example_records_an_episode(repository: Path, tmp_path: Path) -> None:
+    code = example(repository)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 10
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(repository)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "1 episode from 1 attempts in my_dataset" in done.stdout
+    assert re.search(r"57 frames, \d\.\d mm off", done.stdout)
+    assert (tmp_path / "my_dataset" / "ep_000000" / "rgb" / "right_wrist_camera" / "000056.jpg").is_file()
+
+
+@pytest.mark.slow
+def test_it_records_the_same_bytes_in_this_process_and_in_others(tmp_path: Path) -> None:
+    options = {"episodes": 2, "seed": 4, "size": (64, 48)}
+    here = yamsim_cli.record(tmp_path / "here", **options)
+    there = yamsim_cli.record(tmp_path / "there", workers=2, **options)
+    assert (here.episodes, there.episodes) == (2, 2)
+    assert digest(here.path) == digest(there.path)
+    more = yamsim_cli.record(tmp_path / "here", **options | {"episodes": 3}, resume=True)
+    assert [episode.record.attempt for episode in yamsim_cli.open_dataset(more.path)] == [0, 1, 2]
+
+
+def test_errors_are_the_command_lines(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="unknown rig 'singl'; did you mean 'single'"):
+        yamsim_cli.record(tmp_path / "out", rig="singl")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").touch()
+    with pytest.raises(UsageError, match="is not empty"):
+        yamsim_cli.record(tmp_path / "full")
+    with pytest.raises(AttributeError, match="no attribute 'recrod'"):
+        yamsim_cli.recrod  # noqa: B018
+
+
+def test_evaluate_returns_what_the_command_prints() -> None:
+    report = yamsim_cli.evaluate("hold_still", n=2, seed=1)
+    assert (report["stats"]["n"], report["stats"]["success_rate"], len(report["trials"])) == (2, 0.0, 2)

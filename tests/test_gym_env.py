@@ -1,0 +1,141 @@
+"""The gymnasium environment: gymnasium's own checker, and the same trials as the batch."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium", reason="yamsim[gym] is not installed")
+
+from yamsim_cli.core.config.record import RecordConfig  # noqa: E402
+from yamsim_cli.core.jobs.episode import EpisodeRunner  # noqa: E402
+from yamsim_cli.core.resources import Locations  # noqa: E402
+from yamsim_cli.core.types import EpisodeJob  # noqa: E402
+from yamsim_cli.gym_env import ENV_ID  # noqa: E402
+
+
+@pytest.fixture
+def env() -> Iterator[Any]:
+    made = gymnasium.make(ENV_ID)
+    yield made
+    made.close()
+
+
+def check(**options: Any) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    made = gymnasium.make(ENV_ID, **options)
+    try:
+        with warnings.catch_warnings():
+            # Bounds of joints are what they are, and not -1..1.
+            warnings.filterwarnings("ignore", message=".*(Box action space|normalized).*")
+            check_env(made.unwrapped)
+    finally:
+        made.close()
+
+
+def test_gymnasiums_checker_passes_it() -> None:
+    check()
+
+
+@pytest.mark.render
+def test_gymnasiums_checker_passes_it_with_images() -> None:
+    check(observation="images", render_mode="rgb_array", size=(64, 48))
+
+
+def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: RecordConfig, locations: Locations) -> None:
+    """A trial of the batch, replayed through the environment: the same states, success once, and a reward of 1."""
+    with EpisodeRunner(config, locations, {}, draw=False) as runner:
+        rollout = runner.simulate(EpisodeJob(5, 2))[2]
+        frames = runner.frames(rollout.states) if rollout else []
+    assert rollout
+    observation, info = env.reset(seed=5, options={"trial": 2})
+    assert (info["seed"], info["trial"], info["success"]) == (5, 2, False)
+    rewards, done, tick = 0.0, False, 0
+    for state, frame in zip(rollout.states, frames, strict=True):
+        np.testing.assert_allclose(observation["joints"], frame["joints"], atol=1e-5)
+        np.testing.assert_allclose(observation["object_pose_world"][:3, 3], frame["banana_pose"][:3, 3], atol=1e-4)
+        for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
+            observation, reward, done, truncated, info = env.step(np.append(ctrl, magnet).astype(np.float32))
+            rewards, tick = rewards + reward, tick + 1
+            if done:
+                break
+        if done:
+            break
+    assert (rewards, done, truncated, info["success"], info["holds"]) == (1.0, True, False, True, False)
+    # Let go after 72 ticks, it falls first.
+    assert 80 <= tick < 114
+
+
+def test_doing_nothing_is_truncated(env: Any) -> None:
+    observation, _ = env.reset(seed=1)
+    action = np.append(observation["joints"], 0.0).astype(np.float32)
+    for _ in range(227):
+        _, reward, done, truncated, _ = env.step(action)
+        assert (reward, done, truncated) == (0.0, False, False)
+    assert env.step(action)[1:4] == (0.0, False, True)
+
+
+def test_seeds_decide_the_layout_and_resets_go_on(env: Any) -> None:
+    first = env.reset(seed=7)
+    second = env.reset()
+    assert [found[1]["trial"] for found in (first, second)] == [0, 1]
+    again = env.reset(seed=7)
+    np.testing.assert_array_equal(again[0]["object_pose_world"], first[0]["object_pose_world"])
+    assert np.abs(second[0]["object_pose_world"] - first[0]["object_pose_world"]).max() > 1e-3
+    np.testing.assert_array_equal(
+        env.reset(seed=7, options={"trial": 1})[0]["object_pose_world"], second[0]["object_pose_world"]
+    )
+    other = gymnasium.make(ENV_ID)
+    assert other.reset()[1]["seed"] != gymnasium.make(ENV_ID).reset()[1]["seed"]
+    other.close()
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_it_vectorizes(mode: str) -> None:
+    envs = gymnasium.make_vec(ENV_ID, num_envs=2, vectorization_mode=mode)
+    try:
+        observation, _ = envs.reset(seed=3)
+        assert observation["joints"].shape == (2, 7)
+        assert np.abs(observation["object_pose_world"][0] - observation["object_pose_world"][1]).max() > 1e-3
+        _, rewards, *_ = envs.step(envs.action_space.sample())
+        assert rewards.shape == (2,)
+    finally:
+        envs.close()
+
+
+@pytest.mark.render
+def test_it_renders() -> None:
+    made = gymnasium.make(ENV_ID, render_mode="rgb_array", size=(80, 60))
+    made.reset(seed=0)
+    image = made.render()
+    made.close()
+    assert (image.shape, image.dtype) == ((60, 80, 3), np.uint8)
+    assert image.std() > 5
+
+
+def test_what_is_not_valid_is_told(env: Any) -> None:
+    for options in ({"render_mode": "ansi"}, {"observation": "pixels"}):
+        with pytest.raises((ValueError, gymnasium.error.Error)):
+            gymnasium.make(ENV_ID, **options)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="eight finite numbers"):
+        env.unwrapped.step(np.full(8, np.nan))
+
+
+@pytest.mark.parametrize("lines", ["import gymnasium, yamsim_cli", "import yamsim_cli.gym_env, gymnasium"])
+def test_importing_registers_it(lines: str, repository: Path) -> None:
+    code = f"{lines}; gymnasium.spec('{ENV_ID}')"
+    subprocess.run([sys.executable, "-c", code], cwd=repository, check=True)
+
+
+def test_the_command_line_does_without(repository: Path) -> None:
+    code = "import sys, yamsim_cli.main; sys.exit('gymnasium' in sys.modules or 'numpy' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], cwd=repository, check=True)

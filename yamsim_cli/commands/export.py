@@ -1,0 +1,133 @@
+"""`yamsim export`: a dataset in the formats of others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .console import note, print_json, print_line, progress_bar
+from .session import Json, locations, skip_gl
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.jobs.exports.source import Exported, Source
+    from yamsim_cli.core.resources import Locations
+
+app = typer.Typer(help="Write a dataset in the formats of others.", no_args_is_help=True)
+
+Dataset = Annotated[Path, typer.Argument(help="The directory that `yamsim record` wrote.", show_default=False)]
+Out = Annotated[Path, typer.Argument(help="Directory to make.", show_default=False)]
+Episodes = Annotated[str | None, typer.Option(metavar="LIST", help="Which episodes, such as 0,3,5-9.  [default: all]")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")]
+
+
+@app.callback()
+def _export() -> None:
+    """Write a dataset in the formats of others; what is at OUT is whole or not there."""
+
+
+@app.command()
+def raiden(
+    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
+) -> None:
+    """The converted layout of the real stack (TRI's raiden), images and depth byte for byte as they are.
+
+    Example: yamsim export raiden dataset/ real_layout/
+    """
+    source, where = _source(dataset, episodes)
+
+    from yamsim_cli.core.jobs.exports.raiden import export_raiden
+
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_raiden(source, out, where, lambda n, total: advance(n, total, ""), overwrite=overwrite)
+    _show(done, json)
+
+
+@app.command()
+def lerobot(
+    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
+) -> None:
+    """LeRobotDataset v3.0: Parquet, and H.264 with exact times.
+
+    Example: yamsim export lerobot dataset/ lerobot_dataset/
+    """
+    source, _ = _source(dataset, episodes)
+
+    from yamsim_cli.core.jobs.exports.lerobot import export_lerobot
+
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_lerobot(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
+    _show(done, json)
+
+
+@app.command()
+def mp4(
+    dataset: Dataset,
+    out: Annotated[
+        Path, typer.Argument(help="Directory of videos to make; with --sheet a FILE.jpg.", show_default=False)
+    ],
+    camera: Annotated[list[str] | None, typer.Option(help="Several are put side by side.  [default: all]")] = None,
+    sheet: Annotated[bool, typer.Option("--sheet", help="One picture instead, a row an episode.")] = False,
+    columns: Annotated[int, typer.Option(min=1, max=100, help="With --sheet: images in a row.")] = 8,
+    width: Annotated[int, typer.Option(min=16, max=1920, help="With --sheet: of each image, px.")] = 160,
+    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="Of videos: how fast time passes.")] = 1.0,
+    episodes: Episodes = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
+) -> None:
+    """A video of each episode, or one picture of all: a contact sheet.
+
+    Example: yamsim export mp4 dataset/ videos/
+    """
+    source, _ = _source(dataset, episodes)
+
+    from yamsim_cli.core.jobs.exports.films import export_mp4, export_sheet
+
+    with progress_bar("exporting", "episodes") as advance:
+
+        def progress(n: int, total: int) -> None:
+            advance(n, total, "")
+
+        if sheet:
+            done = export_sheet(source, out, camera or (), progress, columns=columns, width=width, overwrite=overwrite)
+        else:
+            done = export_mp4(source, out, camera or (), progress, speed=speed, overwrite=overwrite)
+    _show(done, json)
+
+
+@app.command()
+def rerun(
+    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
+) -> None:
+    """An .rrd file of each episode for the rerun viewer: images, joints, poses, camera frusta.
+
+    Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
+    """
+    source, _ = _source(dataset, episodes)
+
+    from yamsim_cli.core.jobs.exports.rrd import export_rerun
+
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_rerun(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
+    _show(done, json)
+
+
+def _source(dataset: Path, episodes: str | None) -> tuple[Source, Locations]:
+    """The chosen episodes; nothing is drawn for an export."""
+    skip_gl()
+
+    from yamsim_cli.core.jobs.exports.source import open_source
+
+    where = locations()
+    return open_source(dataset, episodes, where), where
+
+
+def _show(done: Exported, json: bool) -> None:
+    if done.moved_aside:
+        note(f"What was at {done.path} is now at {done.moved_aside}.")
+    if json:
+        moved = str(done.moved_aside) if done.moved_aside else None
+        print_json({"path": str(done.path), "episodes": done.episodes, "frames": done.frames, "moved_aside": moved})
+    else:
+        print_line(f"{done.episodes} episodes, {done.frames} frames in {done.path}")

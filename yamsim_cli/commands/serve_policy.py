@@ -1,0 +1,41 @@
+"""`yamsim serve-policy`: a policy in a process of its own."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .console import note, print_json, print_line
+from .session import Json
+
+
+def serve_policy(
+    policy: Annotated[str, typer.Option(help="module:Class or file.py:Class.", show_default=False)],
+    host: Annotated[
+        str, typer.Option(help="Address to listen on. Beyond 127.0.0.1, anybody who reaches it can use it.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes a free one.")] = 8080,
+    json: Json = False,
+) -> None:
+    """Serve a policy to `yamsim eval --policy http://HOST:PORT`, such as on a machine with a GPU. Ctrl-C ends it.
+
+    Example: yamsim serve-policy --policy my_policy.py:MyPolicy --port 8080
+    """
+    from yamsim_cli.core.policies.loading import load_policy
+    from yamsim_cli.policy_server import LOOPBACK, PolicyServer
+
+    # Once now: what cannot be loaded is told at once.
+    load_policy(policy, Path.cwd())
+    with PolicyServer(lambda: load_policy(policy, Path.cwd()), host, port) as server:
+        if host != LOOPBACK:
+            note(f"Anybody who reaches {server.url} can use it: there is no password.")
+        if json:
+            print_json({"url": server.url})
+        else:
+            print_line(f"{server.url}  (Ctrl-C ends)")
+        # Whoever reads a pipe must not have to wait for the end.
+        sys.stdout.flush()
+        server.serve_forever()

@@ -1,0 +1,133 @@
+"""`yamsim teleop`: drive the arm and record episodes."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from yamsim_cli.core.errors import UsageError
+
+from .console import note, print_json, print_line
+from .record import mode_of
+from .session import (
+    ConfigOption,
+    Json,
+    Quality,
+    Rig,
+    Seed,
+    Task,
+    locations,
+    parse_size,
+    record_config,
+    scene_meshes,
+    use_gl,
+)
+from .signals import stoppable
+from .viewing import Host, Port, page_address, quiet_page
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.jobs.teleop_run import TeleopReport
+
+_ENDING = "Ending: what was recorded is judged and drawn first. Once more ends at once; whole episodes are safe."
+
+
+def teleop(
+    stream: Annotated[
+        Path | None,
+        typer.Option("--input", metavar="STREAM.jsonl", help="Commands with their times, in place of the page."),
+    ] = None,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="With --input: at the clock's pace, not as fast as it goes.")
+    ] = False,
+    out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("teleop"),
+    seed: Seed = None,
+    task: Task = None,
+    rig: Rig = None,
+    wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")] = None,
+    quality: Quality = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Add to a dataset that is there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    port: Port = None,
+    host: Host = None,
+    config: ConfigOption = "default",
+    json: Json = False,
+) -> None:
+    """Drive the arm from a browser page, or by a stream of commands, and record what succeeds. Ctrl-C ends it.
+
+    Example: yamsim teleop --out teleop
+    """
+    mode = mode_of(resume=resume, overwrite=overwrite)
+    for flag, given in (("--port", port is not None), ("--host", host is not None)):
+        if stream is not None and given:
+            raise UsageError(f"{flag} is of the page: leave it out, or leave out --input")
+    if realtime and stream is None:
+        raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
+    where = locations()
+    flags = {
+        "--rig": (("rig",), rig),
+        "--task": (("task",), task),
+        "--seed": (("seed",), seed),
+        "--wrist": (("wrist",), wrist),
+        "--size": (("image", "size_px"), parse_size(size) if size else None),
+        "--quality": (("render",), quality),
+    }
+    # Once without OpenGL: what is wrong with it is told at once.
+    record_config(config, where, flags)
+    settings = record_config(config, use_gl(where, workers=True), flags)
+    quiet_page()
+
+    from yamsim_cli.core.jobs.teleop_run import check_page, open_seat, run_page, run_stream
+    from yamsim_cli.core.jobs.teleop_stream import read_stream
+
+    commands = None if stream is None else read_stream(stream)
+    page = None if commands else page_address(port, host)
+    if page is not None:
+        check_page(page)
+
+    def ready(url: str) -> None:
+        # Standard output is the report's.
+        note(f"{url}  (Ctrl-C ends)")
+        sys.stderr.flush()
+
+    meshes = scene_meshes(settings, where)
+    with stoppable(_ENDING) as stop, open_seat(settings, where, meshes, out, mode, note) as seat:
+        if page is None:
+            assert commands is not None
+            report = run_stream(seat, commands, stop, realtime=realtime)
+        else:
+            report = run_page(seat, settings, page, ready, stop)
+    _show(report, json)
+
+
+def _show(report: TeleopReport, json: bool) -> None:
+    if json:
+        print_json(_summary(report))
+        return
+    for trial in report.trials:
+        end = f"episode {trial.episode}" if trial.episode is not None else f"failed: {trial.outcome.detail}"
+        print_line(f"attempt {trial.attempt}: {end}")
+    if (jitter := report.jitter) is not None:
+        print_line(
+            f"{jitter.ticks} ticks at {jitter.rate_hz:.2f} Hz, off by {jitter.p50:.2f} ms (median), "
+            f"{jitter.p95:.2f} ms (95 %), {jitter.max:.2f} ms (most)"
+        )
+    print_line(f"{report.episodes} episodes from {report.attempts} attempts in {report.path}")
+
+
+def _summary(report: TeleopReport) -> dict[str, Any]:
+    return {
+        "episodes": report.episodes,
+        "attempts": report.attempts,
+        "discarded": report.discarded,
+        "path": str(report.path),
+        "trials": [
+            {"attempt": trial.attempt, "episode": trial.episode, **trial.outcome.model_dump()}
+            for trial in report.trials
+        ],
+        "jitter_ms": asdict(report.jitter) if report.jitter else None,
+    }

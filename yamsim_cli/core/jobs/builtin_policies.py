@@ -1,0 +1,144 @@
+"""Policies that come with yamsim: the plan itself, standing still, and a dataset's actions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from ..dataset.actions import recorded_actions
+from ..dataset.layout import episode_directories
+from ..dataset.reader import open_episode
+from ..errors import UsageError
+from ..policies.base import Observation, Policy
+from ..policies.loading import check_policy, load_policy
+from ..policies.remote import RemotePolicy
+from ..sim.rollout import Rollout
+from ..types import Actions, EpisodeJob
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What only a privileged policy is told.
+
+    Attributes:
+        job: seed and number.
+        rollout: what the planned attempt did; None if there was none.
+        nq, nu: positions and drives of the scene.
+    """
+
+    job: EpisodeJob
+    rollout: Rollout | None
+    nq: int
+    nu: int
+
+
+@runtime_checkable
+class Privileged(Protocol):
+    """A policy that is told what a robot cannot see."""
+
+    def begin(self, trial: Trial) -> None:
+        """Before each trial, ahead of `reset`."""
+        ...
+
+
+class _Playback:
+    """Answers with actions that are known beforehand, tick by tick, whatever it sees."""
+
+    images = ()
+
+    def __init__(self) -> None:
+        self._actions: Actions | None = None
+        self._tick = 0
+
+    def reset(self) -> None:
+        self._tick = 0
+
+    def __call__(self, observation: Observation) -> Mapping[str, Any]:
+        actions = self._actions
+        assert actions is not None
+        tick, self._tick = self._tick, self._tick + 1
+        return {"ctrl": actions.ctrl[tick], "magnet": actions.magnet[tick], "done": tick + 1 == len(actions.ctrl)}
+
+
+class Scripted(_Playback):
+    """Does what the plan does that `pickplace batch` and `record` make: it knows where everything is."""
+
+    def begin(self, trial: Trial) -> None:
+        """Take over the plan's actions."""
+        assert trial.rollout is not None
+        acting = [state.actions for state in trial.rollout.states]
+        ctrl = np.concatenate([actions.ctrl for actions in acting])
+        magnet = tuple(holds for actions in acting for holds in actions.magnet)
+        self._actions = Actions(ctrl, magnet, ctrl)
+
+
+class HoldStill:
+    """Stays where it is."""
+
+    images = ()
+
+    def __init__(self) -> None:
+        self._ctrl: Any = None
+
+    def reset(self) -> None:
+        """Stay where the next observation finds it."""
+        self._ctrl = None
+
+    def __call__(self, observation: Observation) -> Mapping[str, Any]:
+        """The joints of the first observation."""
+        self._ctrl = observation["joints"] if self._ctrl is None else self._ctrl
+        return {"ctrl": self._ctrl}
+
+
+class Replay(_Playback):
+    """Repeats a dataset's actions: those of the trial's own seed and number, or else of another episode, blindly.
+
+    Raises:
+        UsageError: there are no episodes.
+        DatasetError: one is damaged, or of another scene.
+    """
+
+    def __init__(self, dataset: Path) -> None:
+        super().__init__()
+        directories = episode_directories(dataset) if dataset.is_dir() else []
+        if not directories:
+            raise UsageError(f"--policy replay:{dataset}: there are no episodes; give a dataset of yamsim record")
+        self._episodes = [open_episode(directory) for _, directory in directories]
+        self._by_job = {EpisodeJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
+
+    def begin(self, trial: Trial) -> None:
+        """Read the trial's episode."""
+        other = self._episodes[trial.job.attempt % len(self._episodes)]
+        episode = self._by_job.get(trial.job, other)
+        found = recorded_actions(episode.frames(), trial.nq, trial.nu)
+        if found is None:
+            raise UsageError(f"{episode.directory} holds no sim_ctrl, so its actions cannot be replayed")
+        self._actions = found[1]
+
+
+def make_policy(name: str, folder: Path, timeout: float) -> Policy:
+    """The policy that a name says.
+
+    Args:
+        folder: where the user's modules, files and datasets are looked for.
+        timeout: seconds that one in another process may take for an answer.
+
+    Raises:
+        UsageError: there is no such policy, or it cannot be loaded.
+        ResourceError: nobody answers at its address.
+    """
+    if name == "scripted":
+        return Scripted()
+    if name == "hold_still":
+        return HoldStill()
+    kind, colon, rest = name.partition(":")
+    if kind == "replay" and colon:
+        return Replay(folder / rest)
+    if kind in ("http", "https"):
+        remote: Any = RemotePolicy(name, timeout)
+        return check_policy(remote, name)
+    return load_policy(name, folder)

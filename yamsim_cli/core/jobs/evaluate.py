@@ -1,0 +1,216 @@
+"""Evaluate a policy: many trials side by side, counted, and its failures on film."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from ..config.record import RecordConfig
+from ..dataset.records import OutcomeRecord, plain
+from ..dataset.statistics import spread, wilson95
+from ..errors import InterruptedJobError
+from ..geometry.se3 import Array
+from ..resources import Locations
+from ..scene.build import SCENE_CAMERA
+from ..types import Actions, EpisodeJob, Outcome
+from ..vision.jpeg import encode_jpeg
+from .episode import EpisodeRunner, require_one_arm
+from .executor import LostJobError
+from .films import FilmedTrial, TrialFilms, drawn_in_order
+from .pool import JOB_SECONDS
+from .trials import Ended, PolicyChoice, TrialResult, TrialRunner
+from .workers import WorkerPool
+
+# Called with trials done and in all.
+Progress = Callable[[int, int], None]
+
+Meshes = Mapping[str, Path | None]
+
+# As on the way to a batch's film.
+_JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """All trials of a policy, in their order, and the real time they took, s."""
+
+    choice: PolicyChoice
+    results: tuple[TrialResult, ...]
+    seconds: float
+
+
+def evaluate(
+    config: RecordConfig,
+    locations: Locations,
+    meshes: Meshes,
+    choice: PolicyChoice,
+    progress: Progress,
+    trial_seconds: float = JOB_SECONDS,
+) -> Evaluation:
+    """Run `config.episodes` trials of a policy, from the starts that a batch of the same seed has.
+
+    Args:
+        meshes: asset set -> folder of its files, or None for primitives; what a policy sees shows them.
+        trial_seconds: real time after which a worker that is stuck in a trial is ended.
+
+    Raises:
+        ConfigError: the rig has more than one arm.
+        UsageError, ResourceError: the policy cannot be made.
+        InterruptedJobError: stopped by the user.
+    """
+    require_one_arm(config)
+    began = time.monotonic()
+    n = config.episodes
+    factory = functools.partial(TrialRunner, config, locations, dict(meshes), choice)
+    results: list[TrialResult] = []
+    try:
+        with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
+            started = 0
+            while len(results) < n:
+                while pool.idle and started < n:
+                    pool.submit(EpisodeJob(config.seed, started))
+                    started += 1
+                try:
+                    results.append(pool.result()[1])
+                except LostJobError as lost:
+                    results.append(_lost(lost))
+                progress(len(results), n)
+    except KeyboardInterrupt:
+        raise InterruptedJobError(
+            f"interrupted after {len(results)} of {n} trials; run again to count them all"
+        ) from None
+    results.sort(key=lambda result: result.job.attempt)
+    return Evaluation(choice, tuple(results), time.monotonic() - began)
+
+
+def _lost(lost: LostJobError) -> TrialResult:
+    assert isinstance(lost.job, EpisodeJob)
+    error = f"its worker {lost.reason}, in each of {lost.tries} tries"
+    outcome = OutcomeRecord.of(Outcome(False)).model_copy(update={"cause": Ended.LOST.value, "detail": error})
+    return TrialResult(lost.job, outcome, {}, Ended.LOST, error)
+
+
+def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
+    """An evaluation as JSON-ready data: policy, stats, trials, seed, seconds.
+
+    Args:
+        thresholds: in metres, by which the outcomes are scored beside the task's own.
+    """
+    results, tick = evaluation.results, config.task.timing.tick
+    n, succeeded = len(results), sum(result.outcome.success for result in results)
+    height = config.task.success.max_height
+    calls = [seconds for result in results for seconds in result.seconds]
+    stats = {
+        "n": n,
+        "n_success": succeeded,
+        "success_rate": succeeded / n,
+        "wilson95": wilson95(succeeded, n),
+        "threshold_m": config.task.success.threshold,
+        "rates": {f"{t:g}": sum(_within(result, t, height) for result in results) / n for t in thresholds},
+        "dxy_m": spread([result.outcome.dxy_m for result in results if result.outcome.dxy_m is not None]),
+        "causes": dict(Counter(result.outcome.cause for result in results if result.outcome.cause)),
+        "ended": dict(Counter(result.ended.value for result in results)),
+        "policy_s": spread(calls),
+        "slower_than_real_time": sum(seconds > tick for seconds in calls) / len(calls) if calls else None,
+    }
+    return {
+        "policy": evaluation.choice.name,
+        "stats": stats,
+        "seed": config.seed,
+        "tick_s": tick,
+        "seconds": evaluation.seconds,
+        "trials": [_trial(result, tick) for result in results],
+    }
+
+
+def _within(result: TrialResult, threshold: float, height: float) -> bool:
+    return not result.error and result.outcome.within(threshold, height)
+
+
+def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
+    return {
+        "trial": result.job.attempt,
+        "seed": result.job.seed,
+        "ended": result.ended.value,
+        "error": result.error or None,
+        "simulated_s": round(result.ticks * tick, 6),
+        "policy_s": spread(result.seconds),
+        "outcome": plain(result.outcome),
+        "layout": {name: list(pose) for name, pose in result.layout.items()},
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class _FilmJob:
+    job: EpisodeJob
+    start: Array
+    actions: Actions
+
+
+class ActionDrawer:
+    """Repeats what a policy did, and draws it; a context manager that owns a renderer."""
+
+    def __init__(self, config: RecordConfig, locations: Locations, meshes: Meshes) -> None:
+        self._runner = EpisodeRunner(config, locations, meshes, draw=False)
+
+    def run(self, film: _FilmJob) -> list[bytes]:
+        """The trial's frames as JPEGs."""
+        # What is random in the scene beside the start comes of it.
+        self._runner.simulate(film.job)
+        _, rollout = self._runner.repeat(film.start, film.actions, 0.0, 0.0, planned=False)
+        drawn = (self._runner.draw(state.qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for state in rollout.states)
+        return [encode_jpeg(np.ascontiguousarray(image), _JPEG_QUALITY) for image in drawn]
+
+    def __enter__(self) -> ActionDrawer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._runner.close()
+
+
+def film(
+    evaluation: Evaluation,
+    limit: int,
+    films: TrialFilms,
+    config: RecordConfig,
+    locations: Locations,
+    meshes: Meshes,
+    progress: Progress,
+) -> list[FilmedTrial]:
+    """Film trials, failures alone unless there are none; those in which nothing acted cannot be shown.
+
+    Args:
+        limit: of how many at most.
+
+    Raises:
+        InterruptedJobError: stopped by the user; finished films stay.
+        ResourceError: nothing can draw here, or the films cannot be written.
+    """
+    tick = config.task.timing.tick
+    acted = [result for result in evaluation.results if result.actions is not None]
+    chosen = ([result for result in acted if not result.outcome.success] or acted)[:limit]
+    jobs = [
+        _FilmJob(result.job, result.start, result.actions)
+        for result in chosen
+        if result.start is not None and result.actions is not None
+    ]
+    if not jobs:
+        return []
+    factory: Callable[[], AbstractContextManager[ActionDrawer]]
+    factory = functools.partial(ActionDrawer, config, locations, dict(meshes))
+    try:
+        with WorkerPool[_FilmJob, list[bytes]](factory, min(config.workers, len(jobs))) as pool:
+            return films.write(drawn_in_order([_trial(result, tick) for result in chosen], jobs, pool, progress))
+    except KeyboardInterrupt:
+        raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None

@@ -1,0 +1,88 @@
+"""The converted layout of the real stack, as data: every name, dtype, shape and key.
+
+Source: TRI-ML/raiden, docs/guide/conversion.md and calibration.md, and what its converter writes into the JSON files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a value is: an array's dtype and shape, or a plain type and ().
+
+    Attributes:
+        each: the value is a dictionary from every camera's name to such an array.
+    """
+
+    dtype: str
+    shape: tuple[int, ...] = ()
+    each: bool = False
+
+
+# Of a frame's dictionary, in order. Arms are left, then right: joints (6) and gripper (1); or position (3), rotation
+# row by row (9) and gripper (1) of the hand in its arm's own base.
+LOWDIM: Mapping[str, Form] = {
+    "intrinsics": Form("float32", (3, 3), each=True),
+    "extrinsics": Form("float32", (4, 4), each=True),
+    "joints": Form("float32", (14,)),
+    "action": Form("float32", (26,)),
+    "actual_poses": Form("float32", (26,)),
+    "action_joints": Form("float32", (14,)),
+    "language_task": Form("str"),
+    "language_prompt": Form("str"),
+}
+
+# Nanoseconds of each frame, and millimetres of each pixel.
+TIMESTAMPS = Form("int64", (-1,))
+DEPTH = Form("uint16", (-1, -1))
+DEPTH_KEY = "depth"
+
+# Files of the dataset, of an episode, and of an episode's camera.
+SHARED_METADATA = "metadata_shared.json"
+SPLIT = "split_all.json"
+CALIBRATION = "calibration_results.json"
+METADATA = "metadata.json"
+TIMESTAMPS_FILE = "timestamps.npy"
+
+
+def episode_name(number: int) -> str:
+    """Directory of an episode."""
+    return f"{number:04d}"
+
+
+def frame_name(frame: int, extension: str) -> str:
+    """File of a frame."""
+    return f"{frame:010d}.{extension}"
+
+
+# Keys of the JSON files; a value of None is a leaf, `*` stands for every camera.
+Keys = Mapping[str, "Keys | None"]
+
+METADATA_KEYS: Keys = {
+    "info": {"name": None, "raw_id": None, "tags": None},
+    "labels": None,
+    "cameras": None,
+    "resolution": None,
+    "framerate": None,
+    "language": {"task": None, "prompt": None},
+    "num_frames": None,
+    "rgb": {"extension": None},
+    "intrinsics": {"model": None},
+    "extrinsics": {"transform": None, "metric": None},
+    "action": {"format": None, "dims": None},
+}
+# Where there is depth, on top.
+DEPTH_METADATA_KEYS: Keys = {"depth": {"extension": None, "sparse": None, "metric": None}}
+
+SPLIT_KEYS: Keys = {"filters": {}, "size": {"n_seqs": None, "n_samples": None, "n_frames": None}, "files": None}
+
+_INTRINSICS: Keys = {"camera_matrix": None, "distortion_coeffs": None, "image_size": None, "source": None}
+_TRANSFORM: Keys = {"success": None, "rotation_matrix": None, "translation_vector": None, "rotation_vector": None}
+_CAMERA: Keys = {"type": None, "serial_number": None, "intrinsics": _INTRINSICS, "num_poses_used": None}
+SCENE_CAMERA_KEYS: Keys = {**_CAMERA, "extrinsics": {**_TRANSFORM, "reference_frame": None}}
+WRIST_CAMERA_KEYS: Keys = {**_CAMERA, "hand_eye_calibration": {**_TRANSFORM, "method": None}}
+# A bimanual station's has `bimanual_transform` on top.
+CALIBRATION_KEYS: Keys = {"version": None, "timestamp": None, "coordinate_frame": None, "cameras": None}

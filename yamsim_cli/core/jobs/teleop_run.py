@@ -1,0 +1,224 @@
+"""Let a session run: by a stream, or on a page that a person drives it from."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..config.record import RecordConfig
+from ..dataset.faults import explain
+from ..dataset.layout import episode_name
+from ..dataset.records import AttemptRecord
+from ..dataset.writer import DatasetWriter, OpenMode
+from ..errors import PartialJobError
+from ..resources import Locations
+from ..scene.compose import Meshes
+from ..viewers.address import PageAddress
+from .demonstrations import Desk, open_worker
+from .episode import require_one_arm
+from .stop import Stop
+from .teleop import TeleopSession
+from .teleop_stream import Command, Player
+from .view import require_page, task_viewpoint
+
+# A loop that fell behind by more goes on from where it is instead of racing, s.
+_LONGEST_CATCH_UP = 0.25
+# How long the end of a session waits for news at a time, s.
+_PATIENCE = 0.5
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """How far the time between two control ticks was from what it should be, ms.
+
+    Attributes:
+        rate_hz: how many ticks there should be in a second.
+        ticks: how many there were.
+    """
+
+    rate_hz: float
+    ticks: int
+    p50: float
+    p95: float
+    max: float
+
+
+class Pace:
+    """Keeps a loop at one turn a period, on a steady clock, and measures how well."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._due = time.monotonic()
+        self._began: list[float] = []
+
+    def wait(self) -> None:
+        """Until the next turn is due."""
+        now = time.monotonic()
+        if now - self._due > _LONGEST_CATCH_UP:
+            self._due = now
+        time.sleep(max(0.0, self._due - now))
+        self._began.append(time.monotonic())
+        self._due += self._period
+
+    @property
+    def jitter(self) -> Jitter | None:
+        """None before the second turn."""
+        if len(self._began) < 2:
+            return None
+        off = 1000 * np.abs(np.diff(self._began) - self._period)
+        p50, p95 = np.percentile(off, (50, 95))
+        return Jitter(1 / self._period, len(self._began), float(p50), float(p95), float(off.max()))
+
+
+@dataclass(frozen=True)
+class TeleopReport:
+    """What a session did.
+
+    Attributes:
+        episodes, attempts: in the dataset now.
+        trials: of this session, in order.
+        jitter: of the control ticks; None where they were not held to the clock.
+    """
+
+    path: Path
+    episodes: int
+    attempts: int
+    discarded: int
+    trials: tuple[AttemptRecord, ...]
+    jitter: Jitter | None
+
+
+@dataclass(frozen=True)
+class Seat:
+    """All that a session needs: the arm, and the desk that takes what was done with it."""
+
+    session: TeleopSession
+    desk: Desk
+    writer: DatasetWriter
+
+    def look(self, timeout: float = 0.0) -> None:
+        """Let the session know what came of its demonstrations; raises as `Desk.news`."""
+        session, desk = self.session, self.desk
+        news = desk.news(timeout)
+        session.episodes, session.waiting = desk.episodes, desk.waiting
+        if news is not None:
+            session.failures += news.episode is None
+            end = f"failed: {news.outcome.detail}" if news.episode is None else episode_name(news.episode)
+            session.message = f"attempt {news.attempt}: {end}"
+
+    def finish(self, jitter: Jitter | None) -> TeleopReport:
+        """Wait for what is not judged yet."""
+        while self.desk.waiting:
+            self.look(_PATIENCE)
+        self.writer.finish()
+        writer, trials = self.writer, tuple(self.desk.trials)
+        return TeleopReport(writer.path, writer.episodes, len(writer.attempts), self.session.discarded, trials, jitter)
+
+
+def check_page(address: PageAddress) -> None:
+    """Make sure that a page can be served, before a dataset is begun for it.
+
+    Raises:
+        UsageError: the address cannot be had.
+        ResourceError: the viewer library is not installed.
+    """
+    require_page()
+    from ..viewers.bodies_page import check_free
+
+    check_free(address)
+
+
+@contextlib.contextmanager
+def open_seat(
+    config: RecordConfig, locations: Locations, meshes: Meshes, out: Path, mode: OpenMode, warn: Callable[[str], None]
+) -> Iterator[Seat]:
+    """Open a dataset and an arm to fill it with.
+
+    Raises:
+        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter` and `require_one_arm`.
+        PartialJobError: the disk refused something.
+    """
+    require_one_arm(config)
+    with DatasetWriter(out, config.data_config(), mode) as writer:
+        if writer.moved_aside:
+            warn(f"What was in {out} is now in {writer.moved_aside}.")
+        for repair in writer.repairs:
+            warn(repair.removesuffix(", and made again"))
+        for lost in writer.missing:
+            warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
+        try:
+            with open_worker(config, locations, meshes) as worker, Desk(config, writer, worker) as desk:
+                yield Seat(TeleopSession(config, locations, meshes, desk), desk, writer)
+        except OSError as error:
+            raise PartialJobError(
+                f"{explain(error, out)}: {writer.episodes} episodes are whole in {out}; continue with --resume"
+            ) from error
+        except BaseException:
+            with contextlib.suppress(OSError):
+                writer.finish()
+            raise
+
+
+def run_stream(seat: Seat, commands: Sequence[Command], stop: Stop, *, realtime: bool) -> TeleopReport:
+    """Let a stream drive the arm; a recording that is still going on at its end is stopped, and
+    discarded where the user ends it.
+
+    Args:
+        realtime: hold the ticks to the clock; else they follow each other as fast as they can, with the same result.
+    """
+    session, player = seat.session, Player(commands)
+    pace = Pace(seat.session.tick_seconds) if realtime else None
+    while not stop.asked:
+        if pace is not None:
+            pace.wait()
+        player.act(session, session.time)
+        if player.done:
+            break
+        session.tick()
+        seat.look()
+    if session.recording and not stop.asked:
+        session.stop()
+    _leave(session)
+    return seat.finish(pace.jitter if pace else None)
+
+
+def _leave(session: TeleopSession) -> None:
+    """What was stopped is handed in; what was not is discarded."""
+    session.settle()
+    if session.recording:
+        session.discard()
+
+
+def run_page(
+    seat: Seat, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: Stop
+) -> TeleopReport:
+    """Serve a page until `stop` says so; a recording that is going on then is discarded.
+
+    Args:
+        address: see `check_page`.
+        ready: called with the page's URL once it is up, unless it is no longer wanted.
+
+    Raises:
+        UsageError: the address cannot be had.
+    """
+    from ..viewers.teleop_page import TeleopPage
+
+    page = TeleopPage(seat.session, task_viewpoint(config), address)
+    pace = Pace(seat.session.tick_seconds)
+    try:
+        if not stop.asked:
+            ready(page.url)
+        while not stop.asked:
+            pace.wait()
+            seat.session.tick()
+            page.update()
+            seat.look()
+    finally:
+        page.close()
+    _leave(seat.session)
+    return seat.finish(pace.jitter)

@@ -1,0 +1,134 @@
+"""A stream of commands, as a leader arm sends them: one JSON object a line, each with its time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
+
+from ..config.base import Config, Quaternion, Vector
+from ..errors import ConfigError
+from ..geometry.se3 import Array, pose_from_quat
+from .teleop import TeleopSession
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class PoseTarget(Config):
+    """A pose of `grasp_site` in the arm's base: position in m, quaternion wxyz."""
+
+    position: Vector
+    quaternion: Quaternion
+
+    @property
+    def T(self) -> Array:
+        """The pose (4, 4)."""
+        return pose_from_quat(self.position, self.quaternion)
+
+
+class Command(Config):
+    """One line of a stream; what it leaves out stays as it is.
+
+    Attributes:
+        t: seconds since the stream's beginning.
+        joints: of the arm, rad.
+        ee: `grasp_site` in the arm's base, as frames hold it in `ee_pose`.
+        gripper: opening of one finger, m.
+        magnet: whether it is on.
+        event: what to do with the recording.
+    """
+
+    t: Annotated[float, Field(ge=0, le=86400)]
+    joints: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    ee: tuple[Row, Row, Row, Row] | PoseTarget | None = None
+    gripper: Annotated[float, Field(ge=0, le=0.1)] | None = None
+    magnet: bool | None = None
+    event: Literal["start", "stop", "discard"] | None = None
+
+    @property
+    def T_grasp_in_base(self) -> Array | None:
+        """The end effector's target (4, 4), if this line has one."""
+        if self.ee is None:
+            return None
+        return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Command:
+        if self.joints is not None and self.ee is not None:
+            raise ValueError("give joints or ee, not both")
+        if self.ee is not None and not isinstance(self.ee, PoseTarget):
+            T = np.array(self.ee)
+            R = T[:3, :3]
+            if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
+                raise ValueError("ee is no pose: its upper left 3 x 3 is no rotation")
+            if not np.array_equal(T[3], (0, 0, 0, 1)):
+                raise ValueError("ee is no pose: its last row has to be 0 0 0 1")
+        return self
+
+
+def read_stream(file: Path) -> list[Command]:
+    """All commands of a file, in order of time.
+
+    Raises:
+        ConfigError: the file cannot be read, or a line of it is no command; the message names line and key.
+    """
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise ConfigError(f"--input {file} cannot be read: {reason}") from error
+    commands: list[Command] = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        command = _read(line, f"{file}:{number}")
+        if commands and command.t < commands[-1].t:
+            raise ConfigError(f"{file}:{number}: t {command.t:g} is before {commands[-1].t:g} of the line above")
+        commands.append(command)
+    if not commands:
+        raise ConfigError(f"--input {file} is empty: give one JSON object a line, such as {{'t': 0, 'event': 'start'}}")
+    return commands
+
+
+def _read(line: str, where: str) -> Command:
+    try:
+        return Command.model_validate_json(line)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise ConfigError(f"{where}: {key + ': ' if key else ''}{first['msg']}") from error
+
+
+class Player:
+    """Lets a stream's commands act, each on the first tick that begins at or after its time."""
+
+    def __init__(self, commands: Sequence[Command]) -> None:
+        self._commands = commands
+        self._next = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether every command has acted."""
+        return self._next == len(self._commands)
+
+    def act(self, session: TeleopSession, now: float) -> None:
+        """Let those act whose time has come, `now` in seconds since the stream's beginning."""
+        # A tick's beginning is a sum of many: what is meant for it must not miss it by rounding.
+        while not self.done and self._commands[self._next].t <= now + 1e-9:
+            self._apply(session, self._commands[self._next])
+            self._next += 1
+
+    def _apply(self, session: TeleopSession, command: Command) -> None:
+        if command.event is not None:
+            {"start": session.start, "stop": session.stop, "discard": session.discard}[command.event]()
+        if command.joints is not None:
+            session.aim_joints(np.array(command.joints))
+        if (T := command.T_grasp_in_base) is not None:
+            session.aim_grasp(T)
+        if command.gripper is not None:
+            session.set_gripper(command.gripper)
+        if command.magnet is not None:
+            session.set_magnet(command.magnet)

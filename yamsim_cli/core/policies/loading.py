@@ -1,0 +1,110 @@
+"""Policies by name: a class in a module or in a file of the user's."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from ..errors import UsageError, suggest
+from .base import IMAGES, Policy
+
+FORMS = "give scripted, hold_still, replay:DATASET, http://HOST:PORT, module:Class or file.py:Class"
+
+
+def load_policy(name: str, folder: Path) -> Policy:
+    """Make a policy of the user's.
+
+    Args:
+        name: `module:Class`, `file.py:Class`, or `file.py` where it has one class that can be called.
+        folder: where modules and files are looked for first.
+
+    Raises:
+        UsageError: there is no such thing, or it cannot be loaded or made.
+    """
+    place, _, attribute = name.partition(":")
+    is_file = place.endswith(".py")
+    if not is_file and not attribute:
+        raise UsageError(f"--policy {name!r} is not valid: {FORMS}")
+    try:
+        module = _load_file(folder / place) if is_file else _load_module(place, folder)
+        made = _find(module, attribute, name)()
+    except UsageError:
+        raise
+    # Code of others may raise anything; what it is, is told.
+    except Exception as error:
+        raise UsageError(f"--policy {name}: it cannot be loaded: {type(error).__name__}: {error}") from error
+    return check_policy(made, name)
+
+
+def _load_module(name: str, folder: Path) -> ModuleType:
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    return importlib.import_module(name)
+
+
+def _load_file(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"yamsim_policy_{path.stem}", path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise UsageError(f"--policy {path}: there is no such file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    # Its neighbours can be imported, as by a script.
+    if str(path.parent) not in sys.path:
+        sys.path.insert(0, str(path.parent))
+    spec.loader.exec_module(module)
+    return module
+
+
+def _find(module: ModuleType, attribute: str, name: str) -> Any:
+    own = {key: value for key, value in vars(module).items() if inspect.isclass(value)}
+    classes = {
+        key: value
+        for key, value in own.items()
+        if value.__module__ == module.__name__ and any("__call__" in vars(base) for base in value.__mro__)
+    }
+    if attribute:
+        if not hasattr(module, attribute):
+            raise UsageError(f"--policy {name}: it has no {attribute!r}; {suggest(attribute, classes)}")
+        return getattr(module, attribute)
+    if len(classes) != 1:
+        found = f"has the policies {', '.join(classes)}" if classes else "has no class that can be called"
+        raise UsageError(f"--policy {name} {found}: name one, as in {name}:{next(iter(classes), 'Class')}")
+    return next(iter(classes.values()))
+
+
+def check_policy(policy: Any, name: str) -> Policy:
+    """The object as a policy.
+
+    Raises:
+        UsageError: it has no `reset`, cannot be called, or asks for what there is not.
+    """
+    if not callable(policy) or not callable(getattr(policy, "reset", None)):
+        raise UsageError(
+            f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
+        )
+    for image in getattr(policy, "images", ()):
+        if image not in IMAGES:
+            raise UsageError(f"--policy {name}: it asks for the image {image!r}; {suggest(str(image), IMAGES)}")
+    ticks = getattr(policy, "ticks", 1)
+    if not isinstance(ticks, int) or ticks < 1:
+        raise UsageError(f"--policy {name}: ticks is {ticks!r}, and has to be a whole number from 1")
+    made: Policy = policy
+    return made
+
+
+def wanted_images(policy: Any) -> tuple[str, ...]:
+    """Which images a policy wants to see: "scene", "wrist"."""
+    return tuple(getattr(policy, "images", tuple(IMAGES)))
+
+
+def reset_policy(policy: Any, seed: int) -> None:
+    """Reset a policy; it is given the seed if it has a parameter of that name."""
+    if "seed" in inspect.signature(policy.reset).parameters:
+        policy.reset(seed=seed)
+    else:
+        policy.reset()

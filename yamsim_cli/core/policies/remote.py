@@ -1,0 +1,93 @@
+"""A policy that runs in another process, here or elsewhere, asked over HTTP."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+from ..errors import ResourceError, UsageError
+from .base import Observation
+from .wire import PROTOCOL, WireError, pack, require_msgpack, unpack
+
+
+class RemoteError(RuntimeError):
+    """The server's policy raised something, or the server is gone."""
+
+
+class RemotePolicy:
+    """Asks a server, see `yamsim_cli.policy_server`, for every action.
+
+    A session of its own keeps it apart from the server's other clients. One connection serves all calls.
+
+    Attributes:
+        images, ticks: what the server's policy asks for.
+
+    Args:
+        url: such as `http://127.0.0.1:8080`.
+        timeout: seconds to wait for an answer.
+
+    Raises:
+        UsageError: the URL is not one.
+        ResourceError: nobody answers there, or in another protocol.
+    """
+
+    def __init__(self, url: str, timeout: float) -> None:
+        require_msgpack()
+        parts = urlsplit(url)
+        if parts.scheme != "http" or not parts.hostname or parts.path.strip("/"):
+            raise UsageError(f"--policy {url} is not valid: give http://HOST:PORT")
+        self._url = url
+        self._connection = http.client.HTTPConnection(parts.hostname, parts.port or 80, timeout=timeout)
+        try:
+            session = self._ask("session", {"protocol": PROTOCOL})
+            self.images, self.ticks = tuple(session["images"]), int(session["ticks"])
+            self._session = session["session"]
+        except (OSError, RemoteError, KeyError, TypeError, ValueError) as error:
+            raise ResourceError(
+                f"--policy {url}: no policy answers there: {error}; start one with yamsim serve-policy"
+            ) from error
+
+    def reset(self, seed: int) -> None:
+        """Tell the server's policy to forget the trial before."""
+        self._ask("reset", {"session": self._session, "seed": seed})
+
+    def __call__(self, observation: Observation) -> Mapping[str, Any]:
+        """The server's policy's answer.
+
+        Raises:
+            RemoteError: it raised, or the server is gone.
+            TimeoutError: it did not answer in time.
+        """
+        answer = self._ask("act", {"session": self._session, "observation": dict(observation)})
+        action: Mapping[str, Any] = answer["action"]
+        return action
+
+    def close(self) -> None:
+        """Tell the server that this was all."""
+        with contextlib.suppress(OSError, RemoteError, AttributeError):
+            self._ask("close", {"session": self._session})
+        self._connection.close()
+
+    def _ask(self, what: str, message: Mapping[str, Any]) -> dict[str, Any]:
+        try:
+            self._connection.request("POST", f"/{what}", pack(message), {"Content-Type": "application/msgpack"})
+            response = self._connection.getresponse()
+            data = response.read()
+        except TimeoutError:
+            self._connection.close()
+            raise
+        except (OSError, http.client.HTTPException) as error:
+            self._connection.close()
+            raise RemoteError(f"{self._url} is gone: {str(error) or type(error).__name__}") from error
+        try:
+            answer = unpack(data)
+        except WireError as error:
+            raise RemoteError(f"{self._url} answers {response.status} and no message of this protocol") from error
+        if not isinstance(answer, dict):
+            raise RemoteError(f"{self._url} answers with {type(answer).__name__}")
+        if "error" in answer:
+            raise RemoteError(str(answer["error"]))
+        return answer

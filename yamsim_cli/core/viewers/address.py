@@ -1,0 +1,36 @@
+"""Where a browser page listens."""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+
+LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class PageAddress:
+    """The address of a browser page.
+
+    Attributes:
+        port: to listen on; 0 takes a free one.
+        host: an address or name of this machine; `0.0.0.0` for all of them.
+    """
+
+    port: int = 0
+    host: str = LOOPBACK
+
+    @property
+    def is_private(self) -> bool:
+        """Whether nobody but this machine's users can reach it."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+    @property
+    def url_host(self) -> str:
+        """The host as a URL on this machine has it."""
+        if self.host in ("0.0.0.0", "::"):
+            return LOOPBACK
+        return f"[{self.host}]" if ":" in self.host else self.host

@@ -1,0 +1,125 @@
+"""Serve a policy to `yamsim eval --policy http://HOST:PORT`, from any process that can import yamsim.
+
+    from yamsim_cli.policy_server import PolicyServer
+
+    with PolicyServer(MyPolicy, port=8080) as server:
+        print(server.url)
+        server.serve_forever()
+
+Needs numpy and msgpack alone. Every client has a policy of its own, made by calling what was given; calls are made one
+at a time, whoever asks. It listens on 127.0.0.1 unless told otherwise, and asks nobody who they are.
+"""
+
+from __future__ import annotations
+
+import secrets
+import sys
+import threading
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from .core.errors import ResourceError
+from .core.policies.loading import check_policy, reset_policy, wanted_images
+from .core.policies.wire import PROTOCOL, WireError, pack, require_msgpack, unpack
+
+LOOPBACK = "127.0.0.1"
+
+# Two pictures of 1920 x 1080 are a quarter of it.
+_LARGEST = 64_000_000
+_MOST_SESSIONS = 256
+
+
+class PolicyServer(ThreadingHTTPServer):
+    """Answers clients until `shutdown`; leaving it as a context manager closes the port.
+
+    Args:
+        make_policy: makes a policy, see `core.policies.base.Policy`; called for every client.
+        host: address to listen on; beyond 127.0.0.1, anybody who reaches it can use it.
+        port: 0 takes a free one.
+
+    Raises:
+        ResourceError: msgpack is not installed, or the port cannot be had.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = True
+
+    def __init__(self, make_policy: Callable[[], Any], host: str = LOOPBACK, port: int = 8080) -> None:
+        require_msgpack()
+        self._make = make_policy
+        self._sessions: dict[str, Any] = {}
+        # Models are rarely safe to be asked by two threads, and a GPU has no more to give.
+        self._one_at_a_time = threading.Lock()
+        try:
+            super().__init__((host, port), _Handler)
+        except OSError as error:
+            raise ResourceError(f"{host}:{port} cannot be listened on: {error.strerror}; try another --port") from error
+
+    @property
+    def url(self) -> str:
+        """Where it is reached."""
+        host, port = self.server_address[:2]
+        return f"http://{host if isinstance(host, str) else host.decode()}:{port}"
+
+    def answer(self, what: str, message: Any) -> dict[str, Any]:
+        """Answer a message; what goes wrong is an answer too."""
+        with self._one_at_a_time:
+            try:
+                return self._answer(what, message)
+            # The policy may raise anything; the client is told, and the server goes on.
+            except Exception as error:  # noqa: BLE001
+                return {"error": f"{type(error).__name__}: {error}"}
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over clients that went without a word, as a worker does that is ended: nothing is lost with them."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+    def _answer(self, what: str, message: Any) -> dict[str, Any]:
+        if what == "session":
+            if message["protocol"] != PROTOCOL:
+                raise WireError(f"this server speaks version {PROTOCOL}, and not {message['protocol']}")
+            if len(self._sessions) >= _MOST_SESSIONS:
+                self._sessions.pop(next(iter(self._sessions)))
+            policy = check_policy(self._make(), "of the server")
+            session = secrets.token_hex(8)
+            self._sessions[session] = policy
+            return {"session": session, "images": list(wanted_images(policy)), "ticks": getattr(policy, "ticks", 1)}
+        policy = self._sessions[message["session"]]
+        if what == "reset":
+            reset_policy(policy, message["seed"])
+            return {}
+        if what == "act":
+            return {"action": dict(policy(message["observation"]))}
+        if what == "close":
+            del self._sessions[message["session"]]
+            return {}
+        raise WireError(f"there is no /{what}")
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PolicyServer
+    # Keeps the connection: a new one for every action would cost more than the action.
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+
+    def do_POST(self) -> None:
+        """One message, and its answer."""
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > _LARGEST:
+            self.send_error(413)
+            return
+        try:
+            answer = self.server.answer(self.path.strip("/"), unpack(self.rfile.read(int(length))))
+        except WireError as error:
+            answer = {"error": str(error)}
+        data = pack(answer)
+        self.send_response(200)
+        self.send_header("Content-Type", "application/msgpack")
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing: thirty requests a second are no news."""
