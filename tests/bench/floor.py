@@ -35,7 +35,7 @@ def floor_seconds(using: Setting, runner: EpisodeRunner, rollout: Rollout, place
     config, scene = using.config, runner.scene
     physics, drawing, encoding, writing = (Stopwatch() for _ in range(4))
     with physics:
-        held = phases(config.task, config.grasp)
+        held = [phases(config.task, config.grasp)]
         simulate(scene, rollout.states[0].qpos, actions_of(rollout), config.task.object.name, config.task.timing, held)
     data = mujoco.MjData(scene.model)
     width, height = config.image.size_px

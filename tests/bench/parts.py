@@ -38,7 +38,7 @@ def measure_parts(episodes: int) -> dict[str, float]:
         rollout = runner.simulate(EpisodeJob(0, 0))[2]
         assert rollout is not None
         figures["solve IK, from another pose of a trial"] = _ik_seconds(
-            [state.qpos[runner.scene.joint_qpos] for state in rollout.states]
+            [state.qpos[runner.scene.arm.joint_qpos] for state in rollout.states]
         )
     for quality, repetitions in _QUALITIES.items():
         figures |= _drawing(quality, rollout.states[20].qpos, repetitions)

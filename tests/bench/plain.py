@@ -64,7 +64,7 @@ class PlainPipeline:
     def make(self, rollout: Rollout, out: Path) -> list[NDArray[np.uint8]]:
         """Solve, simulate, draw and write one episode into `out`; the pictures as they were drawn."""
         actions = actions_of(rollout)
-        self._solve(rollout.states[0].qpos[self._scene.joint_qpos], actions)
+        self._solve(rollout.states[0].qpos[self._scene.arm.joint_qpos], actions)
         return self._simulate_and_draw(rollout.states[0].qpos, actions, out)
 
     def _solve(self, start: NDArray[np.float64], actions: Actions) -> None:
@@ -91,10 +91,10 @@ class PlainPipeline:
         scene.reset(data, start)
         images = []
         for tick, ctrl in enumerate(actions.ctrl):
-            if actions.magnet[tick] and not data.eq_active[scene.weld]:
+            if actions.magnet[tick] and not data.eq_active[scene.arm.weld]:
                 mujoco.mj_kinematics(model, data)
-                attach(scene, data, carried)
-            data.eq_active[scene.weld] = actions.magnet[tick]
+                attach(model, scene.arm, data, carried)
+            data.eq_active[scene.arm.weld] = actions.magnet[tick]
             data.ctrl[:] = ctrl
             if tick % timing.ticks_per_frame == 0:
                 mujoco.mj_forward(model, data)

@@ -12,6 +12,7 @@ from yamsim_cli.core.errors import UsageError
 from .console import note, print_json, print_table, progress_bar
 from .pages import require_free
 from .session import (
+    Arm,
     ConfigOption,
     Grasp,
     Json,
@@ -54,6 +55,7 @@ def batch(
         float | None, typer.Option(help="Largest distance from the target's centre, m.  [default: the task's, 0.05]")
     ] = None,
     grasp: Grasp = None,
+    arm: Arm = None,
     workers: Workers = None,
     out: Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")] = None,
     html: Annotated[Path | None, typer.Option(help="Also write a page with plots, over the sampling box too.")] = None,
@@ -82,9 +84,9 @@ def batch(
     if html:
         require_free(html, overwrite)
     where = locations()
-    flags = job_flags(rig=rig, task=task, item=item, target=target, n=n, workers=workers, seed=seed, grasp=grasp) | {
-        "--threshold": (("task", "success", "threshold"), threshold)
-    }
+    flags = job_flags(
+        rig=rig, task=task, item=item, target=target, n=n, workers=workers, seed=seed, grasp=grasp, arm=arm
+    ) | {"--threshold": (("task", "success", "threshold"), threshold)}
     settings = record_config(config, where, flags)
     if video is None:
         skip_gl()
@@ -107,7 +109,7 @@ def batch(
     if html:
         from yamsim_cli.core.jobs.report import write_trials_page
 
-        write_trials_page(report, settings.task.sampling, html)
+        write_trials_page(report, settings.sampled, html)
         report["html"] = str(html)
         note(f"The page is in {html}.")
     if json:

@@ -12,6 +12,7 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line, progress_bar
 from .session import (
+    Arm,
     ConfigOption,
     Grasp,
     Json,
@@ -49,6 +50,7 @@ def record(
     item: Object = None,
     target: Target = None,
     rig: Rig = None,
+    arm: Arm = None,
     grasp: Grasp = None,
     wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
     randomize: Annotated[
@@ -85,7 +87,9 @@ def record(
     """
     mode = mode_of(resume=resume, overwrite=overwrite)
     where = locations()
-    flags = job_flags(rig=rig, task=task, item=item, target=target, n=n, workers=workers, seed=seed, grasp=grasp) | {
+    flags = job_flags(
+        rig=rig, task=task, item=item, target=target, n=n, workers=workers, seed=seed, grasp=grasp, arm=arm
+    ) | {
         "--wrist": (("wrist",), wrist),
         "--boards": (("boards",), boards),
         "--truth": (("truth",), truth),

@@ -46,6 +46,10 @@ Grasp = Annotated[
         "(--rig single_linear).  [default: weld]",
     ),
 ]
+Arm = Annotated[
+    str | None,
+    typer.Option(metavar="left|right", help="Which arm of a rig with two does the task.  [default: right]"),
+]
 Seed = Annotated[int | None, typer.Option(help="Everything random follows from it.")]
 Quality = Annotated[
     str | None, typer.Option(help="fast, balanced, high, auto (by what draws), or a YAML file.  [default: auto]")
@@ -73,6 +77,7 @@ def job_flags(
     workers: int | None,
     seed: int | None,
     grasp: str | None,
+    arm: str | None,
 ) -> Flags:
     """The flags that `record` and `pickplace batch` share, each with the config key it overrides."""
     return {
@@ -84,6 +89,7 @@ def job_flags(
         "--workers": (("workers",), workers),
         "--seed": (("seed",), seed),
         "--grasp": (("grasp",), grasp),
+        "--arm": (("arm",), arm),
     }
 
 

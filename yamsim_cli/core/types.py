@@ -8,6 +8,9 @@ from enum import StrEnum
 
 from .geometry.se3 import Array
 
+# Whether the weld holds; of two arms, whether each one's does, the left one's first.
+Holds = bool | tuple[bool, ...]
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -45,15 +48,17 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class Phases:
-    """When, in control ticks, a plan has the object in hand.
+    """When, in control ticks, an arm has the object in hand.
 
     Attributes:
         reached: the first tick by which the hand must not have moved the object.
         held: the ticks during which the object is to move with the hand.
+        arm: which arm's hand: 0 of a lone arm or of the left one, 1 of the right one.
     """
 
     reached: int
     held: range
+    arm: int = 0
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,7 @@ class Plan:
         grasp, release: indices of the waypoints at which the hand takes the object and lets go of it.
         weld: whether a weld holds the object, or friction alone.
         phases: when it is held.
+        settle_ticks: control ticks after the last waypoint, in which the arm goes back to where it started.
     """
 
     object: str
@@ -79,6 +85,7 @@ class Plan:
     release: int
     weld: bool
     phases: Phases
+    settle_ticks: int
 
 
 @dataclass(frozen=True)
@@ -118,13 +125,13 @@ class Actions:
 
     Attributes:
         ctrl: what the drives are told during each tick (n, nu), rad and m.
-        magnet: whether the weld holds during each tick, (n,) of bool.
-        joints: the six joints and the finger opening (n, 7) that the plan asks for at the end of each tick, rad and m.
-            Nothing in physics depends on them.
+        magnet: whether the weld holds during each tick, n of them.
+        joints: the six joints and the finger opening of each arm (n, 7 or 14), the left one first, that the plan asks
+            for at the end of each tick, rad and m. Nothing in physics depends on them.
     """
 
     ctrl: Array
-    magnet: tuple[bool, ...]
+    magnet: tuple[Holds, ...]
     joints: Array
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tests.core.dataset.making import CAMERA, frame
-from yamsim_cli.core.dataset.lowdim import SHAPES, content_hash, dump_frame, flat, frame_data, load_frame
+from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, flat, frame_data, load_frame, shapes
 from yamsim_cli.core.errors import DatasetError
 
 
@@ -57,7 +57,7 @@ def test_a_frames_keys_come_in_one_order():
 def test_the_wrist_cameras_matrix_is_stored_on_its_own_too():
     K = np.diag([5.0, 6.0, 1.0])
     data = frame_data(
-        **{key: np.zeros(shape) for key, shape in SHAPES.items()},
+        **{key: np.zeros(shape) for key, shape in shapes(1).items()},
         timestamp=0,
         intrinsics={"scene": np.eye(3), "wrist": K},
         extrinsics={},

@@ -9,12 +9,12 @@ from tests.core.dataset.making import CAMERA, frame
 from yamsim_cli.core.dataset.actions import recorded_actions
 from yamsim_cli.core.dataset.checks.lowdim import frame_faults
 from yamsim_cli.core.dataset.lowdim import (
-    SHAPES,
     SimulationData,
     dump_frame,
     frame_data,
     has_simulation,
     load_frame,
+    shapes,
 )
 from yamsim_cli.core.errors import DatasetError
 
@@ -25,7 +25,7 @@ CTRL = 0.2 + np.arange(14).reshape(2, 7) * 1e-12
 
 
 def simulated() -> dict:
-    plain = {key: np.zeros(shape) for key, shape in SHAPES.items()}
+    plain = {key: np.zeros(shape) for key, shape in shapes(1).items()}
     return frame_data(
         **plain,
         timestamp=0.064,
@@ -65,6 +65,7 @@ def test_a_frame_has_all_of_it_or_none():
         ({"sim_qpos": QPOS * 1e300}, "sim_qpos has values that are not finite, or beyond 1000 m or rad"),
         ({"sim_magnet": [True, False]}, "sim_magnet is list, not bool with 1 dimensions"),
         ({"sim_magnet": np.array([True])}, "sim_ctrl has 2 ticks and sim_magnet 1"),
+        ({"sim_magnet": np.ones((2, 2), bool)}, "sim_magnet is bool (2, 2), not bool with 1 dimensions"),
     ],
 )
 def test_each_fault_is_named(change, fault):

@@ -200,7 +200,7 @@ def test_the_drive_is_told_to_close_further_than_the_object_lets_it(runner: Epis
         tilt=0.0,
     )
     # 2 x 15 N over 2000 N/m; and no further than the drive can be told.
-    np.testing.assert_allclose(path_actions(scene, path).ctrl[:, 6], (0.018, 0.003, -0.005))
+    np.testing.assert_allclose(path_actions(scene, [path]).ctrl[:, 6], (0.018, 0.003, -0.005))
 
 
 def test_the_command_counts_and_reports(tmp_path: Path) -> None:

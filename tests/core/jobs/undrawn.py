@@ -65,6 +65,7 @@ def write_dataset(
                 frames=len(frames),
                 frame_period_s=0.064,
                 cameras=dict.fromkeys(cameras, SIZE),
+                arms=len(config.rig.arms),
                 objects=[config.task.object.name, config.task.target.name],
                 outcome=OutcomeRecord.of(outcome),
                 max_height_m=config.task.success.max_height,

@@ -38,8 +38,8 @@ def test_size_of_the_model(scene: CompiledScene) -> None:
 
 
 def test_weld_starts_inactive(scene: CompiledScene, config: RecordConfig) -> None:
-    assert not _start(scene, config, 0).eq_active[scene.weld]
-    assert scene.model.equality(WELD).id == scene.weld
+    assert not _start(scene, config, 0).eq_active[scene.arm.weld]
+    assert scene.model.equality(WELD).id == scene.arm.weld
 
 
 @pytest.mark.parametrize("seed", range(20))

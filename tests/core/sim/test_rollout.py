@@ -41,7 +41,7 @@ def path(config: RecordConfig, locations: Locations, scene: CompiledScene, layou
 
 
 def _run(scene: CompiledScene, config: RecordConfig, layout: Layout, path: JointPath) -> Rollout:
-    return roll_out(scene, layout, path, "banana", config.task.timing, phases(config.task, config.grasp))
+    return roll_out(scene, layout, [path], "banana", config.task.timing, [phases(config.task, config.grasp)])
 
 
 @pytest.fixture(scope="module")
@@ -107,15 +107,15 @@ def test_attaching_moves_nothing(scene: CompiledScene, config: RecordConfig, lay
     mujoco.mj_step(scene.model, data, 200)
     mujoco.mj_kinematics(scene.model, data)
     before = object_pose(data, "banana")
-    attach(scene, data, "banana")
-    data.eq_active[scene.weld] = True
+    attach(scene.model, scene.arm, data, "banana")
+    data.eq_active[scene.arm.weld] = True
     mujoco.mj_step(scene.model, data, 50)
     mujoco.mj_kinematics(scene.model, data)
     np.testing.assert_allclose(object_pose(data, "banana"), before, atol=2e-3)
 
 
 def test_arm_follows_its_reference(scene: CompiledScene, rollout: Rollout, path: JointPath) -> None:
-    reached = np.array([state.qpos[scene.joint_qpos] for state in rollout.states])
+    reached = np.array([state.qpos[scene.arm.joint_qpos] for state in rollout.states])
     assert np.abs(reached - path.joints[:-1:2]).max() < 0.25
 
 
@@ -128,17 +128,16 @@ def test_action_is_the_plan_and_ctrl_what_the_drives_got(
         np.testing.assert_allclose(acting.joints[:, :6], path.joints[2 * k + 1 : 2 * k + 3])
         assert acting.joints[0, 6] == acting.ctrl[0, 6] == path.gripper[2 * k]
         assert acting.magnet == path.magnet[2 * k : 2 * k + 2]
-        np.testing.assert_array_equal(acting.ctrl[1, :6], drive_command(scene, path, 2 * k + 1))
-        assert (acting.ctrl[:, :6] >= scene.ctrl_range[:, 0]).all()
-        assert (acting.ctrl[:, :6] <= scene.ctrl_range[:, 1]).all()
+        np.testing.assert_array_equal(acting.ctrl[1, :6], drive_command(scene.arm, path, 2 * k + 1))
+        assert (acting.ctrl[:, :6] >= scene.arm.ctrl_range[:, 0]).all()
+        assert (acting.ctrl[:, :6] <= scene.arm.ctrl_range[:, 1]).all()
 
 
 def test_recorded_actions_give_the_same_bits_from_the_first_frame(
     scene: CompiledScene, config: RecordConfig, rollout: Rollout
 ) -> None:
-    again = simulate(
-        scene, rollout.states[0].qpos, joined(rollout.states), "banana", config.task.timing, phases(config.task, "weld")
-    )
+    held = [phases(config.task, "weld")]
+    again = simulate(scene, rollout.states[0].qpos, joined(rollout.states), "banana", config.task.timing, held)
     for before, after in zip(rollout.states, again.states, strict=True):
         assert (before.qpos == after.qpos).all()
     assert (rollout.T_in_world["banana"] == again.T_in_world["banana"]).all()
@@ -148,13 +147,13 @@ def test_one_action_a_frame_would_not_be_enough(scene: CompiledScene, config: Re
     """Why every tick's command is kept: the first one of each frame, held for both ticks, lets the arm drift off."""
     actions = joined(rollout.states)
     held = Actions(actions.ctrl[::2].repeat(2, axis=0), actions.magnet, actions.joints)
-    again = simulate(scene, rollout.states[0].qpos, held, "banana", config.task.timing, phases(config.task, "weld"))
+    again = simulate(scene, rollout.states[0].qpos, held, "banana", config.task.timing, [phases(config.task, "weld")])
     apart = [
-        np.abs((before.qpos - after.qpos)[scene.joint_qpos]).max()
+        np.abs((before.qpos - after.qpos)[scene.arm.joint_qpos]).max()
         for before, after in zip(rollout.states, again.states, strict=True)
     ]
     assert max(apart) > 0.02
 
 
 def test_a_drive_at_rest_is_told_its_reference(scene: CompiledScene, path: JointPath) -> None:
-    np.testing.assert_allclose(drive_command(scene, path, 113), path.joints[-1], atol=0.02)
+    np.testing.assert_allclose(drive_command(scene.arm, path, 113), path.joints[-1], atol=0.02)

@@ -9,9 +9,9 @@ from pydantic import Field, model_validator
 
 from .base import Config, Name, Reference
 from .randomization import RandomizationConfig
-from .rig import RigConfig
+from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
-from .task import TaskConfig
+from .task import Sampling, TaskConfig
 
 
 class ImageConfig(Config):
@@ -51,6 +51,7 @@ class RenderConfig(Config):
 
 
 GraspKind = Literal["weld", "contact"]
+Side = Literal["left", "right"]
 
 # Grippers whose fingers can hold an object by friction.
 _PADS = ("linear_4310",)
@@ -63,6 +64,7 @@ class RecordConfig(Config):
     """What `yamsim record` and `yamsim pickplace batch` run.
 
     Attributes:
+        arm: which of two arms does the task; a rig's only arm does it in any case.
         grasp: "weld" holds the object by a constraint switched on at the grasp, as the lab's magnet does; "contact" by
             friction between a gripper's pads alone.
         episodes: how many successful episodes to record, or trials to run.
@@ -77,6 +79,8 @@ class RecordConfig(Config):
     rig: Annotated[RigConfig, Reference("rigs")]
     scene: Annotated[SceneConfig, Reference("scenes")]
     task: Annotated[TaskConfig, Reference("tasks")]
+    # Left out where it is the default, so that datasets of one arm say what they always said.
+    arm: Annotated[Side, Field(exclude_if=lambda side: side == "right")] = "right"
     grasp: GraspKind
     episodes: int = Field(default=500, ge=1, le=1_000_000)
     workers: int = Field(default=2, ge=1, le=1024)
@@ -112,6 +116,27 @@ class RecordConfig(Config):
         return self
 
     @model_validator(mode="after")
+    def _has_the_arm(self) -> RecordConfig:
+        if self.arm != "right" and self.arm not in (sides := [arm.side for arm in self.rig.arms]):
+            raise ValueError(f"arm {self.arm!r}: rig {self.rig.name!r} has only a {sides[0]} one; leave `arm` out")
+        return self
+
+    @model_validator(mode="after")
+    def _can_hand_over(self) -> RecordConfig:
+        if self.task.exchange is None:
+            return self
+        if len(self.rig.arms) < 2:
+            raise ValueError(
+                f"task {self.task.name!r} needs two arms, and rig {self.rig.name!r} has one; use --rig bimanual"
+            )
+        if self.arm != "right" or self.grasp != "weld":
+            raise ValueError(
+                f"task {self.task.name!r}: the right arm gives to the left one and both hold by the weld; leave out "
+                f"arm {self.arm!r} and grasp {self.grasp!r}"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _can_be_held(self) -> RecordConfig:
         if self.grasp != "contact":
             return self
@@ -131,9 +156,49 @@ class RecordConfig(Config):
 
     @property
     def table(self) -> Table:
-        """The scene's table."""
-        assert self.scene.table is not None
-        return self.scene.table
+        """The table, as wide as the rig needs it."""
+        table = self.surroundings.table
+        assert table is not None  # checked when the config was loaded
+        return table
+
+    @property
+    def surroundings(self) -> SceneConfig:
+        """The scene, as wide as the rig needs it."""
+        return self.scene.for_span(self.rig.span)
+
+    @property
+    def acting(self) -> tuple[int, ...]:
+        """Numbers, in the rig, of the arms that do the task: the one that picks first, the one that places last."""
+        by_side = {arm.side: k for k, arm in enumerate(self.rig.arms)}
+        if self.task.exchange is not None:
+            return by_side["right"], by_side["left"]
+        return (by_side.get(self.arm, 0),)
+
+    @property
+    def acting_scene_arms(self) -> tuple[int, ...]:
+        """The same arms, by their numbers in a compiled scene and in recordings: the left one of two is 0."""
+        return tuple(self.rig.recorded.index(k) for k in self.acting)
+
+    @property
+    def wrist_arms(self) -> tuple[ArmConfig, ...]:
+        """The arms whose wrist cameras are recorded: those that act, if any are."""
+        return tuple(self.rig.arms[k] for k in self.rig.recorded if k in self.acting) if self.wrist else ()
+
+    @property
+    def object_box(self) -> Sampling:
+        """Where the object starts, in `world`: the task's box, which is given for an arm at 0, at the picking arm."""
+        return self.task.sampling.moved(self.rig.place_y(self.acting[0]))
+
+    @property
+    def target_box(self) -> Sampling:
+        """Where the target stands, in `world`: as `object_box`, for the arm that places."""
+        return self.task.sampling.moved(self.rig.place_y(self.acting[-1]))
+
+    @property
+    def sampled(self) -> Sampling:
+        """The smallest box around both."""
+        ends = (*self.object_box.y, *self.target_box.y)
+        return self.task.sampling.model_copy(update={"y": (min(ends), max(ends))})
 
     def data_config(self) -> dict[str, Any]:
         """Everything that decides an episode's bytes, as plain data: how many there are and who makes them does not."""

@@ -143,10 +143,23 @@ class RigConfig(Config):
     margin: NonNegative = 0.0
     arms: tuple[ArmConfig, ...] = Field(min_length=1, max_length=2)
 
+    @property
+    def span(self) -> float:
+        """Distance between the places of the outermost arms, m; 0 for a lone one."""
+        return (len(self.arms) - 1) * self.margin
+
+    @property
+    def recorded(self) -> tuple[int, ...]:
+        """Numbers of the arms in the order in which recordings hold them: the left one first."""
+        return tuple(sorted(range(len(self.arms)), key=lambda k: self.arms[k].side))
+
+    def place_y(self, arm: int) -> float:
+        """Where an arm's place is along world y, m."""
+        return (arm - (len(self.arms) - 1) / 2) * self.margin
+
     def T_base_in_world(self, arm: int) -> Array:
         """Pose (4, 4) of an arm's base."""
-        place = pose((0.0, (arm - (len(self.arms) - 1) / 2) * self.margin, 0.0))
-        return place @ self.arms[arm].base.T
+        return pose((0.0, self.place_y(arm), 0.0)) @ self.arms[arm].base.T
 
     @model_validator(mode="after")
     def _distinct(self) -> RigConfig:

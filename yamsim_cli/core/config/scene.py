@@ -244,6 +244,11 @@ class Table(Config):
         """Height of the surface in `world`, m."""
         return self.position[2] + self.half_size[2]
 
+    def widened(self, by: float) -> Table:
+        """The same table, wider along world y by so many metres."""
+        x, y, z = self.half_size
+        return self.model_copy(update={"half_size": (x, y + by / 2, z)})
+
 
 class Light(Config):
     """A directional light: where it shines towards, and its colour.
@@ -258,6 +263,10 @@ class Light(Config):
     castshadow: bool = False
 
 
+# How far a camera steps back for each metre that the scene grows wider.
+_STEP_BACK = 0.5
+
+
 class FixedCamera(Config):
     """A camera that stands still in `world`: its position and the point it looks at (m); image up is world up."""
 
@@ -270,6 +279,12 @@ class FixedCamera(Config):
         if math.dist(self.position, self.look_at) < 1e-6:
             raise ValueError("position and look_at are the same point")
         return self
+
+    def stepped_back(self, by: float) -> FixedCamera:
+        """The same camera, so many metres farther from what it looks at."""
+        away = 1 + by / math.dist(self.position, self.look_at)
+        x, y, z = (at + away * (p - at) for p, at in zip(self.position, self.look_at, strict=True))
+        return self.model_copy(update={"position": (x, y, z)})
 
 
 class SceneConfig(Config):
@@ -296,3 +311,16 @@ class SceneConfig(Config):
         if self.table and self.safety_plane >= self.table.top:
             raise ValueError(f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top} m")
         return self
+
+    def for_span(self, span: float) -> SceneConfig:
+        """The surroundings, given for one arm, of arms whose places lie `span` metres apart: a wider table, and the
+        scene camera farther back, so that it sees all of it.
+        """
+        if not span:
+            return self
+        return self.model_copy(
+            update={
+                "table": self.table and self.table.widened(span),
+                "scene_camera": self.scene_camera and self.scene_camera.stepped_back(_STEP_BACK * span),
+            }
+        )

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from .base import Config, Name, NonNegative, Positive, Range, Reference
-from .scene import ObjectConfig
+from .scene import GraspPoint, ObjectConfig
 
 
 class Sampling(Config):
@@ -24,6 +24,10 @@ class Sampling(Config):
     target_yaw_deg: Range
     min_separation: NonNegative
     clearance: NonNegative
+
+    def moved(self, y: float) -> Sampling:
+        """The same box, shifted along world y by so many metres."""
+        return self.model_copy(update={"y": (self.y[0] + y, self.y[1] + y)})
 
 
 class Heights(Config):
@@ -74,13 +78,40 @@ class Success(Config):
     max_speed: Positive
 
 
+class Exchange(Config):
+    """How one hand gives the object to another, in the air between two arms.
+
+    Attributes:
+        object: name of the one that `points` are given for.
+        x: of the place in `world`, m; it lies in the middle between the arms.
+        height: of the object's origin over where it lies on the table, m.
+        points: where the two hands may hold the object: either hand at either one, the other at the other.
+        clear: how far, along the object, the taking hand comes from and the giving hand goes to, m.
+        carry_ticks: control ticks from the lift to the exchange, and from the exchange to the place.
+        take_ticks: control ticks in which the taking hand moves in and closes.
+        both_ticks: control ticks in which both hold, and the giving hand opens.
+    """
+
+    object: Name
+    x: FiniteFloat
+    height: Positive
+    points: tuple[GraspPoint, GraspPoint]
+    clear: Positive
+    carry_ticks: int = Field(ge=4, le=1000)
+    take_ticks: int = Field(ge=2, le=1000)
+    both_ticks: int = Field(ge=2, le=1000)
+
+
 class TaskConfig(Config):
     """Something to demonstrate with `object` and `target`.
 
     Attributes:
-        kind: what is done with them, one of `core.tasks.kinds`: pickplace picks `object` up and puts it onto `target`.
+        kind: what is done with them, one of `core.tasks.kinds`: pickplace picks `object` up and puts it onto `target`,
+            handover does so with two arms, which hand it over on the way.
         language_task, language_prompt: how the task is called and told in the data; {object}, {target} and the target's
             {preposition} are filled in.
+        sampling: for an arm at the origin; of two arms, it is moved to the one that picks and the one that places.
+        exchange: of a task in which the right arm hands the object to the left one; no other has any.
     """
 
     name: Name
@@ -94,6 +125,7 @@ class TaskConfig(Config):
     heights: Heights
     timing: Timing
     success: Success
+    exchange: Annotated[Exchange | None, Field(exclude_if=lambda exchange: exchange is None)] = None
 
     @field_validator("language_task", "language_prompt")
     @classmethod
@@ -116,4 +148,11 @@ class TaskConfig(Config):
             raise ValueError(f"object and target are both {self.object.name!r}")
         if not self.target.carries:
             raise ValueError(f"target {self.target.name!r} has neither a floor nor a flat top to put something on")
+        if (self.kind == "handover") != (self.exchange is not None):
+            raise ValueError(f"kind {self.kind!r} and `exchange`: a handover needs one, and no other task may have one")
+        if self.exchange is not None and self.exchange.object != self.object.name:
+            raise ValueError(
+                f"`exchange` says where two hands may hold the {self.exchange.object}, not the {self.object.name}; "
+                "hand over that, or give the points in a task config of your own"
+            )
         return self

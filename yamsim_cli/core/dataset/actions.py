@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import DatasetError
 from ..geometry.se3 import Array
-from ..types import Actions
+from ..types import Actions, Holds
 from .lowdim import has_simulation
 
 
@@ -39,7 +40,12 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
     counts = [len(frame["sim_ctrl"]) for frame in frames]
     actions = Actions(
         ctrl=np.concatenate([frame["sim_ctrl"] for frame in frames]),
-        magnet=tuple(bool(holds) for frame in frames for holds in frame["sim_magnet"]),
+        magnet=tuple(_holds(row) for frame in frames for row in frame["sim_magnet"]),
         joints=np.repeat([np.asarray(frame["action_joints"], dtype=float) for frame in frames], counts, axis=0),
     )
     return frames[0]["sim_qpos"], actions
+
+
+def _holds(row: NDArray[np.bool_]) -> Holds:
+    """One tick's entry of `sim_magnet`."""
+    return tuple(map(bool, row)) if row.ndim else bool(row)

@@ -13,20 +13,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import DatasetError
+from ..types import Holds
 from .unpickle import read_pickle
 
 # Fixed, so that the bytes do not change with Python's default.
 _PROTOCOL = 4
 
-# Shapes of the arrays every frame has; `<object>_pose` and per-camera entries come on top.
-SHAPES: Mapping[str, tuple[int, ...]] = {
-    "joints": (7,),
-    "ee_pose": (4, 4),
-    "ctrl": (7,),
-    "action_joints": (7,),
-}
+# Six joints and a gripper.
+_PER_ARM = 7
 
-# Dtype and number of dimensions of the keys that simulation alone has: a frame has all of them or none.
+# Where the right arm stands, in the left one's base; only of two arms.
+BETWEEN_BASES = "T_right_base_in_left_base"
+
+# Dtype and number of dimensions of the keys that simulation alone has: a frame has all of them or none. Each entry of
+# `sim_magnet` is as `magnet` is.
 SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_qpos": (np.float64, 1),
     "sim_ctrl": (np.float64, 2),
@@ -37,6 +37,14 @@ SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
 _FARTHEST = 1e3
 
 
+def shapes(arms: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays every frame has of so many arms; `<object>_pose` and per-camera entries come on top."""
+    common: dict[str, tuple[int, ...]] = dict.fromkeys(("joints", "ctrl", "action_joints"), (_PER_ARM * arms,))
+    if arms == 1:
+        return common | {"ee_pose": (4, 4)}
+    return common | {"ee_pose": (arms, 4, 4), BETWEEN_BASES: (4, 4)}
+
+
 @dataclass(frozen=True)
 class SimulationData:
     """A frame as the simulator has it, in its own precision: rounded to float32, a replay would drift off.
@@ -44,7 +52,7 @@ class SimulationData:
     Attributes:
         qpos: MuJoCo's positions (nq,) at the frame, objects in `world`.
         ctrl: what the drives are told on each control tick until the next frame, (ticks, nu), rad and m.
-        magnet: whether the weld holds on each of those ticks, (ticks,).
+        magnet: whether the weld holds on each of those ticks, (ticks,); of two arms (ticks, 2), the left one first.
     """
 
     qpos: ArrayLike
@@ -62,25 +70,29 @@ def frame_data(
     ee_pose: ArrayLike,
     ctrl: ArrayLike,
     action_joints: ArrayLike,
-    magnet: bool,
+    magnet: Holds,
     language_task: str,
     language_prompt: str,
     wrist_camera: str | None = None,
+    T_right_base_in_left_base: ArrayLike | None = None,
     simulation: SimulationData | None = None,
 ) -> dict[str, Any]:
     """One frame's dictionary, its keys always in the same order.
 
+    What is there for each arm has the left arm's first; poses are in the base of the only arm, or of the left one.
+
     Args:
-        joints: six joints in rad and the opening of one finger in m, (7,).
+        joints: six joints in rad and the opening of one finger in m, (7,) or (14,).
         timestamp: simulated time, s.
         intrinsics: camera -> K (3, 3), pixel centres at whole numbers.
         extrinsics: camera -> `T_cam_in_rbase` (4, 4), OpenCV's camera frame in the robot's base.
         object_poses: object -> pose (4, 4) in the robot's base, stored as `<object>_pose`.
-        ee_pose: pose (4, 4) of `grasp_site` in the robot's base.
-        ctrl: what the seven drives were told, rad and m.
-        action_joints: the joints and finger opening the plan asked for at the end of the tick, (7,).
-        magnet: whether the weld holds the object.
-        wrist_camera: the wrist camera's name; its K is then stored as `K_wrist` too.
+        ee_pose: pose (4, 4), or poses (2, 4, 4), of `grasp_site` in the robot's base.
+        ctrl: what the drives were told (7,) or (14,), rad and m.
+        action_joints: the joints and finger opening the plan asked for at the end of the tick, (7,) or (14,).
+        magnet: whether the weld holds the object; of two arms, stored as an array (2,).
+        wrist_camera: the only wrist camera's name; its K is then stored as `K_wrist` too.
+        T_right_base_in_left_base: pose (4, 4), of two arms.
         simulation: what makes the frame repeatable in physics; a real recording has none.
     """
     data: dict[str, Any] = {
@@ -94,12 +106,14 @@ def frame_data(
         "ee_pose": _f32(ee_pose),
         "ctrl": _f32(ctrl),
         "action_joints": _f32(action_joints),
-        "magnet": bool(magnet),
+        "magnet": np.array(magnet, dtype=np.bool_) if isinstance(magnet, tuple) else bool(magnet),
         "language_task": language_task,
         "language_prompt": language_prompt,
     }
     if wrist_camera is not None:
         data["K_wrist"] = _f32(intrinsics[wrist_camera])
+    if T_right_base_in_left_base is not None:
+        data[BETWEEN_BASES] = _f32(T_right_base_in_left_base)
     if simulation is not None:
         data |= {
             "sim_qpos": _f64(simulation.qpos),
@@ -185,13 +199,17 @@ def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
     faults: list[str] = []
     if not any(key in frame for key in SIMULATION):
         return faults
-    for key, (dtype, dimensions) in SIMULATION.items():
+    of_arms = getattr(frame.get("magnet"), "shape", ())
+    for key, (dtype, each) in SIMULATION.items():
         value = frame.get(key)
+        dimensions = each + (len(of_arms) if key == "sim_magnet" else 0)
         if value is None:
             faults.append(f"{key} is missing")
         elif not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != dimensions:
             found = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
             faults.append(f"{key} is {found}, not {np.dtype(dtype)} with {dimensions} dimensions")
+        elif key == "sim_magnet" and value.shape[1:] != of_arms:
+            faults.append(f"{key} is {value.shape}, and magnet {of_arms}")
         elif not (np.abs(value) < _FARTHEST).all():
             faults.append(f"{key} has values that are not finite, or beyond {_FARTHEST:g} m or rad")
     if not faults and len(frame["sim_ctrl"]) != len(frame["sim_magnet"]):

@@ -68,7 +68,7 @@ class StoredEpisode:
             frame = load_frame(data)
         except DatasetError as error:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
-        if faults := frame_faults(frame, self.record.objects, self.record.cameras):
+        if faults := frame_faults(frame, self.record.objects, self.record.cameras, self.record.arms):
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
         return frame
 

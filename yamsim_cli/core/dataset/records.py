@@ -110,6 +110,8 @@ class EpisodeRecord(Record):
     frame_period_s: float
     cameras: dict[str, tuple[int, int]]
     truth: bool = False
+    # Left out where it is 1, so that records of one arm say what they always said.
+    arms: Annotated[int, Field(ge=1, le=2, exclude_if=lambda arms: arms == 1)] = 1
     objects: list[str]
     outcome: OutcomeRecord
     max_height_m: float

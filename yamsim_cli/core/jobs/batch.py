@@ -17,7 +17,7 @@ from ..errors import InterruptedJobError, ResourceError
 from ..files import write_file
 from ..resources import Locations
 from ..types import EpisodeJob, EpisodePayload
-from .episode import EpisodeRunner, require_one_arm
+from .episode import EpisodeRunner
 from .workers import WorkerPool
 
 # Called with trials done and trials wanted.
@@ -34,13 +34,11 @@ def run_batch(
 
     Returns:
         JSON-ready: n, n_success, success_rate, wilson95, rates per threshold, dxy_m, margins, causes, rig, task, grasp,
-        seconds, trials.
+        arms (those that act), seconds, trials.
 
     Raises:
-        ConfigError: the rig has more than one arm.
         InterruptedJobError: stopped by the user; nothing is lost but the time.
     """
-    require_one_arm(config)
     began = time.monotonic()
     n = config.episodes
     # Meshes are looks; without drawing nobody looks.
@@ -84,6 +82,7 @@ def run_batch(
         "rig": config.rig.name,
         "task": config.task.name,
         "grasp": config.grasp,
+        "arms": [config.rig.arms[k].side for k in config.acting],
         "seed": config.seed,
         "seconds": seconds,
         "core_seconds_per_trial": seconds * min(config.workers, n) / n,

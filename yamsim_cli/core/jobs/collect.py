@@ -225,6 +225,7 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
         frame_period_s=config.task.timing.tick * config.task.timing.ticks_per_frame,
         cameras=dict.fromkeys(cameras, config.image.size_px),
         truth=config.truth,
+        arms=len(config.rig.arms),
         objects=[config.task.object.name, config.task.target.name],
         outcome=attempt.outcome,
         max_height_m=config.task.success.max_height,

@@ -17,8 +17,7 @@ from ..resources import Locations
 from ..scene.build import SCENE_CAMERA, add_fixed_camera, add_grasp_weld
 from ..scene.compose import Contents, Meshes, add_home_key, compose
 from ..scene.export import scene_files, zip_bytes
-from ..tasks.kinds import kind_of
-from ..tasks.randomness import Stream, generator
+from ..tasks.kinds import draw_layout
 from ..types import EpisodeJob
 
 _STAGING = ".yamsim-staging"
@@ -52,15 +51,16 @@ def task_spec(
     Raises:
         SimulationError: the sampling box has no room for both objects.
     """
-    task = config.task
-    layout = kind_of(task).sample_layout(task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    task, scene = config.task, config.surroundings
+    layout = draw_layout(config, EpisodeJob(config.seed, 0))
     if layout is None:
         raise SimulationError(f"task {task.name!r}: the sampling box has no room for both objects")
-    spec = compose(config.rig, config.scene, contents, locations, meshes)
+    spec = compose(config.rig, scene, contents, locations, meshes)
     spec.option.timestep = task.timing.timestep
-    add_grasp_weld(spec, task.object.name)
-    assert config.scene.scene_camera is not None  # checked when the config was loaded
-    add_fixed_camera(spec, SCENE_CAMERA, config.scene.scene_camera)
+    for arm in config.rig.arms:
+        add_grasp_weld(spec, task.object.name, arm.prefix)
+    assert scene.scene_camera is not None  # checked when the config was loaded
+    add_fixed_camera(spec, SCENE_CAMERA, scene.scene_camera)
     return spec, add_home_key(spec, config.rig, layout.T_in_world, task.start_joints)
 
 

@@ -153,7 +153,7 @@ def _files(config: RecordConfig) -> int:
 
 
 def _frames(config: RecordConfig) -> int:
-    return math.ceil(kind_of(config.task).ticks(config.task, config.grasp) / config.task.timing.ticks_per_frame)
+    return math.ceil(kind_of(config.task).ticks(config) / config.task.timing.ticks_per_frame)
 
 
 def _cameras(config: RecordConfig) -> int:

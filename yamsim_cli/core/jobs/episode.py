@@ -17,21 +17,17 @@ from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..dataset.records import Pose2D
 from ..errors import ConfigError
-from ..geometry.se3 import Array, yaw
-from ..planning.choice import PathChooser
-from ..planning.dynamics import ArmDynamics
-from ..planning.ik import IkSolver
+from ..geometry.se3 import Array, inverse, yaw
+from ..planning.planners import make_planner
 from ..resources import Locations
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene
-from ..scene.robot import arm_spec, bare_arm
 from ..sim.replica import Replica
 from ..sim.rollout import Rollout, roll_out, simulate
 from ..sim.watch import object_pose
-from ..tasks.kinds import kind_of
+from ..tasks.kinds import draw_layout, kind_of
 from ..tasks.pickplace import Poses
 from ..tasks.plans import phases_of
-from ..tasks.randomness import Stream, generator
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
 from ..vision.jpeg import encode_jpeg
 from ..vision.labels import SceneLabels, scene_labels
@@ -52,15 +48,14 @@ def versions() -> dict[str, str]:
 
 
 def require_one_arm(config: RecordConfig) -> None:
-    """Refuse a rig that the task's demonstrations are not made for.
+    """Refuse a rig with two arms, for what can drive or describe but one.
 
     Raises:
         ConfigError: the rig has more than one arm.
     """
     if len(config.rig.arms) > 1:
         raise ConfigError(
-            f"task {config.task.name!r} is demonstrated by one arm, and rig {config.rig.name!r} has "
-            f"{len(config.rig.arms)}; use a rig with one, such as single"
+            f"rig {config.rig.name!r} has {len(config.rig.arms)} arms, and this works with one: use --rig single"
         )
 
 
@@ -81,10 +76,8 @@ class EpisodeRunner:
         self._kind = kind_of(config.task)
         self._draw = draw
         self._scene = build_scene(config, locations, meshes)
-        arm = config.rig.arms[0]
-        ik = IkSolver(bare_arm(arm, locations), self._scene.T_base_in_world)
-        dynamics = ArmDynamics(arm_spec(arm, locations, None).compile())
-        self._chooser = PathChooser(ik, dynamics, self._scene, config.task, config.grasp)
+        self._planner = make_planner(config, self._scene, locations)
+        self._phases = self._kind.phases(config)
         self._replica = Replica(self._scene)
         self._renderer: SceneRenderer | None = None
         self._labels: SceneLabels | None = None
@@ -93,6 +86,8 @@ class EpisodeRunner:
             names = [item.name for item in objects]
             self._labels = scene_labels(self._scene.model, config.rig, names, boards=config.boards)
         self._variation = Variation(config, self._scene)
+        bases = [arm.T_base_in_world for arm in self._scene.arms]
+        self._T_right_base_in_left_base = inverse(bases[0]) @ bases[1] if len(bases) > 1 else None
 
     @property
     def scene(self) -> CompiledScene:
@@ -130,24 +125,24 @@ class EpisodeRunner:
 
     def simulate(self, job: EpisodeJob) -> tuple[Layout | None, Outcome, Rollout | None]:
         """One attempt in physics alone: where things stood, how it ended, and what happened, if anything moved."""
-        task = self._config.task
+        config, task = self._config, self._config.task
         self._variation.begin(job)
-        layout = self._kind.sample_layout(task, self._config.table, generator(job, Stream.LAYOUT))
+        layout = draw_layout(config, job)
         if layout is None:
             detail = f"no free place for the {task.target.name} in the sampling box"
             return None, Outcome(False, Cause.NO_LAYOUT, detail), None
 
-        plan, path = self._chooser.choose(layout)
-        if path.position_error > _REACH_TOLERANCE:
+        plan = self._planner.plan(layout)
+        if plan.position_error > _REACH_TOLERANCE:
             detail = (
-                f"the hand ends {path.position_error * 1000:.0f} mm from where it should be "
+                f"the hand ends {plan.position_error * 1000:.0f} mm from where it should be "
                 f"(at most {_REACH_TOLERANCE * 1000:.0f}): out of the arm's reach"
             )
-            outcome = Outcome(False, Cause.UNREACHABLE, detail, position_error=path.position_error, tilt=path.tilt)
+            outcome = Outcome(False, Cause.UNREACHABLE, detail, position_error=plan.position_error, tilt=plan.tilt)
             return layout, outcome, None
 
-        rollout = roll_out(self._scene, layout, path, plan.object, task.timing, plan.phases)
-        outcome = self._judge(rollout, layout.T_in_world[plan.object], path.position_error, path.tilt)
+        rollout = roll_out(self._scene, layout, plan.paths, task.object.name, task.timing, self._phases)
+        outcome = self._judge(rollout, layout.T_in_world[task.object.name], plan.position_error, plan.tilt)
         if outcome.success:
             self._variation.place(job, [state.qpos for state in rollout.states])
         return layout, outcome, rollout
@@ -173,7 +168,7 @@ class EpisodeRunner:
                 also `judge`.
         """
         task = self._config.task
-        held = self._kind.phases(task, self._config.grasp) if planned else phases_of(actions.magnet)
+        held = self._phases if planned else (phases_of([bool(np.any(holds)) for holds in actions.magnet]),)
         rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
@@ -212,7 +207,8 @@ class EpisodeRunner:
             magnet=acting.magnet[0],
             language_task=task.language_task,
             language_prompt=task.language_prompt,
-            wrist_camera=config.rig.arms[0].wrist_camera_name if config.wrist else None,
+            wrist_camera=config.wrist_arms[0].wrist_camera_name if len(config.wrist_arms) == 1 else None,
+            T_right_base_in_left_base=self._T_right_base_in_left_base,
             simulation=SimulationData(state.qpos, acting.ctrl, acting.magnet),
         )
 

@@ -115,6 +115,10 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
             frame = load_frame(lowdim.read_bytes())
             K = _matrix(frame["intrinsics"][camera], 3)
             T_cam_in_base = _matrix(frame["extrinsics"][camera], 4)
+            if len(rig.arms) > 1:
+                # Recorded in the left arm's base; wanted in that of the rig's first arm.
+                T_left_in_world = rig.T_base_in_world(rig.recorded[0])
+                T_cam_in_base = inverse(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
             joints = arm_rows(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)[0]
         except OSError as error:
             raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error

@@ -14,7 +14,6 @@ from ..errors import InterruptedJobError, PartialJobError
 from ..resources import Locations
 from .collect import Collector, Watch
 from .destination import Destination, Output, open_destination
-from .episode import require_one_arm
 from .executors import Executors
 from .stop import Stop
 
@@ -46,7 +45,6 @@ def record(
         InterruptedJobError: stopped by the user.
         PartialJobError: the disk refused something, workers do not last, or the task fails too often.
     """
-    require_one_arm(config)
     began = time.monotonic()
     with open_destination(config, output, watch) as destination:
         collector = Collector(config, destination.sink, watch, stop)

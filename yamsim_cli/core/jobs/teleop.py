@@ -20,9 +20,8 @@ from ..scene.compose import Meshes
 from ..scene.robot import JOINTS, bare_arm
 from ..sim.closed_loop import ClosedLoop
 from ..sim.obstruction import Obstruction
-from ..tasks.kinds import kind_of
+from ..tasks.kinds import draw_layout
 from ..tasks.pickplace import OPEN
-from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob, Layout
 from ..viewers.driven import DriveStatus
 from .demonstrations import Demonstration, Inbox
@@ -235,10 +234,9 @@ class TeleopSession:
         self._asked: list[Array] = []
 
     def _draw_layout(self) -> Layout:
-        task = self._config.task
-        layout = kind_of(task).sample_layout(task, self._config.table, generator(self._job, Stream.LAYOUT))
+        layout = draw_layout(self._config, self._job)
         if layout is None:
-            raise SimulationError(f"task {task.name!r}: the sampling box has no room for both objects")
+            raise SimulationError(f"task {self._config.task.name!r}: the sampling box has no room for both objects")
         return layout
 
     def _tick(self) -> None:
@@ -247,8 +245,8 @@ class TeleopSession:
         # As `rollout.drive_command`, without what makes up for inertia: where a person goes next is not known.
         scene = self._scene
         ctrl = np.zeros(scene.model.nu)
-        ctrl[scene.arm_ctrl] = (before + self._pursuit.joints) / 2 + scene.kv * velocity / scene.kp
-        ctrl[scene.gripper_ctrl] = self._opening
+        ctrl[scene.arm.arm_ctrl] = (before + self._pursuit.joints) / 2 + scene.arm.kv * velocity / scene.arm.kp
+        ctrl[scene.arm.gripper_ctrl] = self._opening
         self._loop.step(ctrl, self._magnet)
         if self._magnet and not self._loop.holds:
             self._magnet = False

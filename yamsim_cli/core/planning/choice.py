@@ -11,7 +11,8 @@ import numpy as np
 from ..config.record import GraspKind
 from ..config.scene import GraspPoint
 from ..config.task import TaskConfig
-from ..scene.compiled import CompiledScene
+from ..geometry.se3 import Array
+from ..scene.compiled import CompiledScene, SceneArm
 from ..tasks.kinds import kind_of
 from ..tasks.plans import Hold
 from ..types import JointPath, Layout, Plan
@@ -51,35 +52,65 @@ class _Candidate:
     @property
     def badness(self) -> tuple[bool, bool, float]:
         """Out of reach, in touch with something, and how much it lacks otherwise."""
-        near = max(0.0, _FREE - min(solution.margin for solution in self.solutions))
-        turned = max(solution.tilt_error + solution.heading_error for solution in self.solutions)
-        return not self._reached, self.touched is not None, round(near + turned, 2)
+        return not near_enough(self.plan, self.solutions), self.touched is not None, lacking(self.solutions)
 
-    @property
-    def _reached(self) -> bool:
-        # The grasp and the release have to be as planned; elsewhere the hand may lean a little more.
-        key = (self.solutions[self.plan.grasp], self.solutions[self.plan.release])
-        return (
-            max(solution.position_error for solution in self.solutions) <= _POSITION
-            and max(solution.tilt_error + solution.heading_error for solution in key) <= _ROTATION
-        )
+
+def near_enough(plan: Plan, solutions: Sequence[IkSolution]) -> bool:
+    """Whether the arm reaches a plan's waypoints."""
+    # The grasp and the release have to be as planned; elsewhere the hand may lean a little more.
+    key = (solutions[plan.grasp], solutions[plan.release])
+    return (
+        max(solution.position_error for solution in solutions) <= _POSITION
+        and max(solution.tilt_error + solution.heading_error for solution in key) <= _ROTATION
+    )
+
+
+def lacking(solutions: Sequence[IkSolution]) -> float:
+    """By how much solutions come too near to a joint's stop, or turn away from their poses, rad; 0 if they do not."""
+    near = max(0.0, _FREE - min(solution.margin for solution in solutions))
+    turned = max(solution.tilt_error + solution.heading_error for solution in solutions)
+    return round(near + turned, 2)
+
+
+def path_strain(arm: SceneArm, path: JointPath) -> float:
+    """By how much a path needs more than an arm should give; 0 if it does not."""
+    low, high = arm.joint_range.T
+    # The start is the task's and not the path's.
+    free = float(np.minimum(path.joints[1:] - low, high - path.joints[1:]).min())
+    speed = float((np.abs(path.velocities) / arm.motor_speed).max())
+    torque = float((np.abs(path.torques) / arm.most_torque).max())
+    return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)
 
 
 class PathChooser:
-    """Plans attempts: for one scene, task and kind of grasp."""
+    """Plans attempts: for one arm of a scene, one task and kind of grasp.
+
+    Args:
+        arm: its number in the scene.
+        stand: where the scene's arms stand otherwise, see `Clearance`.
+    """
 
     def __init__(
-        self, ik: IkSolver, dynamics: ArmDynamics, scene: CompiledScene, task: TaskConfig, grasp: GraspKind
+        self,
+        ik: IkSolver,
+        dynamics: ArmDynamics,
+        scene: CompiledScene,
+        task: TaskConfig,
+        grasp: GraspKind,
+        arm: int = 0,
+        stand: Array | None = None,
     ) -> None:
         self._ik = ik
         self._dynamics = dynamics
-        self._clearance = Clearance(scene)
-        self._scene = scene
+        self._clearance = Clearance(scene, arm, stand)
+        self._arm = scene.arms[arm]
         self._task = task
-        self._kind = kind_of(task)
+        kind = kind_of(task).one_armed
+        assert kind is not None  # any other kind has a planner of its own
+        self._kind = kind
         self._grasp: GraspKind = grasp
         self._start = np.array(task.start_joints)
-        self._widest = _widest(scene)
+        self._widest = _widest(scene, self._arm)
 
     def choose(self, layout: Layout) -> tuple[Plan, JointPath]:
         """The first way to hold the object in which the arm reaches everything with ease and touches nothing, else the
@@ -94,7 +125,7 @@ class PathChooser:
                 continue
             path = plan_path(self._ik, self._dynamics, candidate.plan, self._start, self._task.timing)
             *faults, lacking = candidate.badness
-            badness = (faults[0], faults[1], round(lacking + self._strain(path), 2))
+            badness = (faults[0], faults[1], round(lacking + path_strain(self._arm, path), 2))
             if best is None or badness < best[0]:
                 best = badness, candidate.plan, path
             if not any(badness):
@@ -129,23 +160,13 @@ class PathChooser:
 
     def _plan(self, layout: Layout, hold: Hold) -> Plan:
         """The task's plan, the fingers as wide as it asks and no wider than they go."""
-        plan = self._kind.make_plan(self._task, self._grasp, layout, self._scene.T_base_in_world, hold)
+        plan = self._kind.make_plan(self._task, self._grasp, layout, self._arm.T_base_in_world, hold)
         waypoints = (replace(waypoint, gripper=min(waypoint.gripper, self._widest)) for waypoint in plan.waypoints)
         return replace(plan, waypoints=tuple(waypoints))
 
-    def _strain(self, path: JointPath) -> float:
-        """By how much a path needs more than the arm should give; 0 if it does not."""
-        scene = self._scene
-        low, high = scene.joint_range.T
-        # The start is the task's and not the path's.
-        free = float(np.minimum(path.joints[1:] - low, high - path.joints[1:]).min())
-        speed = float((np.abs(path.velocities) / scene.motor_speed).max())
-        torque = float((np.abs(path.torques) / scene.most_torque).max())
-        return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)
 
-
-def _widest(scene: CompiledScene) -> float:
+def _widest(scene: CompiledScene, arm: SceneArm) -> float:
     """How far each finger can open, m; its drive could be told to go farther."""
-    joints = np.searchsorted(scene.model.jnt_qposadr, scene.gripper_qpos)
-    ends = scene.model.jnt_range[joints] * scene.gripper_sign[:, None]
+    joints = np.searchsorted(scene.model.jnt_qposadr, arm.gripper_qpos)
+    ends = scene.model.jnt_range[joints] * arm.gripper_sign[:, None]
     return float(ends.max(axis=1).min())

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array
-from ..scene.compiled import FORBIDDEN, CompiledScene, Kind
+from ..scene.compiled import CompiledScene, Kind
 from ..types import Layout, Plan
 from .ik import IkSolution
 
@@ -20,33 +20,53 @@ _FINGERS = (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)
 
 
 class Clearance:
-    """Looks for contacts of the arm with table and target, and of open fingers with the object they are to close on."""
+    """Looks for contacts of an arm with table, target and other arms, and of its open fingers with the object that they
+    are to close on.
 
-    def __init__(self, scene: CompiledScene) -> None:
+    Args:
+        arm: its number in the scene.
+        stand: where the scene's arms stand otherwise (arms, 7): joints in rad, and the opening of one finger in m.
+    """
+
+    def __init__(self, scene: CompiledScene, arm: int = 0, stand: Array | None = None) -> None:
         self._scene = scene
+        self._arm = arm
+        self._stand = np.zeros((len(scene.arms), 7)) if stand is None else stand
         self._model = copy.copy(scene.model)
-        on_arm = np.isin(scene.geom_kind, (Kind.ARM, *_FINGERS))
-        self._model.geom_margin[on_arm] = _DISTANCE
+        self._model.geom_margin[scene.geom_arm >= 0] = _DISTANCE
         self._data = mujoco.MjData(self._model)
 
-    def touched(self, plan: Plan, solutions: Sequence[IkSolution], layout: Layout) -> str | None:
-        """Names of a waypoint and of two geoms that come too near each other there; None if there are none."""
+    def touched(
+        self,
+        plan: Plan,
+        solutions: Sequence[IkSolution],
+        layout: Layout,
+        stands: Sequence[Array] | None = None,
+    ) -> str | None:
+        """Names of a waypoint and of two geoms that come too near each other there; None if there are none.
+
+        Args:
+            stands: where the scene's arms stand otherwise at each waypoint, if not always at the same place.
+        """
         opening = plan.waypoints[0].gripper
         for k, (waypoint, solution) in enumerate(zip(plan.waypoints, solutions, strict=True)):
             # On the way to a waypoint fingers are as wide as before it, or as at it.
             widest, opening = max(opening, waypoint.gripper), waypoint.gripper
-            if found := self._touched(solution.joints, widest, layout, takes=not plan.weld and k == plan.grasp):
+            stand = self._stand if stands is None else stands[k]
+            if found := self._touched(stand, solution.joints, widest, layout, takes=not plan.weld and k == plan.grasp):
                 return f"{waypoint.name}: {found}"
         return None
 
-    def _touched(self, joints: Array, opening: float, layout: Layout, *, takes: bool) -> str | None:
+    def _touched(self, elsewhere: Array, joints: Array, opening: float, layout: Layout, *, takes: bool) -> str | None:
         model, data = self._model, self._data
-        data.qpos[:] = self._scene.start_qpos(layout, joints, opening)
+        stand = elsewhere.copy()
+        stand[self._arm] = (*joints, opening)
+        data.qpos[:] = self._scene.start_qpos(layout, stand[:, :6], stand[:, 6])
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         geoms = data.contact.geom
         kinds = self._scene.geom_kind[geoms]
-        near = FORBIDDEN[kinds[:, 0], kinds[:, 1]]
+        near = self._scene.forbidden(geoms)
         if takes:
             near |= np.isin(kinds, _FINGERS).any(axis=1) & (kinds == Kind.OBJECT).any(axis=1)
         if not near.any():

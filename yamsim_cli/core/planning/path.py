@@ -56,8 +56,8 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
             # The pinch frame's z axis points where the fingers do.
             leaned = max(leaned, math.pi - tilt((ik.pose_of(joints[-1]) @ T_pinch_in_object)[:3, :3]))
     last = joints[-1]
-    for k in range(1, timing.settle_ticks + 1):
-        joints.append(last + _ease(k / timing.settle_ticks) * (start_joints - last))
+    for k in range(1, plan.settle_ticks + 1):
+        joints.append(last + _ease(k / plan.settle_ticks) * (start_joints - last))
         gripper.append(gripper[-1])
         grip.append(grip[-1])
 
@@ -72,6 +72,13 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
         position_error=position_error,
         tilt=leaned,
     )
+
+
+def stand_still(dynamics: ArmDynamics, joints: Array, gripper: float, ticks: int, tick: float) -> JointPath:
+    """An arm that holds its place: `joints` (6,) in rad and `gripper` in m, for so many ticks of `tick` seconds."""
+    path, opening = np.tile(joints, (ticks + 1, 1)), np.full(ticks, gripper)
+    torques = dynamics.torques(path, opening, tick)
+    return JointPath(path, torques, opening, np.zeros(ticks), (False,) * ticks, tick, position_error=0.0, tilt=0.0)
 
 
 def _ease(fraction: float) -> float:

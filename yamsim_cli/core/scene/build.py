@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from ..config.limits import JointLimits, load_limits
+from ..config.limits import load_limits
 from ..config.record import RecordConfig
 from ..config.rig import ArmConfig
 from ..config.scene import FixedCamera
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
-from .compiled import CompiledScene, Ids, Kind
+from .compiled import CompiledScene, Ids, Kind, SceneArm
 from .compose import Contents, compile_spec, compose
 from .quality import apply_quality
 from .randomize import prepare_randomization
@@ -36,9 +35,9 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     Raises:
         SimulationError: MuJoCo refused the composed model.
     """
-    task, arm = config.task, config.rig.arms[0]
+    task, scene = config.task, config.surroundings
     contents = Contents(boards=config.boards, objects=(task.object, task.target))
-    spec = compose(config.rig, config.scene, contents, locations, meshes)
+    spec = compose(config.rig, scene, contents, locations, meshes)
     spec.modelname = f"{config.rig.name}_{config.scene.name}_{task.name}"
     spec.option.timestep = task.timing.timestep
     if config.grasp == "contact":
@@ -48,25 +47,25 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
         spec.option.impratio = 10
     prepare_randomization(spec, config.randomization, meshes)
     apply_quality(spec, config.render, config.image.size_px)
-    add_grasp_weld(spec, task.object.name)
+    for arm in config.rig.arms:
+        add_grasp_weld(spec, task.object.name, arm.prefix)
 
     cameras = [SCENE_CAMERA]
-    assert config.scene.scene_camera is not None  # checked when the config was loaded
-    add_fixed_camera(spec, SCENE_CAMERA, config.scene.scene_camera)
-    if config.wrist:
+    assert scene.scene_camera is not None  # checked when the config was loaded
+    add_fixed_camera(spec, SCENE_CAMERA, scene.scene_camera)
+    for arm in config.wrist_arms:
         add_wrist_camera(spec, arm)
         cameras.append(arm.wrist_camera_name)
-    limits = load_limits(arm.model, locations).joints_with(arm.gripper)
-    return _addresses(compile_spec(spec), config, tuple(cameras), limits)
+    return _addresses(compile_spec(spec), config, tuple(cameras), locations)
 
 
-def add_grasp_weld(spec: mujoco.MjSpec, item: str) -> None:
-    """Add the weld that can hold an object to `link_6`; it starts inactive."""
+def add_grasp_weld(spec: mujoco.MjSpec, item: str, prefix: str = "") -> None:
+    """Add the weld that can hold an object to an arm's `link_6`; it starts inactive."""
     spec.add_equality(
-        name=WELD,
+        name=prefix + WELD,
         type=mujoco.mjtEq.mjEQ_WELD,
         objtype=mujoco.mjtObj.mjOBJ_BODY,
-        name1="link_6",
+        name1=f"{prefix}link_6",
         name2=item,
         active=False,
     )
@@ -103,44 +102,63 @@ def add_wrist_camera(spec: mujoco.MjSpec, arm: ArmConfig) -> None:
 
 
 def _addresses(
-    model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, ...], limits: Sequence[JointLimits]
+    model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, ...], locations: Locations
 ) -> CompiledScene:
-    drives = [model.actuator(name).id for name in ACTUATORS]
-    arm = np.array(drives[:6])
     objects = (config.task.object.name, config.task.target.name)
-    gripper_qpos, gripper_sign = fingers(model)
+    geom_kind, geom_arm = _geoms(model, config)
     return CompiledScene(
         model=model,
-        joint_qpos=np.array([model.joint(name).qposadr[0] for name in JOINTS]),
-        joint_dof=np.array([model.joint(name).dofadr[0] for name in JOINTS]),
-        gripper_qpos=gripper_qpos,
-        gripper_sign=gripper_sign,
-        arm_ctrl=arm,
-        gripper_ctrl=drives[6],
-        kp=model.actuator_gainprm[arm, 0].copy(),
-        kv=-model.actuator_biasprm[arm, 2],
-        ctrl_range=model.actuator_ctrlrange[arm].copy(),
-        weld=model.equality(WELD).id,
+        arms=tuple(_arm_addresses(model, config, number, locations) for number in config.rig.recorded),
         object_qpos={name: int(model.joint(name).qposadr[0]) for name in objects},
         object_dof={name: int(model.joint(name).dofadr[0]) for name in objects},
-        T_base_in_world=config.rig.T_base_in_world(0),
         cameras=cameras,
-        geom_kind=_geom_kinds(model, config),
-        joint_range=np.array([joint.range for joint in limits]),
-        motor_speed=np.array([joint.motor_rad_s for joint in limits]),
-        most_torque=model.actuator_forcerange[arm, 1].copy(),
-        grip_gain=float(model.actuator_gainprm[drives[6], 0]),
-        grip_range=model.actuator_ctrlrange[drives[6]].copy(),
+        geom_kind=geom_kind,
+        geom_arm=geom_arm,
     )
 
 
-def _geom_kinds(model: mujoco.MjModel, config: RecordConfig) -> Ids:
-    """`Kind` of every geom (ngeom,)."""
-    arm, left, right = (model.body(name).id for name in ("arm", *FINGERS))
-    of_body = np.where(model.body_rootid == arm, int(Kind.ARM), int(Kind.OTHER))
-    of_body[left], of_body[right] = Kind.LEFT_FINGER, Kind.RIGHT_FINGER
-    of_body[model.body(config.task.object.name).id] = Kind.OBJECT
-    of_body[model.body(config.task.target.name).id] = Kind.TARGET
-    kinds: Ids = of_body[model.geom_bodyid]
+def _arm_addresses(model: mujoco.MjModel, config: RecordConfig, number: int, locations: Locations) -> SceneArm:
+    arm = config.rig.arms[number]
+    joints = [model.joint(arm.prefix + name) for name in JOINTS]
+    drives = [model.actuator(arm.prefix + name).id for name in ACTUATORS]
+    moving, gripper = np.array(drives[:6]), drives[6]
+    gripper_qpos, gripper_sign = fingers(model, arm.prefix)
+    limits = load_limits(arm.model, locations).joints_with(arm.gripper)
+    return SceneArm(
+        number=number,
+        prefix=arm.prefix,
+        joint_qpos=np.array([joint.qposadr[0] for joint in joints]),
+        joint_dof=np.array([joint.dofadr[0] for joint in joints]),
+        gripper_qpos=gripper_qpos,
+        gripper_sign=gripper_sign,
+        arm_ctrl=moving,
+        gripper_ctrl=gripper,
+        kp=model.actuator_gainprm[moving, 0].copy(),
+        kv=-model.actuator_biasprm[moving, 2],
+        ctrl_range=model.actuator_ctrlrange[moving].copy(),
+        weld=model.equality(arm.prefix + WELD).id,
+        T_base_in_world=config.rig.T_base_in_world(number),
+        joint_range=np.array([joint.range for joint in limits]),
+        motor_speed=np.array([joint.motor_rad_s for joint in limits]),
+        most_torque=model.actuator_forcerange[moving, 1].copy(),
+        grip_gain=float(model.actuator_gainprm[gripper, 0]),
+        grip_range=model.actuator_ctrlrange[gripper].copy(),
+    )
+
+
+def _geoms(model: mujoco.MjModel, config: RecordConfig) -> tuple[Ids, Ids]:
+    """`Kind` of every geom (ngeom,), and the number in `CompiledScene.arms` of the arm that it belongs to, or -1."""
+    kind = np.full(model.nbody, int(Kind.OTHER))
+    of_arm = np.full(model.nbody, -1)
+    for k, number in enumerate(config.rig.recorded):
+        prefix = config.rig.arms[number].prefix
+        base, left, right = (model.body(prefix + name).id for name in ("arm", *FINGERS))
+        on_arm = model.body_rootid == base
+        kind[on_arm], of_arm[on_arm] = Kind.ARM, k
+        kind[left], kind[right] = Kind.LEFT_FINGER, Kind.RIGHT_FINGER
+    kind[model.body(config.task.object.name).id] = Kind.OBJECT
+    kind[model.body(config.task.target.name).id] = Kind.TARGET
+    kinds: Ids = kind[model.geom_bodyid]
     kinds[model.geom("table").id] = Kind.TABLE
-    return kinds
+    arms: Ids = of_arm[model.geom_bodyid]
+    return kinds, arms

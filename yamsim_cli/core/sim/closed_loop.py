@@ -41,7 +41,7 @@ class ClosedLoop:
     @property
     def holds(self) -> bool:
         """Whether the weld holds the object."""
-        return bool(self.data.eq_active[self._scene.weld])
+        return bool(self.data.eq_active[self._scene.arm.weld])
 
     @property
     def actions(self) -> Actions:
@@ -64,8 +64,8 @@ class ClosedLoop:
         scene, data = self._scene, self.data
         holds = magnet and (self.holds or self._within_reach())
         if holds and not self.holds:
-            attach(scene, data, self._carried)
-        data.eq_active[scene.weld] = holds
+            attach(scene.model, scene.arm, data, self._carried)
+        data.eq_active[scene.arm.weld] = holds
         told = np.clip(ctrl, scene.model.actuator_ctrlrange[:, 0], scene.model.actuator_ctrlrange[:, 1])
         data.ctrl[:] = told
         self._ctrl.append(told)

@@ -33,7 +33,7 @@ class Obstruction:
         """
         data, model = self._data, self._scene.model
         data.qpos[:] = qpos
-        data.qpos[self._scene.joint_qpos] = joints
+        data.qpos[self._scene.arm.joint_qpos] = joints
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         pairs = data.contact.geom

@@ -13,7 +13,7 @@ from ..scene.compiled import CompiledScene
 
 
 class Replica:
-    """Poses of everything in one recorded state, all in the base frame of the robot."""
+    """Poses of everything in one recorded state, all in the base frame of the robot; of two arms, of the left one."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene
@@ -34,8 +34,9 @@ class Replica:
         mujoco.mj_camlight(model, self.data)
 
     def joints(self) -> Array:
-        """The six joints in rad and the opening of one finger in m, (7,)."""
-        return np.append(self.data.qpos[self.scene.joint_qpos], self.data.qpos[self.scene.gripper_qpos[0]])
+        """The six joints in rad and the opening of one finger in m, (7,) or (14,)."""
+        qpos, arms = self.data.qpos, self.scene.arms
+        return np.concatenate([part for arm in arms for part in (qpos[arm.joint_qpos], qpos[arm.gripper_qpos[:1]])])
 
     def T_object_in_base(self, name: str) -> Array:
         """Pose (4, 4) of a body."""
@@ -43,9 +44,10 @@ class Replica:
         return self._T_world_in_base @ pose(body.xpos, body.xmat.reshape(3, 3))
 
     def T_grasp_in_base(self) -> Array:
-        """Pose (4, 4) of `grasp_site`."""
-        site = self.data.site("grasp_site")
-        return self._T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3))
+        """Pose of `grasp_site` (4, 4), or of each arm's (2, 4, 4)."""
+        sites = [self.data.site(f"{arm.prefix}grasp_site") for arm in self.scene.arms]
+        T = np.array([self._T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3)) for site in sites])
+        return T if len(T) > 1 else T[0]
 
     def intrinsics(self, camera: str, size: tuple[int, int]) -> Intrinsics:
         """The pinhole camera that images of `size` (width, height) pixels are rendered with."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -9,8 +10,8 @@ import numpy as np
 
 from ..config.task import Timing
 from ..geometry.se3 import Array
-from ..scene.compiled import CompiledScene
-from ..types import Actions, JointPath, Layout, Motion, Phases, StepState
+from ..scene.compiled import CompiledScene, SceneArm
+from ..types import Actions, Holds, JointPath, Layout, Motion, Phases, StepState
 from .watch import Watch, object_pose
 
 
@@ -33,54 +34,66 @@ class Rollout:
     motion: Motion
 
 
-def drive_command(scene: CompiledScene, path: JointPath, tick: int) -> Array:
-    """What the arm's drives (6,) are told on one tick, rad.
+def drive_command(arm: SceneArm, path: JointPath, tick: int) -> Array:
+    """What an arm's drives (6,) are told on one tick, rad.
 
     A drive pulls towards its command and brakes all motion: `kp (ctrl - q) - kv qvel`. So that the arm follows its
     reference, neither lagging behind nor swinging past, the command is the reference in the middle of the tick and, on
     top, what makes up for the brake (`kv / kp` of the velocity) and for the inertia (the torque over `kp`).
     """
     reference = (path.joints[tick] + path.joints[tick + 1]) / 2
-    command = reference + (scene.kv * path.velocities[tick] + path.torques[tick]) / scene.kp
-    clipped: Array = np.clip(command, scene.ctrl_range[:, 0], scene.ctrl_range[:, 1])
+    command = reference + (arm.kv * path.velocities[tick] + path.torques[tick]) / arm.kp
+    clipped: Array = np.clip(command, arm.ctrl_range[:, 0], arm.ctrl_range[:, 1])
     return clipped
 
 
-def grip_command(scene: CompiledScene, path: JointPath) -> Array:
-    """What the gripper's drive (n,) is told, m: the opening, less what makes each finger press with half its force."""
-    clipped: Array = np.clip(path.gripper - 2 * path.grip / scene.grip_gain, *scene.grip_range)
+def grip_command(arm: SceneArm, path: JointPath) -> Array:
+    """What an arm's gripper is told (n,), m: the opening, less what makes each finger press with half its force."""
+    clipped: Array = np.clip(path.gripper - 2 * path.grip / arm.grip_gain, *arm.grip_range)
     return clipped
 
 
-def path_actions(scene: CompiledScene, path: JointPath) -> Actions:
-    """What makes the arm follow a path."""
-    ctrl = np.zeros((len(path.gripper), scene.model.nu))
-    ctrl[:, scene.arm_ctrl] = [drive_command(scene, path, tick) for tick in range(len(ctrl))]
-    ctrl[:, scene.gripper_ctrl] = grip_command(scene, path)
-    return Actions(ctrl, path.magnet, np.column_stack([path.joints[1:], path.gripper]))
+def path_actions(scene: CompiledScene, paths: Sequence[JointPath]) -> Actions:
+    """What makes each of the scene's arms follow its path; all paths are of one length."""
+    ctrl = np.zeros((len(paths[0].gripper), scene.model.nu))
+    for arm, path in zip(scene.arms, paths, strict=True):
+        ctrl[:, arm.arm_ctrl] = [drive_command(arm, path, tick) for tick in range(len(ctrl))]
+        ctrl[:, arm.gripper_ctrl] = grip_command(arm, path)
+    magnet: tuple[Holds, ...] = paths[0].magnet
+    if len(paths) > 1:
+        magnet = tuple(zip(*(path.magnet for path in paths), strict=True))
+    joints = np.column_stack([part for path in paths for part in (path.joints[1:], path.gripper)])
+    return Actions(ctrl, magnet, joints)
 
 
 def roll_out(
-    scene: CompiledScene, layout: Layout, path: JointPath, carried: str, timing: Timing, phases: Phases
+    scene: CompiledScene,
+    layout: Layout,
+    paths: Sequence[JointPath],
+    carried: str,
+    timing: Timing,
+    phases: Sequence[Phases],
 ) -> Rollout:
     """Simulate one attempt from a full reset; the same inputs give the same bits on one machine.
 
     Args:
+        paths: of each of the scene's arms.
         carried: name of the object that is picked up.
-        phases: when it is held.
+        phases: when it is held, by which arm.
     """
-    start = scene.start_qpos(layout, path.joints[0], float(path.gripper[0]))
-    return simulate(scene, start, path_actions(scene, path), carried, timing, phases)
+    joints, openings = np.array([path.joints[0] for path in paths]), np.array([path.gripper[0] for path in paths])
+    start = scene.start_qpos(layout, joints, openings)
+    return simulate(scene, start, path_actions(scene, paths), carried, timing, phases)
 
 
 def simulate(
-    scene: CompiledScene, start: Array, actions: Actions, carried: str, timing: Timing, phases: Phases
+    scene: CompiledScene, start: Array, actions: Actions, carried: str, timing: Timing, phases: Sequence[Phases]
 ) -> Rollout:
     """Let actions act from a full reset at `start` (nq,), everything at rest; the same inputs give the same bits.
 
     Args:
         carried: name of the object that is picked up.
-        phases: when it is held.
+        phases: when it is held, by which arm.
     """
     model = scene.model
     data = mujoco.MjData(model)
@@ -92,10 +105,10 @@ def simulate(
         # mj_step leaves the poses of the step before.
         mujoco.mj_kinematics(model, data)
         watch.tick(tick, data)
-        if actions.magnet[tick] != bool(data.eq_active[scene.weld]):
-            if actions.magnet[tick]:
-                attach(scene, data, carried)
-            data.eq_active[scene.weld] = actions.magnet[tick]
+        for arm, holds in zip(scene.arms, np.atleast_1d(actions.magnet[tick]), strict=True):
+            if holds and not data.eq_active[arm.weld]:
+                attach(scene.model, arm, data, carried)
+            data.eq_active[arm.weld] = holds
         data.ctrl[:] = ctrl
         if tick % timing.ticks_per_frame == 0:
             until = slice(tick, tick + timing.ticks_per_frame)
@@ -115,13 +128,12 @@ def simulate(
     )
 
 
-def attach(scene: CompiledScene, data: mujoco.MjData, carried: str) -> None:
+def attach(model: mujoco.MjModel, arm: SceneArm, data: mujoco.MjData, carried: str) -> None:
     """Write the object's present pose relative to `link_6` into the weld, so that switching it on moves nothing."""
-    model = scene.model
-    hand, item = data.body("link_6"), data.body(carried)
+    hand, item = data.body(f"{arm.prefix}link_6"), data.body(carried)
     position, quat, inverse_quat = np.empty(3), np.empty(4), np.empty(4)
     mujoco.mju_negQuat(inverse_quat, hand.xquat)
     mujoco.mju_rotVecQuat(position, item.xpos - hand.xpos, inverse_quat)
     mujoco.mju_mulQuat(quat, inverse_quat, item.xquat)
     # Anchor in the second body (3), position (3) and quaternion (4) of the second body in the first, torque scale (1).
-    model.eq_data[scene.weld, :11] = [0, 0, 0, *position, *quat, 1]
+    model.eq_data[arm.weld, :11] = [0, 0, 0, *position, *quat, 1]

@@ -1,12 +1,14 @@
-"""What is watched while an attempt runs: the arm's limits, what it touches, and how the object is held."""
+"""What is watched while an attempt runs: the arms' limits, what they touch, and how the object is held."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, tilt
-from ..scene.compiled import FORBIDDEN, CompiledScene, Kind
+from ..scene.compiled import CompiledScene, Kind, SceneArm
 from ..types import Margins, Motion, Phases
 
 
@@ -22,19 +24,21 @@ class Watch:
     Args:
         data: the scene at the start.
         carried: name of the object.
+        phases: when it is held, by which arm.
         steps: physics steps in all.
     """
 
-    def __init__(self, scene: CompiledScene, data: mujoco.MjData, carried: str, phases: Phases, steps: int) -> None:
+    def __init__(
+        self, scene: CompiledScene, data: mujoco.MjData, carried: str, phases: Sequence[Phases], steps: int
+    ) -> None:
         self._scene = scene
         self._carried = carried
         self._phases = phases
-        self._positions = np.zeros((steps, 6))
-        self._velocities = np.zeros((steps, 6))
-        self._torques = np.zeros((steps, 6))
+        shape = (len(scene.arms), steps, 6)
+        self._positions, self._velocities, self._torques = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._step = 0
         self._at_rest = object_pose(data, carried)
-        self._in_hand: list[Array] = []
+        self._in_hand: list[list[Array]] = [[] for _ in phases]
         self._tilt = 0.0
         self._lost: float | None = None
         self._collision: str | None = None
@@ -42,28 +46,33 @@ class Watch:
     def step(self, data: mujoco.MjData) -> None:
         """Look at the state after a physics step."""
         scene, k = self._scene, self._step
-        self._positions[k] = data.qpos[scene.joint_qpos]
-        self._velocities[k] = data.qvel[scene.joint_dof]
-        self._torques[k] = data.actuator_force[scene.arm_ctrl]
+        for number, arm in enumerate(scene.arms):
+            self._positions[number, k] = data.qpos[arm.joint_qpos]
+            self._velocities[number, k] = data.qvel[arm.joint_dof]
+            self._torques[number, k] = data.actuator_force[arm.arm_ctrl]
         self._step += 1
         if self._collision is None:
             geoms = data.contact.geom
-            kinds = scene.geom_kind[geoms]
-            forbidden = FORBIDDEN[kinds[:, 0], kinds[:, 1]]
+            forbidden = scene.forbidden(geoms)
             if forbidden.any():
                 names = " and ".join(scene.model.geom(int(geom)).name for geom in geoms[forbidden][0])
                 self._collision = f"{names} touch after {data.time:.2f} s"
 
     def tick(self, tick: int, data: mujoco.MjData) -> None:
         """Look at the object at the start of a control tick; poses have to be up to date."""
-        if tick == self._phases.reached:
+        if tick == min(phase.reached for phase in self._phases):
             self._at_rest = object_pose(data, self._carried)
-        if tick not in self._phases.held:
-            return
+        for phase, in_hand in zip(self._phases, self._in_hand, strict=True):
+            if tick in phase.held:
+                self._look_at_hand(data, self._scene.arms[phase.arm], phase.arm, in_hand)
+
+    def _look_at_hand(self, data: mujoco.MjData, arm: SceneArm, number: int, in_hand: list[Array]) -> None:
         T_object = object_pose(data, self._carried)
-        self._in_hand.append((inverse(object_pose(data, "link_6")) @ T_object)[:3, 3])
+        in_hand.append((inverse(object_pose(data, f"{arm.prefix}link_6")) @ T_object)[:3, 3])
         self._tilt = max(self._tilt, tilt(self._at_rest[:3, :3].T @ T_object[:3, :3]))
-        kinds = self._scene.geom_kind[data.contact.geom]
+        geoms = data.contact.geom
+        of_hand = (self._scene.geom_arm[geoms] == number).any(axis=1)
+        kinds = self._scene.geom_kind[geoms[of_hand]]
         touching = kinds[(kinds == Kind.OBJECT).any(axis=1)]
         if self._lost is None and not all(
             (touching == finger).any() for finger in (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)
@@ -77,15 +86,20 @@ class Watch:
 
     def motion(self) -> Motion:
         """What came of all looks."""
-        scene = self._scene
-        low, high = scene.joint_range.T
-        in_hand = np.array(self._in_hand)
-        moved = float(np.linalg.norm(in_hand - in_hand[0], axis=1).max()) if len(in_hand) else 0.0
+        arms = self._scene.arms
+        speed = np.array([arm.motor_speed for arm in arms])
+        torque = np.array([arm.most_torque for arm in arms])
+        low, high = (np.array([arm.joint_range[:, k] for arm in arms])[:, None] for k in (0, 1))
         margins = Margins(
-            velocity=float((np.abs(self._velocities).max(axis=0) / scene.motor_speed).max()),
-            torque=float((np.abs(self._torques).max(axis=0) / scene.most_torque).max()),
+            velocity=float((np.abs(self._velocities).max(axis=1) / speed).max()),
+            torque=float((np.abs(self._torques).max(axis=1) / torque).max()),
             joint=float(np.minimum(self._positions - low, high - self._positions).min()),
-            slip=moved,
+            slip=max((_moved(np.array(places)) for places in self._in_hand), default=0.0),
             tilt=self._tilt,
         )
         return Motion(margins, self._lost, self._collision)
+
+
+def _moved(places: Array) -> float:
+    """The largest distance of places (n, 3) from the first one."""
+    return float(np.linalg.norm(places - places[0], axis=1).max()) if len(places) else 0.0

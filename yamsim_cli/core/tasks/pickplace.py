@@ -9,7 +9,7 @@ import numpy as np
 
 from ..config.record import GraspKind
 from ..config.scene import ObjectConfig, Table
-from ..config.task import TaskConfig
+from ..config.task import Sampling, TaskConfig
 from ..geometry.se3 import Array, pose, rotation_z
 from ..types import Cause, Layout, Motion, Outcome
 
@@ -45,16 +45,26 @@ class Poses:
     T_target_at_end: Array
 
 
-def sample_layout(task: TaskConfig, table: Table, rng: np.random.Generator) -> Layout | None:
+def sample_layout(
+    task: TaskConfig,
+    table: Table,
+    rng: np.random.Generator,
+    object_box: Sampling | None = None,
+    target_box: Sampling | None = None,
+) -> Layout | None:
     """Draw where the object and the target start.
+
+    Args:
+        object_box, target_box: where from, see `RecordConfig`; if not given, the task's own box.
 
     Returns:
         The layout, or None when no free place for the target was found in 1000 draws.
     """
     box = task.sampling
-    T_object = _draw(task.object, box.x, box.y, box.object_yaw_deg, table, rng)
+    object_box, target_box = object_box or box, target_box or box
+    T_object = _draw(task.object, object_box.x, object_box.y, box.object_yaw_deg, table, rng)
     for _ in range(_MAX_DRAWS):
-        T_target = _draw(task.target, box.x, box.y, box.target_yaw_deg, table, rng)
+        T_target = _draw(task.target, target_box.x, target_box.y, box.target_yaw_deg, table, rng)
         apart = float(np.hypot(*(T_object[:2, 3] - T_target[:2, 3])))
         if apart >= box.min_separation and _gap(task.object, T_object, task.target, T_target) >= box.clearance:
             return Layout({task.object.name: T_object, task.target.name: T_target})

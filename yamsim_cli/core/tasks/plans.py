@@ -14,7 +14,7 @@ from ..types import Layout, Phases, Plan, Waypoint
 
 # A weld's fingers close, and open, in the last part of the way to the grasp, and to the place: the hand never stands
 # still to wait for them, and the weld lets go only once they are open.
-_WELD_FINGERS_FROM = 0.7
+WELD_FINGERS_FROM = 0.7
 
 
 @dataclass(frozen=True)
@@ -71,22 +71,22 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
     heights = task.heights
     T_start = layout.T_in_world[task.object.name]
     T_target = layout.T_in_world[task.target.name]
-    outwards = _azimuth(T_start, T_base_in_world)
+    outwards = azimuth(T_start, T_base_in_world)
     T_goal = T_target.copy()
-    T_goal[:3, :3] = rotation_z(yaw(T_start) + _azimuth(T_target, T_base_in_world) - outwards)
+    T_goal[:3, :3] = rotation_z(yaw(T_start) + azimuth(T_target, T_base_in_world) - outwards)
     T_goal[2, 3] += task.target.support_height + task.object.rest_height
     T_arc = pose(
         [*(T_start[:2, 3] + T_goal[:2, 3]) / 2, max(T_start[2, 3], T_goal[2, 3]) + heights.arc],
         interpolate_rotation(T_start[:3, :3], T_goal[:3, :3], 0.5),
     )
     way = {
-        "pre-grasp": _raised(T_start, heights.approach),
+        "pre-grasp": raised(T_start, heights.approach),
         "grasp": T_start,
-        "lift": _raised(T_start, heights.lift),
+        "lift": raised(T_start, heights.lift),
         "arc-top": T_arc,
-        "pre-place": _raised(T_goal, heights.approach),
-        "place": _raised(T_goal, heights.release),
-        "retract": _raised(T_goal, heights.approach),
+        "pre-place": raised(T_goal, heights.approach),
+        "place": raised(T_goal, heights.release),
+        "retract": raised(T_goal, heights.approach),
     }
     taken = task.object.grasp
     assert taken is not None  # checked when the config was loaded
@@ -101,12 +101,13 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
     outwards += yaw(T_base_in_world) - yaw(T_start)
     return Plan(
         object=task.object.name,
-        T_object_in_pinch=inverse(_leaning(hold, outwards)),
+        T_object_in_pinch=inverse(leaning(hold, outwards)),
         waypoints=waypoints,
         grasp=names.index("grasp"),
         release=names.index("place"),
         weld=grasp == "weld",
         phases=phases(task, grasp),
+        settle_ticks=task.timing.settle_ticks,
     )
 
 
@@ -114,7 +115,7 @@ def _welded(timing: Timing, way: dict[str, Array], closed: float, opened: float)
     """The fingers only look as if they held: they close, and open, on the way."""
 
     def waypoint(name: str, opening: float, *, stop: bool = True) -> Waypoint:
-        return Waypoint(name, way[name], timing.ticks_per_waypoint, stop, opening, fingers_from=_WELD_FINGERS_FROM)
+        return Waypoint(name, way[name], timing.ticks_per_waypoint, stop, opening, fingers_from=WELD_FINGERS_FROM)
 
     return (
         waypoint("pre-grasp", opened),
@@ -146,7 +147,7 @@ def _gripped(timing: Timing, way: dict[str, Array], closed: float, opened: float
     )
 
 
-def _leaning(hold: Hold, outwards: float) -> Array:
+def leaning(hold: Hold, outwards: float) -> Array:
     """The pinch frame (4, 4) in the object's; `outwards` is the heading there of what leads away from the base, rad."""
     T = hold.point.T_pinch_in_object(hold.flipped)
     # About the horizontal axis to the right of `outwards`: what points down comes to point outwards.
@@ -155,12 +156,14 @@ def _leaning(hold: Hold, outwards: float) -> Array:
     return T
 
 
-def _raised(T: Array, height: float) -> Array:
-    raised = T.copy()
-    raised[2, 3] += height
-    return raised
+def raised(T: Array, height: float) -> Array:
+    """The same pose (4, 4), so many metres higher."""
+    T_raised = T.copy()
+    T_raised[2, 3] += height
+    return T_raised
 
 
-def _azimuth(T_in_world: Array, T_base_in_world: Array) -> float:
+def azimuth(T_in_world: Array, T_base_in_world: Array) -> float:
+    """Heading of a pose's place as seen from a base, in its frame, rad."""
     x, y = (inverse(T_base_in_world) @ T_in_world)[:2, 3]
     return math.atan2(y, x)

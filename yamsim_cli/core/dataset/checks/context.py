@@ -38,9 +38,9 @@ class Context:
 
     Attributes:
         recorded: whether yamsim recorded it; otherwise it has rgb/ and lowdim/ alone.
-        joints: what the arm's joints can do.
-        fingers: stops (m) of one finger; None where the gripper is not known.
-        T_base_in_world: pose (4, 4) of the arm's base.
+        joints: what an arm's joints can do.
+        fingers: stops (m) of one finger; None where the gripper is not known, or arms have several.
+        T_base_in_world: pose (4, 4) of the base that poses are in: the arm's, or the left one's.
         object, target: what is carried, and whereto.
         sampling: where objects were drawn from, in `world`; None where it is not known.
         threshold, max_height: what the task itself counts as success, m.
@@ -117,16 +117,18 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
     if parsed is None:
         return Context(recorded, load_limits(_MODEL, locations).joints_with(None), None, pose())
-    arm, task = parsed.rig.arms[0], parsed.task
-    limits = load_limits(arm.model, locations)
+    rig, task = parsed.rig, parsed.task
+    limits = load_limits(rig.arms[0].model, locations)
+    grippers = {arm.gripper for arm in rig.arms}
+    gripper = grippers.pop() if len(grippers) == 1 else None
     return Context(
         recorded,
-        limits.joints_with(arm.gripper),
-        limits.fingers.get(arm.gripper),
-        parsed.rig.T_base_in_world(0),
+        limits.joints_with(gripper),
+        limits.fingers.get(gripper) if gripper else None,
+        rig.T_base_in_world(rig.recorded[0]),
         task.object.name,
         task.target.name,
-        task.sampling,
+        parsed.sampled,
         task.success.threshold,
         task.success.max_height,
     )

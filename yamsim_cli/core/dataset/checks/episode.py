@@ -13,7 +13,7 @@ from ..layout import EPISODE, lowdim_name
 from ..lowdim import content_hash
 from ..records import EpisodeRecord, from_json
 from .context import Context, EpisodeDirectory
-from .facts import EpisodeFacts, Values, layout, numbered, places, pose_keys, seen_outcome
+from .facts import POSE, EpisodeFacts, Values, hand_keys, layout, numbered, places, pose_keys, seen_outcome
 from .files import check_presence, list_files, read_file
 from .images import CameraChecks, ImageReader, check_frozen
 from .lowdim import LowdimChecks, expected_forms
@@ -116,7 +116,7 @@ class _EpisodeCheck:
 
     def _check_lowdim(self) -> LowdimChecks:
         known = self._record
-        forms = expected_forms(known.objects, known.cameras) if known else None
+        forms = expected_forms(known.objects, known.cameras, known.arms) if known else None
         checks = LowdimChecks(forms, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):
@@ -191,8 +191,10 @@ class _EpisodeCheck:
             check_limits(arm, limits, self._frame_name, self._problems)
             check_speeds(arm, period, limits, self._frame_name, self._problems)
         if fingers and self._record:
-            openings = {k: float(q[-1]) for k, q in joints.items()}
-            check_fingers(openings, fingers, self._frame_name, self._problems)
+            per_arm = len(limits) + 1
+            for last in range(len(limits), len(arms) * per_arm, per_arm):
+                openings = {k: float(q[last]) for k, q in joints.items()}
+                check_fingers(openings, fingers, self._frame_name, self._problems)
         angles: dict[int, Array] = {k: np.concatenate([arm[k] for arm in arms]) for k in joints} if arms else {}
         for camera, checks in cameras.items():
             check_frozen(checks.fingerprints, self._files.images[camera], angles, self._problems)
@@ -202,12 +204,16 @@ class _EpisodeCheck:
         before = len(self._problems)
         for key in keys:
             check_pose(key, numbered(values, key), self._frame_name, self._problems)
+        for key in hand_keys(values):
+            for arm in range(2):
+                hands = {k: T[arm] for k, T in numbered(values, key).items()}
+                check_pose(f"{key}[{arm}]", hands, self._frame_name, self._problems)
         for camera, checks in cameras.items():
             key = f"intrinsics[{camera}]"
             matrices = {k: K for k, K in numbered(values, key).items() if np.shape(K) == (3, 3)}
             check_intrinsics(key, matrices, checks.size, self._frame_name, self._problems)
         if len(self._problems) == before:
-            points = [key for key in keys if not key.startswith("extrinsics[")]
+            points = [key for key in keys if key.endswith(POSE)]
             for camera, checks in cameras.items():
                 check_view(camera, values, points, checks.size, self._problems)
 

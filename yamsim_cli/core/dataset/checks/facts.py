@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...geometry.se3 import Array, yaw
+from ..lowdim import BETWEEN_BASES
 from ..records import EpisodeRecord, OutcomeRecord
 from .context import Context
 from .problem import Problem
@@ -16,7 +17,7 @@ from .problem import Problem
 # Frame -> flat key -> value: what `lowdim.LowdimChecks` found right.
 Values = Mapping[int, Mapping[str, Any]]
 
-_POSE = "_pose"
+POSE = "_pose"
 _HAND = "ee_pose"
 
 
@@ -64,19 +65,26 @@ def numbered(values: Values, key: str) -> dict[int, Array]:
 
 
 def pose_keys(values: Values) -> list[str]:
-    """Flat keys of poses: `<object>_pose`, `ee_pose` and `extrinsics[camera]`, where they are 4 x 4."""
+    """Flat keys of poses: `<object>_pose`, `ee_pose`, `extrinsics[camera]` and between bases, where they are 4 x 4."""
     keys = dict.fromkeys(key for entries in values.values() for key in entries)
-    return [key for key in keys if (key.endswith(_POSE) or key.startswith("extrinsics[")) and _is_4x4(values, key)]
+    named = [key for key in keys if key.endswith(POSE) or key.startswith("extrinsics[") or key == BETWEEN_BASES]
+    return [key for key in named if _are(values, key, (4, 4))]
 
 
-def _is_4x4(values: Values, key: str) -> bool:
-    return all(np.shape(entries[key]) == (4, 4) for entries in values.values() if key in entries)
+def hand_keys(values: Values) -> list[str]:
+    """The key of both hands' poses, where frames have it for two arms."""
+    there = any(_HAND in entries for entries in values.values())
+    return [_HAND] if there and _are(values, _HAND, (2, 4, 4)) else []
+
+
+def _are(values: Values, key: str, shape: tuple[int, ...]) -> bool:
+    return all(np.shape(entries[key]) == shape for entries in values.values() if key in entries)
 
 
 def object_poses(values: Values, frame: int) -> dict[str, Array]:
     """Object -> pose (4, 4) in the robot's base, in one frame."""
-    keys = [key for key in pose_keys(values) if key.endswith(_POSE) and key != _HAND and key in values[frame]]
-    return {key.removesuffix(_POSE): np.asarray(values[frame][key], dtype=np.float64) for key in keys}
+    keys = [key for key in pose_keys(values) if key.endswith(POSE) and key != _HAND and key in values[frame]]
+    return {key.removesuffix(POSE): np.asarray(values[frame][key], dtype=np.float64) for key in keys}
 
 
 def places(values: Values, context: Context, *, last: bool) -> dict[str, tuple[float, float]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import DatasetError
-from ..lowdim import SHAPES, SIMULATION, flat, load_frame, simulation_faults
+from ..lowdim import SIMULATION, flat, load_frame, shapes, simulation_faults
 from ..unpickle import ForbiddenPickleError
 from .problem import Problems
 
@@ -35,21 +35,22 @@ class Form:
         return f"{self.kind} {self.shape}" if self.shape else self.kind
 
 
-def expected_forms(objects: Iterable[str], cameras: Iterable[str]) -> dict[str, Form]:
-    """Flat key -> form, for a frame that yamsim recorded of some objects by some cameras."""
+def expected_forms(objects: Iterable[str], cameras: Iterable[str], arms: int = 1) -> dict[str, Form]:
+    """Flat key -> form, for a frame that yamsim recorded of some arms and objects by some cameras."""
     float32 = str(np.dtype(np.float32))
-    forms = {key: Form(float32, shape) for key, shape in SHAPES.items()}
+    forms = {key: Form(float32, shape) for key, shape in shapes(arms).items()}
     forms |= {f"{name}_pose": Form(float32, (4, 4)) for name in objects}
     for camera in cameras:
         forms |= {f"intrinsics[{camera}]": Form(float32, (3, 3)), f"extrinsics[{camera}]": Form(float32, (4, 4))}
     plain = {"timestamp": float, "magnet": bool, "language_task": str, "language_prompt": str}
-    return forms | {key: Form(kind.__name__) for key, kind in plain.items()}
+    forms |= {key: Form(kind.__name__) for key, kind in plain.items()}
+    return forms if arms == 1 else forms | {"magnet": Form(str(np.dtype(np.bool_)), (arms,))}
 
 
-def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str]) -> list[str]:
-    """What is wrong with a decoded frame that yamsim recorded of some objects by some cameras, one text each."""
+def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str], arms: int = 1) -> list[str]:
+    """What is wrong with a decoded frame that yamsim recorded, see `expected_forms`, one text each."""
     problems = Problems()
-    LowdimChecks(expected_forms(objects, cameras), problems).take(0, "", frame)
+    LowdimChecks(expected_forms(objects, cameras, arms), problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 
 

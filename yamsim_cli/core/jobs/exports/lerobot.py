@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...dataset.reader import StoredEpisode
 from ...vision.video import VideoWriter, require_encoder
+from ..episode import require_one_arm
 from ..replay import recorded_images
 from . import lerobot_schema as schema
 from .lerobot_schema import Place
@@ -33,10 +34,12 @@ def export_lerobot(source: Source, out: Path, progress: Progress, *, overwrite: 
     """Write a dataset as LeRobotDataset v3.0: Parquet for numbers, H.264 for images, frame k at exactly k periods.
 
     Raises:
+        ConfigError: the rig has more than one arm.
         DatasetError: a file is missing, altered or damaged.
         ResourceError: pyarrow or PyAV is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
+    require_one_arm(source.config)
     require_parquet()
     require_encoder()
     with export_directory(out, overwrite=overwrite) as stage:

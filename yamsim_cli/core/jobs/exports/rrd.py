@@ -14,6 +14,7 @@ from ...dataset.reader import StoredEpisode
 from ...errors import ResourceError
 from ...geometry.se3 import Array
 from ...scene.robot import JOINTS
+from ..episode import require_one_arm
 from .source import Exported, Progress, Source, depth_cameras
 from .target import export_directory
 
@@ -27,10 +28,12 @@ def export_rerun(source: Source, out: Path, progress: Progress, *, overwrite: bo
     """Write `ep_NNNNNN.rrd` files into a directory; everything is in the robot's base frame.
 
     Raises:
+        ConfigError: the rig has more than one arm.
         DatasetError: a file is missing, altered or damaged.
         ResourceError: rerun is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
+    require_one_arm(source.config)
     _require_rerun()
     frames = 0
     with export_directory(out, overwrite=overwrite) as stage:
