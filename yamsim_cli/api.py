@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .commands.session import job_flags, locations, record_config, scene_meshes, skip_gl, use_gl
+from .commands.session import scene_meshes
+from .commands.settings import drawn_config, undrawn_config
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisode
@@ -27,6 +28,9 @@ def record(
     quality: str | None = None,
     rig: str | None = None,
     task: str | None = None,
+    object: str | None = None,
+    target: str | None = None,
+    arm: str | None = None,
     grasp: str | None = None,
     config: str = "default",
     resume: bool = False,
@@ -42,14 +46,22 @@ def record(
     Returns:
         path, episodes, attempts, seconds.
     """
-    flags = job_flags(rig=rig, task=task, n=episodes, workers=workers or 1, seed=seed, grasp=grasp) | {
-        "wrist": (("wrist",), wrist),
-        "size": (("image", "size_px"), size),
-        "quality": (("render",), quality),
-    }
-    record_config(config, locations(), flags)
-    where = use_gl(locations(), workers=workers is not None)
-    settings = record_config(config, where, flags)
+    settings, where = drawn_config(
+        config,
+        parallel=workers is not None,
+        n=episodes,
+        seed=seed,
+        workers=workers or 1,
+        wrist=wrist,
+        size=size,
+        quality=quality,
+        rig=rig,
+        task=task,
+        object=object,
+        target=target,
+        arm=arm,
+        grasp=grasp,
+    )
 
     from .core.dataset.opening import OpenMode
     from .core.jobs.collect import Watch
@@ -83,18 +95,16 @@ def evaluate(policy: str, n: int = 50, *, seed: int = 0, workers: int = 1, confi
     Returns:
         What `--json` prints: stats, trials.
     """
-    flags = job_flags(rig=None, task=None, n=n, workers=workers, seed=seed, grasp=None) | {"wrist": (("wrist",), True)}
-    where = locations()
-    if policy.partition(":")[0] in ("scripted", "hold_still", "replay"):
-        skip_gl()
-    else:
-        where = use_gl(where, workers=True)
-    settings = record_config(config, where, flags)
+    from .core.policies.loading import sees_images
 
+    make = drawn_config if sees_images(policy) else undrawn_config
+    settings, where = make(config, n=n, seed=seed, workers=workers, wrist=True)
+
+    from .core.dataset.statistics import THRESHOLDS
     from .core.jobs.evaluate import evaluate as run
     from .core.jobs.evaluate import summary
     from .core.jobs.trials import PolicyChoice
 
     choice = PolicyChoice(policy, Path.cwd())
     found = run(settings, where, scene_meshes(settings, where), choice, lambda done, total: None)
-    return summary(found, settings, (0.05, 0.08))
+    return summary(found, settings, THRESHOLDS)

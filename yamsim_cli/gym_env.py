@@ -10,7 +10,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from .commands.session import job_flags, locations, record_config, scene_meshes, use_gl
+from .commands.session import locations, scene_meshes
+from .commands.settings import drawn_config, task_config
 
 ENV_ID = "yamsim/PickPlace-v0"
 
@@ -39,7 +40,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         rig, task, config, quality: as the flags of `yamsim record`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 31}
+    # gymnasium reads it of the class, and declares it of the instance.
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": ["rgb_array"],
+        "render_fps": 31,
+    }
 
     def __init__(
         self,
@@ -60,15 +65,13 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self.render_mode = render_mode
         self._images = observation == "images"
         self._max_ticks = max_ticks
-        where, drawn = locations(), self._images or render_mode is not None
-        flags = job_flags(rig=rig, task=task, n=None, workers=None, seed=None, grasp=None) | {
-            "wrist": (("wrist",), True),
-            "size": (("image", "size_px"), size),
-            "quality": (("render",), quality),
-        }
+        drawn = self._images or render_mode is not None
+        given = {"rig": rig, "task": task, "wrist": True, "size": size, "quality": quality}
         if drawn:
-            where = use_gl(where)
-        self._config = record_config(config, where, flags)
+            self._config, where = drawn_config(config, parallel=False, **given)
+        else:
+            where = locations()
+            self._config = task_config(config, where, **given)
 
         from .core.jobs.episode import EpisodeRunner, require_one_arm
         from .core.scene.build import SCENE_CAMERA
@@ -85,7 +88,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         ranges = self._runner.scene.model.actuator_ctrlrange
         low, high = np.append(ranges[:, 0], 0.0), np.append(ranges[:, 1], 1.0)
         self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
-        self.observation_space = self._observation_space(size)
+        self.observation_space: spaces.Space[Any] = self._observation_space(size)
 
     def _observation_space(self, size: tuple[int, int]) -> spaces.Dict:
         def numbers(*shape: int) -> spaces.Box:

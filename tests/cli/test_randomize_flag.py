@@ -1,40 +1,50 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from yamsim_cli.commands.session import randomization, record_config
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.commands.settings import task_config
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.resources import Locations
+
+MINE = "{lens_deg: [-1, 1]}"
+
+
+def write_config(path: Path, repository: Path, randomization: str) -> Path:
+    text = (repository / "configs/record/default.yaml").read_text()
+    assert "randomization: none" in text
+    path.write_text(text.replace("randomization: none", f"randomization: {randomization}"))
+    return path
 
 
 @pytest.mark.parametrize(
     ("flag", "own", "wanted"),
     [
-        (None, {}, None),
-        (None, {"mass": [1, 2]}, None),
-        (True, {}, "default"),
-        (True, {"mass": [1, 2]}, None),
-        (False, {}, "none"),
-        (False, {"mass": [1, 2]}, "none"),
+        (None, "none", "none"),
+        (None, MINE, "lens_deg"),
+        (True, "none", "default"),
+        (True, MINE, "lens_deg"),
+        (False, "none", "none"),
+        (False, MINE, "none"),
     ],
 )
 def test_the_flag_takes_the_default_and_leaves_ones_own_ranges(
-    flag: bool | None, own: dict, wanted: str | None, make_config: Callable[..., RecordConfig]
+    flag: bool | None, own: str, wanted: str, tmp_path: Path, locations: Locations, repository: Path
 ) -> None:
-    assert randomization(flag, make_config({("randomization",): own})) == wanted
+    mine = write_config(tmp_path / "mine.yaml", repository, own)
+    parts = task_config(str(mine), locations, randomize=flag).randomization.parts
+    if wanted == "default":
+        assert len(parts) > 5
+    else:
+        assert parts == (() if wanted == "none" else (wanted,))
 
 
 def test_a_file_may_name_or_spell_out_a_randomization(tmp_path: Path, locations: Locations, repository: Path) -> None:
-    text = (repository / "configs/record/default.yaml").read_text()
-    mine = tmp_path / "mine.yaml"
-    mine.write_text(text.replace("randomization: none", "randomization: default"))
-    assert "distractors" in record_config(str(mine), locations, {}).randomization.parts
-    mine.write_text(text.replace("randomization: none", "randomization: {lens_deg: [-1, 1]}"))
-    assert record_config(str(mine), locations, {}).randomization.parts == ("lens_deg",)
+    mine = write_config(tmp_path / "mine.yaml", repository, "default")
+    assert "distractors" in task_config(str(mine), locations).randomization.parts
+    write_config(mine, repository, MINE)
+    assert task_config(str(mine), locations).randomization.parts == ("lens_deg",)
 
 
 @pytest.mark.parametrize(
@@ -57,10 +67,8 @@ def test_a_file_may_name_or_spell_out_a_randomization(tmp_path: Path, locations:
 def test_what_is_wrong_with_ranges_is_told(
     ranges: str, named: str, tmp_path: Path, locations: Locations, repository: Path
 ) -> None:
-    mine = tmp_path / "mine.yaml"
-    text = (repository / "configs/record/default.yaml").read_text()
-    mine.write_text(text.replace("randomization: none", f"randomization: {ranges}"))
+    mine = write_config(tmp_path / "mine.yaml", repository, ranges)
     with pytest.raises(ConfigError) as caught:
-        record_config(str(mine), locations, {})
+        task_config(str(mine), locations)
     assert named in str(caught.value)
     assert str(mine) in str(caught.value)

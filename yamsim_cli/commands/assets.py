@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +13,8 @@ from yamsim_cli.core.errors import ResourceError
 from .import_object import import_object
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
 
 app = typer.Typer(help="List and fetch the robot and object meshes, and import objects.", no_args_is_help=True)
@@ -84,7 +87,7 @@ def _open() -> tuple[AssetLock, AssetStore]:
     return load_lock(locations), AssetStore(locations.assets)
 
 
-def _files(assets: AssetSet, store: AssetStore) -> list[dict[str, object]]:
+def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]]:
     return [
         {
             "name": state.name,
@@ -113,9 +116,9 @@ def _fetch_with_progress(
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("meshes", total=None, done="")
 
-        def received(label: str, done: int, total: int) -> None:
-            shown = f"{done / 1e6:.1f} of {total / 1e6:.1f} MB"
-            bar.update(task, description=label, completed=done, total=total, done=shown)
+        def received(label: str, done_bytes: int, total_bytes: int) -> None:
+            shown = f"{done_bytes / 1e6:.1f} of {total_bytes / 1e6:.1f} MB"
+            bar.update(task, description=label, completed=done_bytes, total=total_bytes, done=shown)
 
         report = fetch(lock, names, store, default_sources(lock), received)
         reduced: dict[str, ReducedSet] = {}
@@ -132,7 +135,7 @@ def _fetch_with_progress(
     return report, reduced
 
 
-def _table(items: list[dict[str, object]], columns: tuple[str, ...]) -> object:
+def _table(items: Sequence[Mapping[str, object]], columns: tuple[str, ...]) -> Table:
     from rich.table import Table
 
     table = Table()

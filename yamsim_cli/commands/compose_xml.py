@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from .console import note, print_json, print_line
-from .session import Json, Margin, RigName, locations, record_config, resolve_meshes, rig_config, skip_gl
+from .session import Json, Margin, RigName, locations, resolve_meshes, rig_config, skip_gl
+from .settings import task_config
 
 
 def compose_xml(
@@ -43,13 +44,7 @@ def compose_xml(
         meshes = resolve_meshes(mesh_sets(settings), where)
         spec, model = rig_spec(settings, scene, Contents(boards, background), where, meshes)
     else:
-        flags = {
-            "--rig": (("rig",), rig),
-            "--margin": (("rig", "margin"), margin),
-            "--task": (("task",), task),
-            "--seed": (("seed",), seed),
-        }
-        config = record_config("default", where, flags)
+        config = task_config("default", where, rig=rig, margin=margin, task=task, seed=seed)
         objects = (config.task.object, config.task.target)
         meshes = resolve_meshes(mesh_sets(settings, objects), where)
         spec, model = task_spec(config, Contents(boards, background, objects), where, meshes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -11,35 +11,23 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
 from .evaluation_table import evaluation_table
-from .session import (
+from .films import film, films_at
+from .session import Json, scene_meshes
+from .settings import (
     ConfigOption,
-    Json,
+    Grasp,
     Quality,
+    Randomize,
+    ReportFile,
     Rig,
     Seed,
+    Size,
     Task,
+    Threshold,
     Workers,
-    job_flags,
-    locations,
-    parse_size,
-    randomization,
-    record_config,
-    scene_meshes,
-    skip_gl,
-    use_gl,
+    drawn_config,
+    undrawn_config,
 )
-
-if TYPE_CHECKING:
-    from yamsim_cli.core.config.record import RecordConfig
-    from yamsim_cli.core.jobs.evaluate import Evaluation
-    from yamsim_cli.core.jobs.films import TrialFilms
-    from yamsim_cli.core.resources import Locations
-
-# Policies that see no images: nothing is drawn for them.
-_BLIND = ("scripted", "hold_still", "replay")
-
-# Scored beside the threshold asked for. Source: the lab reports both.
-_THRESHOLDS = (0.05, 0.08)
 
 
 def evaluate(
@@ -53,9 +41,7 @@ def evaluate(
     n: Annotated[int, typer.Option("--n", min=1, help="Trials.")] = 50,
     seed: Seed = None,
     workers: Workers = None,
-    threshold: Annotated[
-        float | None, typer.Option(help="Largest distance from the target's centre, m.  [default: the task's, 0.05]")
-    ] = None,
+    threshold: Threshold = None,
     time_limit: Annotated[
         float | None, typer.Option(min=0.001, help="Of a trial, in simulated s.  [default: twice the plan's]")
     ] = None,
@@ -63,17 +49,15 @@ def evaluate(
     trial_timeout: Annotated[
         float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
     ] = 600.0,
-    out: Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")] = None,
+    out: ReportFile = None,
     video: Annotated[
         Path | None, typer.Option(help="Film failures: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
     ] = None,
     video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: how many at most.")] = 10,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move older videos aside.")] = False,
-    grasp: Annotated[str | None, typer.Option(help="How the object is held: weld.")] = None,
-    randomize: Annotated[
-        bool | None, typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more.")
-    ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of what the policy sees, in pixels.")] = None,
+    grasp: Grasp = None,
+    randomize: Randomize = None,
+    size: Size = None,
     quality: Quality = None,
     task: Task = None,
     rig: Rig = None,
@@ -86,36 +70,40 @@ def evaluate(
     """
     if overwrite and video is None:
         raise UsageError("--overwrite is for videos: give --video")
-    where = locations()
-    flags = job_flags(rig=rig, task=task, n=n, workers=workers, seed=seed, grasp=grasp) | {
-        "--threshold": (("task", "success", "threshold"), threshold),
-        "--size": (("image", "size_px"), parse_size(size) if size else None),
-        "--quality": (("render",), quality),
-        "wrist": (("wrist",), True),
-    }
-    checked = record_config(config, where, flags)
-    flags["--randomize"] = (("randomization",), randomization(randomize, checked))
-    if video is None and policy.partition(":")[0] in _BLIND:
-        skip_gl()
-    else:
-        where = use_gl(where, workers=True)
-    settings = record_config(config, where, flags)
+    from yamsim_cli.core.policies.loading import sees_images
 
+    settings, where = (drawn_config if video or sees_images(policy) else undrawn_config)(
+        config,
+        n=n,
+        seed=seed,
+        workers=workers,
+        threshold=threshold,
+        grasp=grasp,
+        randomize=randomize,
+        size=size,
+        quality=quality,
+        task=task,
+        rig=rig,
+        wrist=True,
+    )
+
+    from yamsim_cli.core.dataset.statistics import THRESHOLDS
+    from yamsim_cli.core.jobs import evaluate as evaluation
     from yamsim_cli.core.jobs.batch import write_report
-    from yamsim_cli.core.jobs.evaluate import evaluate as run
-    from yamsim_cli.core.jobs.evaluate import summary
-    from yamsim_cli.core.jobs.films import TrialFilms
     from yamsim_cli.core.jobs.trials import PolicyChoice
 
-    timing = settings.task.timing
-    films = video and TrialFilms(video, timing.tick * timing.ticks_per_frame, overwrite=overwrite)
+    films = films_at(video, settings, overwrite=overwrite) if video else None
     choice = PolicyChoice(policy, Path.cwd(), policy_timeout, time_limit)
     meshes = scene_meshes(settings, where)
     with progress_bar("trials", "trials") as advance:
-        found = run(settings, where, meshes, choice, lambda done, total: advance(done, total, ""), trial_timeout)
-    report = summary(found, settings, _THRESHOLDS)
+        found = evaluation.evaluate(
+            settings, where, meshes, choice, lambda done, total: advance(done, total, ""), trial_timeout
+        )
+    report = evaluation.summary(found, settings, THRESHOLDS)
     if films:
-        report["videos"] = _film(found, video_trials, films, settings, where)
+        report["videos"] = film(
+            films, lambda told: evaluation.film(found, video_trials, films, settings, where, meshes, told)
+        )
     if out is not None:
         write_report(report, out)
         note(f"Written to {out}.")
@@ -123,16 +111,3 @@ def evaluate(
         print_json(report)
     else:
         print_table(evaluation_table(report))
-
-
-def _film(
-    found: Evaluation, limit: int, films: TrialFilms, settings: RecordConfig, where: Locations
-) -> list[dict[str, Any]]:
-    from yamsim_cli.core.jobs.evaluate import film
-
-    meshes = scene_meshes(settings, where)
-    with progress_bar("filming", "trials") as advance:
-        shown = film(found, limit, films, settings, where, meshes, lambda done, total: advance(done, total, ""))
-    if films.moved_aside:
-        note(f"What was at {films.path} is now at {films.moved_aside}.")
-    return [{"trial": film.trial, "path": str(film.path)} for film in shown]

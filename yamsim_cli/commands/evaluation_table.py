@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
-def evaluation_table(report: dict[str, Any]) -> object:
+def evaluation_table(report: dict[str, Any]) -> Table:
     """A report of `core.jobs.evaluate.summary` as a table."""
     from rich.table import Table
 

@@ -3,43 +3,34 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
+from .films import film, films_at
 from .pages import require_free
-from .session import (
+from .session import Json, scene_meshes
+from .settings import (
     Arm,
     ConfigOption,
     Grasp,
-    Json,
     Object,
+    ReportFile,
     Rig,
     Seed,
     Target,
     Task,
+    Threshold,
     Workers,
-    job_flags,
-    locations,
-    record_config,
-    scene_meshes,
-    skip_gl,
-    use_gl,
+    drawn_config,
+    undrawn_config,
 )
 from .trials import trials_table
 
-if TYPE_CHECKING:
-    from yamsim_cli.core.config.record import RecordConfig
-    from yamsim_cli.core.jobs.films import TrialFilms
-    from yamsim_cli.core.resources import Locations
-
 app = typer.Typer(help="Run pick-and-place trials.", no_args_is_help=True)
-
-# Scored beside the threshold asked for. Source: the lab reports both.
-_THRESHOLDS = (0.05, 0.08)
 
 
 @app.callback()
@@ -51,13 +42,11 @@ def _pickplace() -> None:
 def batch(
     n: Annotated[int, typer.Option("--n", help="Trials.")] = 100,
     seed: Seed = None,
-    threshold: Annotated[
-        float | None, typer.Option(help="Largest distance from the target's centre, m.  [default: the task's, 0.05]")
-    ] = None,
+    threshold: Threshold = None,
     grasp: Grasp = None,
     arm: Arm = None,
     workers: Workers = None,
-    out: Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")] = None,
+    out: ReportFile = None,
     html: Annotated[Path | None, typer.Option(help="Also write a page with plots, over the sampling box too.")] = None,
     video: Annotated[
         Path | None, typer.Option(help="Film trials: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
@@ -83,26 +72,32 @@ def batch(
         raise UsageError("--overwrite is for videos and pages: give --video or --html")
     if html:
         require_free(html, overwrite)
-    where = locations()
-    flags = job_flags(
-        rig=rig, task=task, item=item, target=target, n=n, workers=workers, seed=seed, grasp=grasp, arm=arm
-    ) | {"--threshold": (("task", "success", "threshold"), threshold)}
-    settings = record_config(config, where, flags)
-    if video is None:
-        skip_gl()
-    else:
-        settings = record_config(config, use_gl(where, workers=True), flags)
+    settings, where = (drawn_config if video else undrawn_config)(
+        config,
+        n=n,
+        seed=seed,
+        threshold=threshold,
+        grasp=grasp,
+        arm=arm,
+        workers=workers,
+        task=task,
+        object=item,
+        target=target,
+        rig=rig,
+    )
 
+    from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.jobs.batch import run_batch, write_report
-    from yamsim_cli.core.jobs.films import TrialFilms
+    from yamsim_cli.core.jobs.films import film_trials
 
-    timing = settings.task.timing
-    films = video and TrialFilms(video, timing.tick * timing.ticks_per_frame, overwrite=overwrite)
-
+    films = films_at(video, settings, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
-        report = run_batch(settings, where, _THRESHOLDS, lambda done, wanted: advance(done, wanted, ""))
+        report = run_batch(settings, where, THRESHOLDS, lambda done, wanted: advance(done, wanted, ""))
     if films:
-        report["videos"] = _film(report, video_trials, films, settings, where)
+        meshes = scene_meshes(settings, where)
+        report["videos"] = film(
+            films, lambda told: film_trials(report["trials"], video_trials, films, settings, where, meshes, told)
+        )
     if out is not None:
         write_report(report, out)
         note(f"Written to {out}.")
@@ -116,18 +111,3 @@ def batch(
         print_json(report)
     else:
         print_table(trials_table(report))
-
-
-def _film(
-    report: dict[str, Any], limit: int, films: TrialFilms, settings: RecordConfig, where: Locations
-) -> list[dict[str, Any]]:
-    from yamsim_cli.core.jobs.films import film_trials
-
-    meshes = scene_meshes(settings, where)
-    with progress_bar("filming", "trials") as advance:
-        shown = film_trials(
-            report["trials"], limit, films, settings, where, meshes, lambda done, wanted: advance(done, wanted, "")
-        )
-    if films.moved_aside:
-        note(f"What was at {films.path} is now at {films.moved_aside}.")
-    return [{"trial": film.trial, "path": str(film.path)} for film in shown]

@@ -11,25 +11,22 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line, progress_bar
-from .session import (
+from .session import Json, scene_meshes
+from .settings import (
     Arm,
     ConfigOption,
     Grasp,
-    Json,
     Object,
     Quality,
+    Randomize,
     Rig,
     Seed,
+    Size,
     Target,
     Task,
     Workers,
-    job_flags,
-    locations,
-    parse_size,
-    randomization,
-    record_config,
-    scene_meshes,
-    use_gl,
+    Wrist,
+    drawn_config,
 )
 from .signals import stoppable
 
@@ -52,16 +49,13 @@ def record(
     rig: Rig = None,
     arm: Arm = None,
     grasp: Grasp = None,
-    wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
-    randomize: Annotated[
-        bool | None,
-        typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more."),
-    ] = None,
+    wrist: Wrist = None,
+    randomize: Randomize = None,
     boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
     ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")] = None,
+    size: Size = None,
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     quality: Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
@@ -86,21 +80,25 @@ def record(
     Example: yamsim record --n 500 --workers 4
     """
     mode = mode_of(resume=resume, overwrite=overwrite)
-    where = locations()
-    flags = job_flags(
-        rig=rig, task=task, item=item, target=target, n=n, workers=workers, seed=seed, grasp=grasp, arm=arm
-    ) | {
-        "--wrist": (("wrist",), wrist),
-        "--boards": (("boards",), boards),
-        "--truth": (("truth",), truth),
-        "--size": (("image", "size_px"), parse_size(size) if size else None),
-        "--jpeg-quality": (("image", "jpeg_quality"), jpeg_quality),
-        "--quality": (("render",), quality),
-    }
-    # Once without OpenGL: what is wrong with it is told at once.
-    checked = record_config(config, where, flags)
-    flags["--randomize"] = (("randomization",), randomization(randomize, checked))
-    settings = record_config(config, use_gl(where, workers=True), flags)
+    settings, where = drawn_config(
+        config,
+        workers=workers,
+        n=n,
+        seed=seed,
+        task=task,
+        object=item,
+        target=target,
+        rig=rig,
+        arm=arm,
+        grasp=grasp,
+        wrist=wrist,
+        randomize=randomize,
+        boards=boards,
+        truth=truth,
+        size=size,
+        jpeg_quality=jpeg_quality,
+        quality=quality,
+    )
 
     from yamsim_cli.core.jobs.collect import Watch
     from yamsim_cli.core.jobs.destination import Output

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from .console import print_json, print_line
-from .session import Json, Margin, Quality, RigName, locations, parse_size, resolve_meshes, rig_config, use_gl
+from .session import Json, Margin, RigName, locations, parse_size, resolve_meshes, rig_config, use_gl
+from .settings import Quality
 
 
 def render_views(

@@ -1,4 +1,4 @@
-"""What several commands need before they can start: where things are, a checked config, a GL backend, meshes."""
+"""What several commands need before they can start: where things are, a GL backend, meshes."""
 
 from __future__ import annotations
 
@@ -16,45 +16,14 @@ from .console import note
 
 if TYPE_CHECKING:
     from yamsim_cli.core.assets import AssetLock, AssetStore
+    from yamsim_cli.core.config.document import KeyPath
     from yamsim_cli.core.config.record import RecordConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.resources import Locations
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
-ConfigOption = Annotated[
-    str,
-    typer.Option("--config", metavar="NAME|FILE", help="Record config: a name from configs/record/ or a YAML file."),
-]
-Rig = Annotated[str | None, typer.Option(help="Rig: a name from configs/rigs/ or a YAML file.")]
 RigName = Annotated[str, typer.Option("--rig", help="Rig: a name from configs/rigs/ or a YAML file.")]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
-Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
-Object = Annotated[
-    str | None,
-    typer.Option(
-        "--object", metavar="NAME|FILE", help="What is picked up: a name from configs/objects/ or a YAML file."
-    ),
-]
-Target = Annotated[
-    str | None, typer.Option(metavar="NAME|FILE", help="Onto or into what it is put, named as the object is.")
-]
-Grasp = Annotated[
-    str | None,
-    typer.Option(
-        metavar="weld|contact",
-        help="What holds the object: a weld that is switched on, or friction alone, which needs a gripper with pads "
-        "(--rig single_linear).  [default: weld]",
-    ),
-]
-Arm = Annotated[
-    str | None,
-    typer.Option(metavar="left|right", help="Which arm of a rig with two does the task.  [default: right]"),
-]
-Seed = Annotated[int | None, typer.Option(help="Everything random follows from it.")]
-Quality = Annotated[
-    str | None, typer.Option(help="fast, balanced, high, auto (by what draws), or a YAML file.  [default: auto]")
-]
-Workers = Annotated[int | None, typer.Option(help="Worker processes; they never change the data.")]
 
 
 def locations() -> Locations:
@@ -64,65 +33,13 @@ def locations() -> Locations:
     return Locations.find(os.environ)
 
 
-Flags = dict[str, tuple[tuple[str, ...], Any]]
-
-
-def job_flags(
-    *,
-    rig: str | None,
-    task: str | None,
-    item: str | None,
-    target: str | None,
-    n: int | None,
-    workers: int | None,
-    seed: int | None,
-    grasp: str | None,
-    arm: str | None,
-) -> Flags:
-    """The flags that `record` and `pickplace batch` share, each with the config key it overrides."""
-    return {
-        "--object": (("task", "object"), item),
-        "--target": (("task", "target"), target),
-        "--rig": (("rig",), rig),
-        "--task": (("task",), task),
-        "--n": (("episodes",), n),
-        "--workers": (("workers",), workers),
-        "--seed": (("seed",), seed),
-        "--grasp": (("grasp",), grasp),
-        "--arm": (("arm",), arm),
-    }
-
-
-def record_config(name: str, where: Locations, flags: Flags) -> RecordConfig:
-    """The named record config with the flags that were given (not None) put over it: flag -> (key path, value)."""
-    from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.record import RecordConfig
-    from yamsim_cli.core.tasks.kinds import kind_of
-
-    overrides = {path: (flag, value) for flag, (path, value) in flags.items() if value is not None}
-    config = load_config(RecordConfig, "record", name, where, overrides)
-    # What cannot be demonstrated is told before anything is made.
-    kind_of(config.task)
-    return config
-
-
 def rig_config(name: str, where: Locations, margin: float | None = None) -> RigConfig:
     """The named rig, with another margin if one was given."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rig import RigConfig
 
-    overrides = {} if margin is None else {("margin",): ("--margin", margin)}
+    overrides: dict[KeyPath, tuple[str, Any]] = {} if margin is None else {("margin",): ("--margin", margin)}
     return load_config(RigConfig, "rigs", name, where, overrides)
-
-
-def randomization(flag: bool | None, config: RecordConfig) -> str | None:
-    """The randomization that --randomize or --no-randomize asks for; None for what the config says.
-
-    A config with ranges of its own keeps them under --randomize.
-    """
-    if flag is None or (flag and config.randomization.parts):
-        return None
-    return "default" if flag else "none"
 
 
 # What MuJoCo and OpenCV can be asked for without a machine running out of memory.

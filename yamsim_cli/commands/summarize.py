@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -13,9 +13,6 @@ from yamsim_cli.core.errors import DatasetError, UsageError
 from .console import note, print_json, print_table, progress_bar
 from .pages import require_free
 from .session import Json, locations
-
-# Source: the lab reports both.
-_THRESHOLDS = (0.05, 0.08)
 
 
 def summarize(
@@ -42,11 +39,12 @@ def summarize(
     if html:
         require_free(html, overwrite)
 
+    from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.dataset.summary import summarize as count
     from yamsim_cli.core.jobs.summarize import survey_dataset
     from yamsim_cli.core.machine import usable_cores
 
-    thresholds = sorted(set(threshold or _THRESHOLDS))
+    thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
         survey = survey_dataset(
             dataset, locations(), workers or usable_cores(), lambda done, total: advance(done, total, "")
@@ -69,7 +67,7 @@ def summarize(
         raise DatasetError(_verdict(dataset, report, strict))
 
 
-def _verdict(dataset: Path, report: dict, strict: bool) -> str:
+def _verdict(dataset: Path, report: dict[str, Any], strict: bool) -> str:
     problems = [problem for problem in report["problems"] if strict or problem["severity"] == "error"]
     first = problems[0]
     place = "/".join(part for part in (first["episode"], first["file"]) if part)

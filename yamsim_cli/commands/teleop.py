@@ -13,19 +13,8 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line
 from .record import mode_of
-from .session import (
-    ConfigOption,
-    Json,
-    Quality,
-    Rig,
-    Seed,
-    Task,
-    locations,
-    parse_size,
-    record_config,
-    scene_meshes,
-    use_gl,
-)
+from .session import Json, scene_meshes
+from .settings import ConfigOption, Quality, Rig, Seed, Size, Task, Wrist, drawn_config
 from .signals import stoppable
 from .viewing import Host, Port, page_address, quiet_page
 
@@ -47,8 +36,8 @@ def teleop(
     seed: Seed = None,
     task: Task = None,
     rig: Rig = None,
-    wrist: Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")] = None,
+    wrist: Wrist = None,
+    size: Size = None,
     quality: Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Add to a dataset that is there.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
@@ -67,18 +56,7 @@ def teleop(
             raise UsageError(f"{flag} is of the page: leave it out, or leave out --input")
     if realtime and stream is None:
         raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
-    where = locations()
-    flags = {
-        "--rig": (("rig",), rig),
-        "--task": (("task",), task),
-        "--seed": (("seed",), seed),
-        "--wrist": (("wrist",), wrist),
-        "--size": (("image", "size_px"), parse_size(size) if size else None),
-        "--quality": (("render",), quality),
-    }
-    # Once without OpenGL: what is wrong with it is told at once.
-    record_config(config, where, flags)
-    settings = record_config(config, use_gl(where, workers=True), flags)
+    settings, where = drawn_config(config, rig=rig, task=task, seed=seed, wrist=wrist, size=size, quality=quality)
     quiet_page()
 
     from yamsim_cli.core.jobs.teleop_run import check_page, open_seat, run_page, run_stream

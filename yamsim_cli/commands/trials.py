@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
-def trials_table(report: dict[str, Any]) -> object:
+def trials_table(report: dict[str, Any]) -> Table:
     """What `jobs.batch.run_batch` reports, as a table."""
     from rich.table import Table
 

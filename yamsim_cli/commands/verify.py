@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,9 @@ from yamsim_cli.core.errors import DatasetError, UsageError
 from .console import print_json, print_table, progress_bar
 from .divergence import WAYS, sentence, trouble, verdict
 from .session import Json, locations, scene_meshes, skip_gl, use_gl
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def verify(
@@ -71,7 +74,7 @@ def verify(
         raise DatasetError(verdict(report))
 
 
-def _table(report: dict[str, Any]) -> object:
+def _table(report: dict[str, Any]) -> Table:
     from rich.table import Table
 
     table = Table("dataset", report["path"])

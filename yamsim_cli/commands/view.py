@@ -11,12 +11,14 @@ import typer
 from yamsim_cli.core.errors import ResourceError, UsageError
 
 from .console import print_json, print_line
-from .session import Json, Margin, Rig, Seed, Task, locations, record_config, resolve_meshes, rig_config, use_gl
+from .session import Json, Margin, locations, resolve_meshes, rig_config, use_gl
+from .settings import Rig, Seed, Task, task_config
 from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.config.record import RenderConfig
+    from yamsim_cli.core.config.record import RecordConfig, RenderConfig
+    from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.viewers.live import LiveRig
     from yamsim_cli.core.viewers.viewpoint import Viewpoint
@@ -58,11 +60,11 @@ def view(
         watch(find_episode(episode, None), where, 1.0, page, json)
         return
 
-    flags = {"--rig": (("rig",), rig), "--margin": (("rig", "margin"), margin), "--seed": (("seed",), seed)}
+    settings: RigConfig | RecordConfig
     if task is None:
         settings = rig_config(rig or "single", where, margin)
     else:
-        settings = record_config("default", where, flags | {"--task": (("task",), task)})
+        settings = task_config("default", where, rig=rig, margin=margin, task=task, seed=seed)
     pictures = page is not None and _can_draw(where)
     prepare_viewer(page)
 
@@ -94,7 +96,9 @@ def _can_draw(where: Locations) -> bool:
     return True
 
 
-def _live(settings: object, where: Locations, *, boards: bool, pictures: bool) -> tuple[LiveRig, Viewpoint | None]:
+def _live(
+    settings: RigConfig | RecordConfig, where: Locations, *, boards: bool, pictures: bool
+) -> tuple[LiveRig, Viewpoint | None]:
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.record import RecordConfig, RenderConfig
     from yamsim_cli.core.config.rig import RigConfig

@@ -26,7 +26,7 @@ def test_a_kind_decides_what_an_attempt_is(
 ) -> None:
     """A kind that was added is used throughout, without a change elsewhere."""
 
-    def judge(*of: object) -> Outcome:
+    def judge(*of: object, planned: bool = True) -> Outcome:
         return Outcome(False, Cause.UNSTABLE, "by the new kind's judgement")
 
     more: Mapping[str, kinds.TaskKind] = {**KINDS, "strict": replace(KINDS["pickplace"], judge=judge)}

@@ -5,23 +5,19 @@ from __future__ import annotations
 import functools
 import json
 import time
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from ..config.record import RecordConfig
 from ..dataset.records import MarginsRecord, attempt_record, plain
-from ..dataset.statistics import spread, wilson95
-from ..errors import InterruptedJobError, ResourceError
+from ..errors import ResourceError
 from ..files import write_file
 from ..resources import Locations
 from ..types import EpisodeJob, EpisodePayload
 from .episode import EpisodeRunner
+from .tally import Progress, run_trials, tally
 from .workers import WorkerPool
-
-# Called with trials done and trials wanted.
-Progress = Callable[[int, int], None]
 
 
 def run_batch(
@@ -33,7 +29,7 @@ def run_batch(
         thresholds: in metres, by which the outcomes are scored beside the task's own.
 
     Returns:
-        JSON-ready: n, n_success, success_rate, wilson95, rates per threshold, dxy_m, margins, causes, rig, task, grasp,
+        JSON-ready: what `tally` counts, margins, rig, task, grasp,
         arms (those that act), seconds, trials.
 
     Raises:
@@ -43,26 +39,13 @@ def run_batch(
     n = config.episodes
     # Meshes are looks; without drawing nobody looks.
     factory = functools.partial(EpisodeRunner, config, locations, {}, draw=False)
-    payloads: list[EpisodePayload] = []
-    try:
-        with WorkerPool[EpisodeJob, EpisodePayload](factory, min(config.workers, n)) as pool:
-            started = 0
-            while len(payloads) < n:
-                while pool.idle and started < n:
-                    pool.submit(EpisodeJob(config.seed, started))
-                    started += 1
-                payloads.append(pool.result()[1])
-                progress(len(payloads), n)
-    except KeyboardInterrupt:
-        raise InterruptedJobError(
-            f"interrupted after {len(payloads)} of {n} trials; run again to count them all"
-        ) from None
+    workers = min(config.workers, n)
+    with WorkerPool[EpisodeJob, EpisodePayload](factory, workers) as pool:
+        payloads = run_trials(pool, config.seed, n, progress)
     seconds = time.monotonic() - began
 
     payloads.sort(key=lambda payload: payload.job.attempt)
     records = [attempt_record(payload, None) for payload in payloads]
-    succeeded = sum(record.outcome.success for record in records)
-    height = config.task.success.max_height
     trials = []
     for record in records:
         trial = plain(record)
@@ -70,22 +53,15 @@ def run_batch(
         del trial["episode"]
         trials.append(trial)
     return {
-        "n": n,
-        "n_success": succeeded,
-        "success_rate": succeeded / n,
-        "wilson95": wilson95(succeeded, n),
-        "threshold_m": config.task.success.threshold,
-        "rates": {f"{t:g}": sum(record.outcome.within(t, height) for record in records) / n for t in thresholds},
-        "dxy_m": spread([record.outcome.dxy_m for record in records if record.outcome.dxy_m is not None]),
+        **tally([record.outcome for record in records], config.task.success, thresholds, [True] * n),
         "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
-        "causes": dict(Counter(record.outcome.cause for record in records if record.outcome.cause)),
         "rig": config.rig.name,
         "task": config.task.name,
         "grasp": config.grasp,
         "arms": [config.rig.arms[k].side for k in config.acting],
         "seed": config.seed,
         "seconds": seconds,
-        "core_seconds_per_trial": seconds * min(config.workers, n) / n,
+        "core_seconds_per_trial": seconds * workers / n,
         "trials": trials,
     }
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..config.record import RecordConfig
 from ..dataset.records import OutcomeRecord, plain
-from ..dataset.statistics import spread, wilson95
+from ..dataset.statistics import spread
 from ..errors import InterruptedJobError
 from ..geometry.se3 import Array
 from ..resources import Locations
@@ -27,11 +27,9 @@ from .episode import EpisodeRunner, require_one_arm
 from .executor import LostJobError
 from .films import FilmedTrial, TrialFilms, drawn_in_order
 from .pool import JOB_SECONDS
+from .tally import Progress, run_trials, tally
 from .trials import Ended, PolicyChoice, TrialResult, TrialRunner
 from .workers import WorkerPool
-
-# Called with trials done and in all.
-Progress = Callable[[int, int], None]
 
 Meshes = Mapping[str, Path | None]
 
@@ -71,23 +69,8 @@ def evaluate(
     began = time.monotonic()
     n = config.episodes
     factory = functools.partial(TrialRunner, config, locations, dict(meshes), choice)
-    results: list[TrialResult] = []
-    try:
-        with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
-            started = 0
-            while len(results) < n:
-                while pool.idle and started < n:
-                    pool.submit(EpisodeJob(config.seed, started))
-                    started += 1
-                try:
-                    results.append(pool.result()[1])
-                except LostJobError as lost:
-                    results.append(_lost(lost))
-                progress(len(results), n)
-    except KeyboardInterrupt:
-        raise InterruptedJobError(
-            f"interrupted after {len(results)} of {n} trials; run again to count them all"
-        ) from None
+    with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
+        results = run_trials(pool, config.seed, n, progress, _lost)
     results.sort(key=lambda result: result.job.attempt)
     return Evaluation(choice, tuple(results), time.monotonic() - began)
 
@@ -106,18 +89,14 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
         thresholds: in metres, by which the outcomes are scored beside the task's own.
     """
     results, tick = evaluation.results, config.task.timing.tick
-    n, succeeded = len(results), sum(result.outcome.success for result in results)
-    height = config.task.success.max_height
     calls = [seconds for result in results for seconds in result.seconds]
     stats = {
-        "n": n,
-        "n_success": succeeded,
-        "success_rate": succeeded / n,
-        "wilson95": wilson95(succeeded, n),
-        "threshold_m": config.task.success.threshold,
-        "rates": {f"{t:g}": sum(_within(result, t, height) for result in results) / n for t in thresholds},
-        "dxy_m": spread([result.outcome.dxy_m for result in results if result.outcome.dxy_m is not None]),
-        "causes": dict(Counter(result.outcome.cause for result in results if result.outcome.cause)),
+        **tally(
+            [result.outcome for result in results],
+            config.task.success,
+            thresholds,
+            [not result.error for result in results],
+        ),
         "ended": dict(Counter(result.ended.value for result in results)),
         "policy_s": spread(calls),
         "slower_than_real_time": sum(seconds > tick for seconds in calls) / len(calls) if calls else None,
@@ -130,10 +109,6 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
         "seconds": evaluation.seconds,
         "trials": [_trial(result, tick) for result in results],
     }
-
-
-def _within(result: TrialResult, threshold: float, height: float) -> bool:
-    return not result.error and result.outcome.within(threshold, height)
 
 
 def _trial(result: TrialResult, tick: float) -> dict[str, Any]:

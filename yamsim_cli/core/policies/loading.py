@@ -15,6 +15,14 @@ from .base import IMAGES, Policy
 
 FORMS = "give scripted, hold_still, replay:DATASET, http://HOST:PORT, module:Class or file.py:Class"
 
+# Of those, the ones for which nothing has to be drawn.
+_BLIND = ("scripted", "hold_still", "replay")
+
+
+def sees_images(name: str) -> bool:
+    """Whether a policy of this name may look at images."""
+    return name.partition(":")[0] not in _BLIND
+
 
 def load_policy(name: str, folder: Path) -> Policy:
     """Make a policy of the user's.
