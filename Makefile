@@ -10,10 +10,12 @@ VENV := .venv
 PYTHON_BIN := $(VENV)/bin/python
 YAMSIM := $(VENV)/bin/yamsim
 READY := $(VENV)/.ready
+READY_DEV := $(VENV)/.ready-dev
+PIP := $(PYTHON_BIN) -m pip install -q --disable-pip-version-check
 DEMO := out/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup gl meshes test-programs demo test test-slow test-all golden-update lint type bench bench-fiducials build lock clean
+.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-all golden-update lint type bench bench-fiducials build lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -23,9 +25,16 @@ setup: $(READY) ## make .venv with the locked versions and this checkout in it (
 # Made anew when the lock or the project's metadata changes. Wheels alone: an sdist would run code that no hash covers.
 $(READY): pyproject.toml requirements.lock
 	tools/bootstrap.sh $(VENV)
-	$(PYTHON_BIN) -m pip install -q --disable-pip-version-check --require-hashes --only-binary :all: -r requirements.lock
-	$(PYTHON_BIN) -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(PIP) --require-hashes --only-binary :all: -r requirements.lock
+	$(PIP) --no-deps --no-build-isolation --editable .
 	@touch $@
+
+# Tests also need the rarer extras, Ray among them, which take longer to install than all the rest.
+$(READY_DEV): $(READY) requirements-dev.lock
+	$(PIP) --require-hashes --only-binary :all: -r requirements-dev.lock
+	@touch $@
+
+setup-dev: $(READY_DEV) ## add what tests and the rarer extras need
 
 gl: setup
 	@tools/ensure_gl.sh $(PYTHON_BIN)
@@ -46,29 +55,29 @@ demo: gl meshes ## record four episodes into out/demo and summarize them
 	$(YAMSIM) summarize $(DEMO)
 	@echo "Look at $$(find $(DEMO) -name '*.jpg' | LC_ALL=C sort | head -n 1), or all of $(DEMO)/"
 
-test: gl meshes ## run the tests, without the slow ones and those that need the internet
+test: setup-dev gl meshes ## run the tests, without the slow ones and those that need the internet
 	$(PYTHON_BIN) -m pytest -n auto -m "not slow and not network" $(PYTEST_ARGS)
 
-test-slow: gl meshes test-programs ## run the rest: the slow ones, and those that need the internet or other programs
+test-slow: setup-dev gl meshes test-programs ## run the rest: the slow ones, and those that need the internet or other programs
 	$(PYTHON_BIN) -m pytest -n auto -m "slow or network" $(PYTEST_ARGS)
 
-test-all: gl meshes test-programs ## run all tests
+test-all: setup-dev gl meshes test-programs ## run all tests
 	$(PYTHON_BIN) -m pytest -n auto $(PYTEST_ARGS)
 
-golden-update: gl ## make today's pictures the golden ones: look at each before committing
+golden-update: setup-dev gl ## make today's pictures the golden ones: look at each before committing
 	$(PYTHON_BIN) -m tests.golden.update
 
-lint: setup ## check style and format
+lint: setup-dev ## check style and format
 	$(PYTHON_BIN) -m ruff check
 	$(PYTHON_BIN) -m ruff format --check
 
-type: setup ## check types
+type: setup-dev ## check types
 	$(PYTHON_BIN) -m mypy
 
-bench: gl meshes ## measure speed
+bench: setup-dev gl meshes ## measure speed
 	$(PYTHON_BIN) -m tests.bench
 
-bench-fiducials: gl ## measure how well boards are located, in photos whose truth is known
+bench-fiducials: setup-dev gl ## measure how well boards are located, in photos whose truth is known
 	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.fiducials
 
 build: setup ## build wheel and sdist into dist/
@@ -76,11 +85,14 @@ build: setup ## build wheel and sdist into dist/
 	$(PYTHON_BIN) -m hatchling build
 
 # uv reads no configuration and no UV_* index here, so the hashes are those of the public index, for all platforms.
-lock: ## renew requirements.lock from pyproject.toml (needs uv)
-	env -u UV_INDEX -u UV_DEFAULT_INDEX -u UV_INDEX_URL -u UV_EXTRA_INDEX_URL -u UV_FIND_LINKS \
-	    $(UV) pip compile pyproject.toml --group dev --all-extras --universal --fork-strategy fewest \
-	    --generate-hashes --no-config --no-header --no-annotate --no-emit-index-url --no-emit-find-links \
-	    --quiet --output-file requirements.lock $(LOCK_ARGS)
+# The rest is compiled under the first lock's versions, so that one environment holds both.
+COMPILE = env -u UV_INDEX -u UV_DEFAULT_INDEX -u UV_INDEX_URL -u UV_EXTRA_INDEX_URL -u UV_FIND_LINKS \
+    $(UV) pip compile pyproject.toml --universal --fork-strategy fewest \
+    --generate-hashes --no-config --no-header --no-annotate --no-emit-index-url --no-emit-find-links --quiet $(LOCK_ARGS)
+
+lock: ## renew requirements.lock and requirements-dev.lock from pyproject.toml (needs uv)
+	$(COMPILE) --group build --extra print --extra video --extra view --output-file requirements.lock
+	$(COMPILE) --group dev --all-extras --constraint requirements.lock --output-file requirements-dev.lock
 
 clean: ## remove what make made: .venv, dist, caches and out/demo, never a dataset of yours
 	rm -rf $(VENV) dist build $(DEMO) .hypothesis .mypy_cache .pytest_cache .ruff_cache
