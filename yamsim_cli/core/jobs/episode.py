@@ -19,6 +19,7 @@ from ..dataset.records import Pose2D
 from ..errors import ConfigError
 from ..geometry.se3 import Array, inverse, yaw
 from ..planning.planners import make_planner
+from ..randomized import Randomized
 from ..resources import Locations
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene
@@ -28,7 +29,7 @@ from ..sim.watch import object_pose
 from ..tasks.kinds import draw_layout, kind_of
 from ..tasks.pickplace import Poses
 from ..tasks.plans import phases_of
-from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
+from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, StepState
 from ..vision.jpeg import encode_jpeg
 from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import Image, SceneRenderer

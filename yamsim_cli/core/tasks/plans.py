@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..config.objects import GraspPoint
 from ..config.record import GraspKind
-from ..config.scene import GraspPoint
 from ..config.task import TaskConfig, Timing
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..types import Layout, Phases, Plan, Waypoint
