@@ -59,7 +59,7 @@ def pixel(config: RecordConfig, browser: Browser, point: Array) -> tuple[float, 
 
 @contextmanager
 def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[tuple[str, TeleopSession]]:
-    """A page on which an arm is driven: its URL, and the session behind it."""
+    """A page on which an arm is driven: its URL, and the session behind it. How well time was kept is printed."""
     urls: list[str] = []
     sessions: list[TeleopSession] = []
     stop = Stop()
@@ -68,7 +68,7 @@ def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[t
         meshes = {"i2rt_yam_crank": None, "ycb": None}
         with open_seat(config, locations, meshes, out, OpenMode.NEW, print) as seat:
             sessions.append(seat.session)
-            run_page(seat, config, PageAddress(), urls.append, stop)
+            print(run_page(seat, config, PageAddress(), urls.append, stop).jitter)
 
     thread = threading.Thread(target=serve)
     thread.start()
@@ -105,6 +105,25 @@ def test_a_drag_of_the_gizmo_moves_the_hand(
         assert np.allclose(moved, (0, moved[1], 0), atol=2e-3)
         assert moved[1] == pytest.approx(0.1, abs=0.04)
         wait_until(lambda: at(session, session.target[:3, 3], 0.01))
+
+
+def test_every_key_counts_and_none_overtakes_a_number(
+    config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path
+) -> None:
+    with driving(config, locations, tmp_path / "d") as (url, session):
+        browser.resize(900, 700)
+        browser.open(url)
+        wait_until(lambda: "not recording" in browser.text())
+        x, y, z = session.target[:3, 3]
+        browser.run(SET_NUMBER, Y, "0.080")
+        browser.keys("iiyyyhk")
+        wanted = (x + 0.01, 0.08, z + 0.02)
+        wait_until(lambda: np.allclose(session.target[:3, 3], wanted, atol=1e-6))
+        # A place is sent whole: who types before the page has followed would send the rest as it was.
+        wait_until(lambda: np.allclose([float(n) for n in browser.run(NUMBERS)[:3]], wanted, atol=6e-4))
+        browser.run(SET_NUMBER, X, "0.300")
+        wait_until(lambda: at(session, np.array((0.3, *wanted[1:]))))
+        assert np.allclose([float(n) for n in browser.run(NUMBERS)[:3]], (0.3, *wanted[1:]), atol=6e-4)
 
 
 def test_what_is_done_on_the_page_is_an_episode(
