@@ -114,7 +114,7 @@ def test_every_key_counts_and_none_overtakes_a_number(
         browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
-        x, y, z = session.target[:3, 3]
+        x, _, z = session.target[:3, 3]
         browser.run(SET_NUMBER, Y, "0.080")
         browser.keys("iiyyyhk")
         wanted = (x + 0.01, 0.08, z + 0.02)

@@ -413,6 +413,8 @@ def test_a_signal_ends_the_page_with_what_there_is(tmp_path: Path, repository: P
     assert (process.returncode, err.count("\n")) == (0, 1), err
     report = json.loads(out)
     assert (report["episodes"], report["attempts"], report["trials"]) == (0, 0, [])
+    assert report["jitter_ms"]["rate_hz"] == pytest.approx(31.25)
+    assert {"ticks", "p50", "p95", "max", "late", "lost"} < report["jitter_ms"].keys()
     assert (tmp_path / "d" / "manifest.json").is_file()
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", int(found[1]))) != 0
