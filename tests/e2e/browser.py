@@ -84,7 +84,8 @@ class Browser:
 
     def screenshot(self, file: Path | None = None) -> Array:
         """What is seen now; kept as a PNG for whoever looks at the test's artifacts, if a file is given."""
-        png = base64.b64decode(self._call("GET", "/screenshot"))
+        # The driver waits 10 s for a picture and no longer, however busy the machine is.
+        png = base64.b64decode(_patiently(lambda: self._call("GET", "/screenshot"), "timeout"))
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(png)
@@ -132,19 +133,26 @@ class Browser:
     def _with_element(self, using: str, value: str, act: Callable[[str], object]) -> None:
         """Do something with an element; found once more if the page has drawn it anew since it was found.
 
-        What is stale was refused before anything was done with it. Any other refusal is the test's to fail by.
+        What is stale was refused before anything was done with it.
         """
-        for last in (False, False, True):
-            element = self._call("POST", "/element", {"using": using, "value": value})[ELEMENT]
-            try:
-                act(element)
-                return
-            except WebDriverError as refusal:
-                if last or refusal.error != "stale element reference":
-                    raise
+        _patiently(
+            lambda: act(self._call("POST", "/element", {"using": using, "value": value})[ELEMENT]),
+            "stale element reference",
+        )
 
     def close(self) -> None:
         self._call("DELETE", "")
+
+
+def _patiently(ask: Callable[[], Any], error: str) -> Any:
+    """Ask three times at most, as long as this is the refusal; any other is the test's to fail by."""
+    for last in (False, False, True):
+        try:
+            return ask()
+        except WebDriverError as refusal:
+            if last or refusal.error != error:
+                raise
+    raise AssertionError("it was asked three times")
 
 
 def _told(request: str, status: int, text: str) -> WebDriverError:
