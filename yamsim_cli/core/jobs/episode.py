@@ -169,7 +169,7 @@ class EpisodeRunner:
                 also `judge`.
         """
         task = self._config.task
-        held = self._phases if planned else (phases_of([bool(np.any(holds)) for holds in actions.magnet]),)
+        held = self._phases if planned else phases_of(actions.magnet)
         rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
@@ -203,7 +203,7 @@ class EpisodeRunner:
             extrinsics={name: replica.T_cam_in_base(name) for name in self._scene.cameras},
             object_poses={item.name: replica.T_object_in_base(item.name) for item in (task.object, task.target)},
             ee_pose=replica.T_grasp_in_base(),
-            ctrl=acting.ctrl[0, self._scene.drives],
+            ctrl=acting.ctrl[0][self._scene.drives],
             action_joints=acting.joints[0],
             magnet=acting.magnet[0],
             language_task=task.language_task,

@@ -103,14 +103,14 @@ class CompiledScene:
         return self.arms[0]
 
     @property
+    def drives(self) -> Ids:
+        """Where the drives (nu,) are in `ctrl`, as recordings have them: each arm's six and gripper, the left first."""
+        return np.concatenate([[*arm.arm_ctrl, arm.gripper_ctrl] for arm in self.arms])
+
+    @property
     def T_base_in_world(self) -> Array:
         """Pose (4, 4) of the base that recorded poses are in: the only arm's, or the left one's."""
         return self.arms[0].T_base_in_world
-
-    @property
-    def drives(self) -> Ids:
-        """Places (7,) or (14,) of the drives in `ctrl`, in the order of recordings: each arm's six and its gripper."""
-        return np.concatenate([np.append(arm.arm_ctrl, arm.gripper_ctrl) for arm in self.arms])
 
     def forbidden(self, geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Which of some pairs of geoms (n, 2) must not touch (n,): arms and what lies on the table, or two arms."""
