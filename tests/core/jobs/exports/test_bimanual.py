@@ -16,12 +16,15 @@ from tests.core.jobs.exports.lerobot_files import rows, run_reader
 from tests.core.jobs.exports.raiden_diff import differences
 from tests.core.jobs.undrawn import change_record
 from yamsim_cli.core.dataset.lowdim import load_frame
+from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.jobs.exports.lerobot import export_lerobot
 from yamsim_cli.core.jobs.exports.raiden import export_raiden
 from yamsim_cli.core.jobs.exports.source import open_source
+from yamsim_cli.core.jobs.trials import PolicyChoice, TrialRunner
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import EpisodeJob
 
 FRAMES = 94
 CAMERAS = ("scene_camera", "left_wrist_camera", "right_wrist_camera")
@@ -160,6 +163,37 @@ def test_lerobots_actions_lead_the_joints_of_the_same_name(lerobot: Path) -> Non
     assert moved[arms].mean() < swapped[arms].mean() / 4
     left_holds, right_holds = (int(action[:, k].argmax()) for k in (14, 15))
     assert 0 < right_holds < left_holds
+
+
+PLAYER = """
+import numpy as np
+
+
+class Player:
+    images = ()
+    ticks = 2
+
+    def __init__(self):
+        self._actions = np.load({file!r})
+
+    def reset(self):
+        self._frame = 0
+
+    def __call__(self, observation):
+        action, self._frame = self._actions[self._frame], self._frame + 1
+        return {{"ctrl": action[:14], "magnet": action[14:] > 0.5, "done": self._frame == len(self._actions)}}
+"""
+
+
+def test_lerobots_actions_are_those_that_a_policy_answers_with(
+    two_armed: Path, lerobot: Path, locations: Locations, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "actions.npy", rows(lerobot, "data/*/*.parquet")["action"])
+    (tmp_path / "player.py").write_text(PLAYER.format(file=str(tmp_path / "actions.npy")))
+    config = dataset_config(two_armed, locations)
+    with TrialRunner(config, locations, {}, PolicyChoice("player.py:Player", tmp_path)) as runner:
+        outcome = runner.run(EpisodeJob(config.seed, 0)).outcome
+    assert outcome.success, outcome.detail
 
 
 def test_lerobots_provenance_says_where_the_right_arm_stands(two_armed: Path, lerobot: Path) -> None:
