@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
+
+from .tables import facts
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -10,27 +13,28 @@ if TYPE_CHECKING:
 
 def evaluation_table(report: dict[str, Any]) -> Table:
     """A report of `core.jobs.evaluate.summary` as a table."""
-    from rich.table import Table
+    return facts(_rows(report))
 
+
+def _rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     stats = report["stats"]
-    table = Table("policy", report["policy"], title="pick and place", title_justify="left")
     low, high = stats["wilson95"]
-    table.add_row(
+    yield "policy", report["policy"]
+    yield (
         f"success within {stats['threshold_m'] * 100:g} cm",
         f"{stats['n_success']} of {stats['n']} ({stats['success_rate']:.1%}; 95 % interval {low:.1%} to {high:.1%})",
     )
     for limit, rate in stats["rates"].items():
-        table.add_row(f"within {float(limit) * 100:g} cm", f"{rate:.1%}")
+        yield f"within {float(limit) * 100:g} cm", f"{rate:.1%}"
     for cause, count in stats["causes"].items():
-        table.add_row(f"failed: {cause}", str(count))
+        yield f"failed: {cause}", str(count)
     if spread := stats["policy_s"]:
         figures = ", ".join(f"{name} {value * 1000:.1f} ms" for name, value in spread.items())
         late = f"; {stats['slower_than_real_time']:.0%} longer than a control tick of {report['tick_s'] * 1000:g} ms"
-        table.add_row("an answer of the policy", figures + late)
+        yield "an answer of the policy", figures + late
     for trial in report["trials"]:
         if trial["error"]:
-            table.add_row(f"trial {trial['trial']}: {trial['ended']}", trial["error"])
+            yield f"trial {trial['trial']}: {trial['ended']}", trial["error"]
     if films := report.get("videos"):
-        table.add_row("videos", f"{len(films)} trials, such as {films[0]['path']}")
-    table.add_row("time", f"{report['seconds']:.1f} s")
-    return table
+        yield "videos", f"{len(films)} trials, such as {films[0]['path']}"
+    yield "time", f"{report['seconds']:.1f} s"

@@ -14,7 +14,7 @@ from ..dataset.layout import episode_directories
 from ..dataset.reader import open_episode
 from ..errors import UsageError
 from ..policies.base import Observation, Policy
-from ..policies.loading import check_policy, load_policy
+from ..policies.loading import FORMS, check_policy, load_policy
 from ..policies.remote import RemotePolicy
 from ..sim.rollout import Rollout
 from ..types import Actions, EpisodeJob
@@ -141,4 +141,4 @@ def make_policy(name: str, folder: Path, timeout: float) -> Policy:
     if kind in ("http", "https"):
         remote: Any = RemotePolicy(name, timeout)
         return check_policy(remote, name)
-    return load_policy(name, folder)
+    return load_policy(name, folder, FORMS)
