@@ -86,7 +86,17 @@ def open_dataset(path: str | Path) -> Iterator[StoredEpisode]:
         yield open_episode(directory)
 
 
-def evaluate(policy: str, n: int = 50, *, seed: int = 0, workers: int = 1, config: str = "default") -> dict[str, Any]:
+def evaluate(
+    policy: str,
+    n: int = 50,
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    rig: str | None = None,
+    task: str | None = None,
+    arm: str | None = None,
+    config: str = "default",
+) -> dict[str, Any]:
     """Evaluate a policy, as `yamsim eval --json` does; in processes of its own, so guard a script's main part.
 
     Args:
@@ -98,7 +108,7 @@ def evaluate(policy: str, n: int = 50, *, seed: int = 0, workers: int = 1, confi
     from .core.policies.loading import sees_images
 
     make = drawn_config if sees_images(policy) else undrawn_config
-    settings, where = make(config, n=n, seed=seed, workers=workers, wrist=True)
+    settings, where = make(config, n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True)
 
     from .core.dataset.statistics import THRESHOLDS
     from .core.jobs.evaluate import evaluate as run

@@ -6,6 +6,7 @@ import base64
 import json
 import socket
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -32,20 +33,43 @@ CHROMIUM_ARGS = [
 ]
 
 
+# Without a GPU, and with other programs on the processor, a page takes its time.
+PATIENCE_MS = 150_000
+
+
+class WebDriverError(Exception):
+    """What WebDriver could not do.
+
+    Attributes:
+        error: the protocol's name of what went wrong, such as `no such element`.
+    """
+
+    def __init__(self, request: str, error: str, message: str) -> None:
+        super().__init__(f"{request}: {error}: {message}")
+        self.error = error
+
+
 class Browser:
     """As much of a WebDriver client as these tests need."""
 
     def __init__(self, port: int, profile: Path) -> None:
         self._root = f"http://127.0.0.1:{port}"
         options = {"binary": str(CHROMIUM), "args": [*CHROMIUM_ARGS, f"--user-data-dir={profile}"]}
-        wanted = {"alwaysMatch": {"browserName": "chrome", "goog:chromeOptions": options}}
-        self._root += f"/session/{self._call('POST', '/session', {'capabilities': wanted})['sessionId']}"
+        timeouts = {"script": PATIENCE_MS, "pageLoad": PATIENCE_MS}
+        wanted = {"browserName": "chrome", "goog:chromeOptions": options, "timeouts": timeouts}
+        session = self._call("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
+        self._root += f"/session/{session['sessionId']}"
 
     def _call(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(self._root + path, method=method, data=data)
-        with urllib.request.urlopen(request, timeout=180) as answer:
-            return json.load(answer)["value"]
+        try:
+            with urllib.request.urlopen(request, timeout=180) as answer:
+                return json.load(answer)["value"]
+        except urllib.error.HTTPError as refusal:
+            with refusal:
+                text = refusal.read().decode(errors="replace")
+            raise _told(f"{method} {path} {data.decode() if data else ''}"[:300], refusal.code, text) from None
 
     def open(self, url: str) -> None:
         self._call("POST", "/url", {"url": url})
@@ -60,7 +84,8 @@ class Browser:
 
     def screenshot(self, file: Path | None = None) -> Array:
         """What is seen now; kept as a PNG for whoever looks at the test's artifacts, if a file is given."""
-        png = base64.b64decode(self._call("GET", "/screenshot"))
+        # The driver waits 10 s for a picture and no longer, however busy the machine is.
+        png = base64.b64decode(_patiently(lambda: self._call("GET", "/screenshot"), "timeout"))
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(png)
@@ -92,17 +117,51 @@ class Browser:
         self._call("POST", "/actions", {"actions": [source]})
 
     def press(self, selector: str, keys: str) -> None:
-        element = self._call("POST", "/element", {"using": "css selector", "value": selector})[ELEMENT]
-        self._call("POST", f"/element/{element}/value", {"text": keys})
+        self._with_element(
+            "css selector",
+            selector,
+            lambda element: self._call("POST", f"/element/{element}/value", {"text": keys}),
+        )
 
     def click(self, label: str) -> None:
-        path = f"//button[contains(., '{label}')]"
-        element = self._call("POST", "/element", {"using": "xpath", "value": path})[ELEMENT]
-        self.run("arguments[0].scrollIntoView({block: 'center'})", {ELEMENT: element})
-        self._call("POST", f"/element/{element}/click", {})
+        def click(element: str) -> None:
+            self.run("arguments[0].scrollIntoView({block: 'center'})", {ELEMENT: element})
+            self._call("POST", f"/element/{element}/click", {})
+
+        self._with_element("xpath", f"//button[contains(., '{label}')]", click)
+
+    def _with_element(self, using: str, value: str, act: Callable[[str], object]) -> None:
+        """Do something with an element; found once more if the page has drawn it anew since it was found.
+
+        What is stale was refused before anything was done with it.
+        """
+        _patiently(
+            lambda: act(self._call("POST", "/element", {"using": using, "value": value})[ELEMENT]),
+            "stale element reference",
+        )
 
     def close(self) -> None:
         self._call("DELETE", "")
+
+
+def _patiently(ask: Callable[[], Any], error: str) -> Any:
+    """Ask three times at most, as long as this is the refusal; any other is the test's to fail by."""
+    for last in (False, False, True):
+        try:
+            return ask()
+        except WebDriverError as refusal:
+            if last or refusal.error != error:
+                raise
+    raise AssertionError("it was asked three times")
+
+
+def _told(request: str, status: int, text: str) -> WebDriverError:
+    """A refusal in the driver's own words; its stack trace is left out."""
+    try:
+        value = json.loads(text)["value"]
+        return WebDriverError(request, value["error"], value["message"])
+    except (ValueError, KeyError, TypeError):
+        return WebDriverError(request, f"HTTP {status}", text[:300])
 
 
 def answers(port: int) -> bool:

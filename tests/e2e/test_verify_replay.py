@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -16,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
+from tests.cli.serve_cli import shown
 from tests.e2e.browser import Browser, wait_until
 from tests.e2e.test_record_summarize import digest
 from yamsim_cli.core.dataset.lowdim import load_frame
@@ -107,31 +103,10 @@ def test_trials_are_filmed_failures_first(tmp_path: Path) -> None:
         assert sum(1 for _ in container.decode(video=0)) == 114
 
 
-def started(*args: str | Path, **env: str) -> tuple[subprocess.Popen[str], dict]:
-    """`yamsim replay --json ARGS` in a process of its own, from when it tells where it is shown."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli", "replay", "--json", *map(str, args)],
-        cwd=Path(__file__).parents[2],
-        env={**os.environ, **env},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    said = ""
-    while not said.endswith("}\n"):
-        line = process.stdout.readline()
-        assert line, process.stderr and process.stderr.read()
-        said += line
-    return process, json.loads(said)
-
-
 def test_a_browser_shows_the_episode_and_its_slider_seeks(dataset: Path, browser: Browser) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
-    process, report = started(dataset / "ep_000001", "--web", "--port", "0", "--speed", "0.2")
-    try:
-        browser.open(report["url"])
+    with shown("replay", dataset / "ep_000001", "--web", "--port", "0", "--speed", "0.2") as page:
+        browser.open(page.url)
         wait_until(lambda: "frame" in browser.text())
         times = set()
 
@@ -149,21 +124,15 @@ def test_a_browser_shows_the_episode_and_its_slider_seeks(dataset: Path, browser
         wait_until(lambda: f"{20 * 0.064:.2f} s, paused" in browser.text())
         time.sleep(1)
         assert np.abs(browser.screenshot().astype(float) - start).max() > 50
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=30)
-    assert process.returncode == 0
+        assert page.end()[0] == 0
 
 
 def test_mujocos_window_plays_the_episode(dataset: Path, screen: str) -> None:
-    process, report = started(dataset / "ep_000001", DISPLAY=screen, LIBGL_ALWAYS_SOFTWARE="1")
-    assert report["url"] is None
-    time.sleep(2)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=30)
-    remarks = [line for line in err.splitlines() if not line.startswith("The meshes of")]
-    assert (process.returncode, remarks) == (0, [])
+    with shown("replay", dataset / "ep_000001", DISPLAY=screen, LIBGL_ALWAYS_SOFTWARE="1") as window:
+        assert window.report["url"] is None
+        time.sleep(2)
+        assert window.process.poll() is None
+        assert window.end() == (0, "", [])
 
 
 def test_what_replays_bit_for_bit_is_what_was_recorded(dataset: Path) -> None:

@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import re
-import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -19,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
+from tests.cli.serve_cli import shown
 from tests.e2e.browser import Browser, wait_until
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
@@ -148,9 +143,10 @@ def test_a_task_and_its_episode_in_the_browser(browser: Browser, tmp_path: Path,
     out = tmp_path / "d"
     done = yamsim("record", "--n", "1", "--workers", "1", "--out", str(out), "--wrist", "--size", "160x120")
     assert done.code == 0, done.err
+    browser.resize(900, 700)
     for name, args in (("task", ("--task", "pickplace")), ("episode", ("--episode", str(out / "ep_000000")))):
-        with command("view", "--web", "--port", "0", *args) as url:
-            browser.open(url)
+        with shown("view", "--web", "--port", "0", *args) as page:
+            browser.open(page.url)
             wait_until(lambda: " s" in browser.text() and "Pause" in browser.text())
             if name == "episode":
                 wait_until(lambda: browser.run("return document.querySelectorAll('img[src^=\"blob:\"]').length") == 2)
@@ -158,59 +154,12 @@ def test_a_task_and_its_episode_in_the_browser(browser: Browser, tmp_path: Path,
                 assert "right_wrist_camera" in browser.text()
             time.sleep(2)
             browser.screenshot(screens / f"view_{name}.png")
+            assert page.end() == (0, "", [])
 
 
-@contextmanager
-def command(*args: str) -> Iterator[str]:
-    """A command that serves a page, in a process of its own that a signal ends; its URL."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli", *args, "--json"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        said = ""
-        while not said.endswith("}\n"):
-            line = process.stdout.readline()
-            assert line, process.stderr and process.stderr.read()
-            said += line
-        yield json.loads(said)["url"]
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=30)
-        assert process.returncode == 0
-        assert "Traceback" not in err
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def test_the_window_opens_on_a_display_and_a_signal_ends_it(screen: str, repository: Path) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli", "view", "--rig", "russet", "--json"],
-        cwd=repository,
-        env={**os.environ, "DISPLAY": screen, "LIBGL_ALWAYS_SOFTWARE": "1"},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        said = ""
-        while not re.search(r"\}\s*$", said):
-            line = process.stdout.readline()
-            assert line, process.stderr and process.stderr.read()
-            said += line
-        assert json.loads(said) == {"url": None}
+def test_the_window_opens_on_a_display_and_a_signal_ends_it(screen: str) -> None:
+    with shown("view", "--rig", "russet", DISPLAY=screen, LIBGL_ALWAYS_SOFTWARE="1") as window:
+        assert window.report == {"url": None}
         time.sleep(2)
-        assert process.poll() is None
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=30)
-        remarks = [line for line in err.splitlines() if not line.startswith("The meshes of")]
-        assert (process.returncode, remarks) == (0, [])
-    finally:
-        process.kill()
-        process.communicate()
+        assert window.process.poll() is None
+        assert window.end() == (0, "", [])

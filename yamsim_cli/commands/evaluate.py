@@ -10,24 +10,27 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
-from .evaluation_table import evaluation_table
 from .films import film, films_at
 from .session import Json, scene_meshes
 from .settings import (
+    Arm,
     ConfigOption,
     Grasp,
+    Object,
     Quality,
     Randomize,
     ReportFile,
     Rig,
     Seed,
     Size,
+    Target,
     Task,
     Threshold,
     Workers,
     drawn_config,
     undrawn_config,
 )
+from .trials import evaluation_table
 
 
 def evaluate(
@@ -60,7 +63,10 @@ def evaluate(
     size: Size = None,
     quality: Quality = None,
     task: Task = None,
+    item: Object = None,
+    target: Target = None,
     rig: Rig = None,
+    arm: Arm = None,
     config: ConfigOption = "default",
     json: Json = False,
 ) -> None:
@@ -83,7 +89,10 @@ def evaluate(
         size=size,
         quality=quality,
         task=task,
+        object=item,
+        target=target,
         rig=rig,
+        arm=arm,
         wrist=True,
     )
 

@@ -92,7 +92,7 @@ def _show(report: TeleopReport, json: bool) -> None:
     if (jitter := report.jitter) is not None:
         print_line(
             f"{jitter.ticks} ticks at {jitter.rate_hz:.2f} Hz, off by {jitter.p50:.2f} ms (median), "
-            f"{jitter.p95:.2f} ms (95 %), {jitter.max:.2f} ms (most)"
+            f"{jitter.p95:.2f} ms (95 %), {jitter.max:.2f} ms (most), {jitter.late} late, {jitter.lost:.0f} ms lost"
         )
     print_line(f"{report.episodes} episodes from {report.attempts} attempts in {report.path}")
 

@@ -1,4 +1,4 @@
-"""A batch's figures for a person."""
+"""Figures of a batch's or an evaluation's trials, for a person."""
 
 from __future__ import annotations
 
@@ -13,20 +13,31 @@ if TYPE_CHECKING:
 
 def trials_table(report: dict[str, Any]) -> Table:
     """What `jobs.batch.run_batch` reports, as a table."""
-    return facts(_rows(report))
+    return facts([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
-def _rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "trials", str(report["n"])
-    low, high = report["wilson95"]
+def evaluation_table(report: dict[str, Any]) -> Table:
+    """What `jobs.evaluate.summary` reports, as a table."""
+    return facts([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
+
+
+def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What `jobs.tally.tally` counts."""
+    yield "task", f"{report['task']} on {report['rig']}"
+    low, high = counts["wilson95"]
     yield (
-        f"success within {report['threshold_m'] * 100:g} cm",
-        f"{report['n_success']} ({report['success_rate']:.1%}; 95 % interval {low:.1%} to {high:.1%})",
+        f"success within {counts['threshold_m'] * 100:g} cm",
+        f"{counts['n_success']} of {counts['n']} ({counts['success_rate']:.1%}; 95 % interval {low:.1%} to {high:.1%})",
     )
-    for limit, rate in report["rates"].items():
+    for limit, rate in counts["rates"].items():
         yield f"within {float(limit) * 100:g} cm", f"{rate:.1%}"
-    if spread := report["dxy_m"]:
-        yield "distance from the centre", ", ".join(f"{name} {value * 1000:.1f} mm" for name, value in spread.items())
+    if spread := counts["dxy_m"]:
+        yield "distance from the centre", _figures(spread, "mm")
+    for cause, count in counts["causes"].items():
+        yield f"failed: {cause}", str(count)
+
+
+def _batch(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if margins := report["margins"]:
         yield (
             "worst motion",
@@ -35,14 +46,32 @@ def _rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
         )
         yield (
             f"held by {report['grasp']}",
-            f"slipped {margins['slip_m'] * 1000:.1f} mm, tilted {margins['object_tilt_rad']:.2f} rad at most",
+            f"slipped {margins['slip_m'] * 1000:.1f} mm and tilted {margins['object_tilt_rad']:.2f} rad at most",
         )
-    for cause, count in report["causes"].items():
-        yield f"failed: {cause}", str(count)
     for trial in report["trials"]:
         if not trial["outcome"]["success"]:
             yield f"trial {trial['trial']}", trial["outcome"]["detail"]
+    yield from _films(report)
+    yield "time", f"{report['seconds']:.1f} s, {report['core_seconds_per_trial']:.2f} s of one core a trial"
+
+
+def _evaluation(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    stats = report["stats"]
+    if spread := stats["policy_s"]:
+        late = f"; {stats['slower_than_real_time']:.0%} longer than a control tick of {report['tick_s'] * 1000:g} ms"
+        yield "an answer of the policy", _figures(spread, "ms") + late
+    for trial in report["trials"]:
+        if trial["error"]:
+            yield f"trial {trial['trial']}: {trial['ended']}", trial["error"]
+    yield from _films(report)
+    yield "time", f"{report['seconds']:.1f} s"
+
+
+def _figures(spread: dict[str, float], thousandths: str) -> str:
+    return ", ".join(f"{name} {value * 1000:.1f} {thousandths}" for name, value in spread.items())
+
+
+def _films(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if films := report.get("videos"):
         paths = list(dict.fromkeys(film["path"] for film in films))
         yield "videos", f"{len(films)} trials, {paths[0]}" + (" and so on" if len(paths) > 1 else "")
-    yield "time", f"{report['seconds']:.1f} s, {report['core_seconds_per_trial']:.2f} s of one core a trial"

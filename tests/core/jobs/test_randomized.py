@@ -12,8 +12,9 @@ import pytest
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.randomized import Randomized
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.types import EpisodeJob, Randomized
+from yamsim_cli.core.types import EpisodeJob
 
 JOBS = [EpisodeJob(0, k) for k in range(6)]
 VISUAL = {("randomization",): "default", ("randomization", "mass"): None, ("randomization", "friction"): None}

@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -16,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
+from tests.cli.serve_cli import shown
 from tests.core.jobs.undrawn import SIZE, change_frame, change_record, read_frame, write_dataset
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
@@ -215,30 +213,9 @@ def test_a_paused_player_stands_still_and_goes_on_where_it_was(player: EpisodePl
     assert player.frame == 21
 
 
-def test_the_page_comes_up_and_a_signal_ends_it(original: Path, repository: Path) -> None:
+def test_the_page_comes_up_and_a_signal_ends_it(original: Path) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
-    command = [sys.executable, "-m", "yamsim_cli", "replay", str(original / "ep_000000"), "--web", "--port", "0"]
-    with subprocess.Popen(
-        [*command, "--json"],
-        cwd=repository,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            assert process.stdout is not None
-            said = ""
-            while not said.endswith("}\n"):
-                line = process.stdout.readline()
-                assert line, process.stderr and process.stderr.read()
-                said += line
-            report = json.loads(said)
-            assert report["url"].startswith("http://127.0.0.1:")
-            assert report["max_error"] == 0.0
-            process.send_signal(signal.SIGINT)
-            _, err = process.communicate(timeout=30)
-        finally:
-            process.kill()
-    complaints = [line for line in err.splitlines() if not line.startswith("The meshes of")]
-    assert (process.returncode, complaints) == (0, [])
+    with shown("replay", original / "ep_000000", "--web", "--port", "0") as page:
+        assert page.url.startswith("http://127.0.0.1:")
+        assert page.report["max_error"] == 0.0
+        assert page.end() == (0, "", [])

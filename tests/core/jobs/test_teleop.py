@@ -25,7 +25,7 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.jobs.demonstrations import Demonstration, DemonstrationRunner, Desk
 from yamsim_cli.core.jobs.teleop import TeleopSession
-from yamsim_cli.core.jobs.teleop_run import Pace
+from yamsim_cli.core.jobs.teleop_run import Jitter, Pace
 from yamsim_cli.core.jobs.teleop_stream import Player, read_stream
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import Actions, Cause, EpisodeJob, EpisodePayload, Outcome
@@ -262,23 +262,43 @@ def test_a_faulty_stream_is_named_by_line(lines: list[dict[str, Any]], message: 
         read_stream(write_stream(tmp_path / "stream.jsonl", lines))
 
 
-def test_pace_tells_how_far_off_the_ticks_were(monkeypatch: pytest.MonkeyPatch) -> None:
+def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
+    """The jitter of a loop whose turns take so long each, s, and when its last one began."""
     now = [0.0]
     monkeypatch.setattr("yamsim_cli.core.jobs.teleop_run.time.monotonic", lambda: now[0])
     monkeypatch.setattr(
         "yamsim_cli.core.jobs.teleop_run.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds)
     )
-    pace = Pace(TICK)
-    for late in (0.0, 0.0, 0.04, 0.0, 0.0):
+    pace, began = Pace(TICK), 0.0
+    for seconds in slow:
         pace.wait()
-        now[0] += late
-    jitter = pace.jitter
-    assert jitter
+        began = now[0]
+        now[0] += seconds
+    assert pace.jitter
+    return pace.jitter, began
+
+
+def test_pace_tells_how_far_off_the_ticks_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    jitter, began = pace_of((0.0, 0.0, 0.04, 0.0, 0.0), monkeypatch)
     assert jitter.ticks == 5
     assert jitter.rate_hz == pytest.approx(31.25)
     # One tick 8 ms late, and the one after it that much sooner: the clock is kept.
+    assert began == pytest.approx(4 * TICK)
     assert jitter.max == pytest.approx(8.0)
     assert jitter.p50 == pytest.approx(4.0)
+    assert (jitter.late, jitter.lost) == (0, 0)
+
+
+def test_pace_catches_up_unless_it_is_far_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Due at 32, 64, 96 and 128 ms: begun at 100, 100, 100 and 128 ms.
+    jitter, began = pace_of((0.1, 0.0, 0.0, 0.0, 0.0), monkeypatch)
+    assert (jitter.late, jitter.lost) == (2, 0)
+    assert began == pytest.approx(4 * TICK)
+    # Due at 32 ms, begun at 400 ms, and at the clock's pace from there.
+    jitter, began = pace_of((0.4, 0.0, 0.0), monkeypatch)
+    assert jitter.late == 1
+    assert jitter.lost == pytest.approx(400 - 32)
+    assert began == pytest.approx(0.4 + TICK)
 
 
 class Refusing:
@@ -393,6 +413,8 @@ def test_a_signal_ends_the_page_with_what_there_is(tmp_path: Path, repository: P
     assert (process.returncode, err.count("\n")) == (0, 1), err
     report = json.loads(out)
     assert (report["episodes"], report["attempts"], report["trials"]) == (0, 0, [])
+    assert report["jitter_ms"]["rate_hz"] == pytest.approx(31.25)
+    assert {"ticks", "p50", "p95", "max", "late", "lost"} < report["jitter_ms"].keys()
     assert (tmp_path / "d" / "manifest.json").is_file()
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", int(found[1]))) != 0

@@ -62,6 +62,22 @@ def handed(handover: RecordConfig, locations: Locations) -> Frames:
     return _frames(handover, locations)
 
 
+def test_commands_are_the_left_arms_first_and_physics_own_order_is_kept_beside(
+    left: Frames, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    """On this rig MuJoCo has the right arm first."""
+    config = _config(make_config, rig="bimanual", arm="left", wrist=True)
+    with EpisodeRunner(config, locations, {}, draw=False) as runner:
+        names = [runner.scene.model.actuator(k).name for k in range(14)]
+    assert names[0].startswith("arm2_") is False
+    of_left = [k for k, name in enumerate(names) if name.startswith("arm2_")]
+    ctrl, first = _column(left, "ctrl"), np.array([frame["sim_ctrl"][0] for frame in left], np.float32)
+    np.testing.assert_array_equal(ctrl[:, LEFT], first[:, of_left])
+    np.testing.assert_array_equal(ctrl[:, RIGHT], first[:, [k for k in range(14) if k not in of_left]])
+    # So it goes with the joints that it leads to.
+    assert np.abs(ctrl - _column(left, "action_joints")).max() < 0.4
+
+
 def _column(frames: Frames, key: str, part: Any = ...) -> np.ndarray:
     return np.array([frame[key] for frame in frames])[:, part]
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 import time
 import urllib.request
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
+from tests.cli.serve_cli import shown
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -73,30 +69,6 @@ def listeners(port: int) -> list[str]:
             if state == "0A" and int(number, 16) == port:
                 found.append(address)
     return found
-
-
-@contextmanager
-def viewing(*args: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """`yamsim view --web --json ARGS` in a process of its own, from when it says its URL."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli", "view", "--web", "--json", *args],
-        cwd=REPOSITORY,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        said = ""
-        while not said.endswith("}\n"):
-            line = process.stdout.readline()
-            assert line, process.stderr and process.stderr.read()
-            said += line
-        yield process, json.loads(said)["url"]
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def test_physics_keeps_up_with_the_clock(live: LiveRig) -> None:
@@ -240,15 +212,14 @@ def test_pictures_are_what_the_cameras_see_now(live: LiveRig) -> None:
 )
 def test_a_page_that_others_can_reach_warns_that_it_is_open(args: tuple[str, ...], warned: bool) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
-    with viewing("--port", "0", *args) as (process, url):
-        port = int(url.rpartition(":")[2])
-        assert url == f"http://127.0.0.1:{port}"
+    with shown("view", "--web", "--port", "0", *args) as page:
+        port = int(page.url.rpartition(":")[2])
+        assert page.url == f"http://127.0.0.1:{port}"
         if Path("/proc/net/tcp").exists():
             assert listeners(port) == ["00000000" if warned else "0100007F"]
-        process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=20)
-    assert any("asks for no password" in line for line in err.splitlines()) == warned
-    assert process.returncode == 0
+        code, _, told = page.end(signal.SIGTERM)
+    assert any("asks for no password" in line for line in told) == warned
+    assert code == 0
 
 
 def test_boards_are_shown_where_the_rig_has_them(live: LiveRig) -> None:
@@ -261,18 +232,17 @@ def test_boards_are_shown_where_the_rig_has_them(live: LiveRig) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_page_cleanly_and_its_port_is_free_again(number: signal.Signals) -> None:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
-    with viewing("--port", "0") as (process, url):
-        port = url.rpartition(":")[2]
+    with shown("view", "--web", "--port", "0") as page:
+        port = page.url.rpartition(":")[2]
         # A peer that is still connected, and one that never says a word, are both in the way of a clean end.
-        with urllib.request.urlopen(url, timeout=10), socket.create_connection(("127.0.0.1", int(port))):
+        with urllib.request.urlopen(page.url, timeout=10), socket.create_connection(("127.0.0.1", int(port))):
             asked = time.monotonic()
-            process.send_signal(number)
-            out, err = process.communicate(timeout=20)
+            ended = page.end(number)
         assert time.monotonic() - asked < 8
-        assert (process.returncode, out, complaints(err)) == (0, "", [])
+        assert ended == (0, "", [])
     assert listeners(int(port)) == []
-    with viewing("--port", port) as (_, again):
-        assert again == url
+    with shown("view", "--web", "--port", port) as again:
+        assert again.url == page.url
 
 
 def test_faults_are_one_line() -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from tests.core.objects.test_fits import ball, block
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects import ObjectConfig
 from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.config.scene import ObjectConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.jobs.import_object import import_stl, import_ycb
 from yamsim_cli.core.resources import IMPORTED, Locations

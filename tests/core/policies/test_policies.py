@@ -45,6 +45,20 @@ def test_what_is_no_action_is_told(answer: object, told: str) -> None:
         read_action(answer)
 
 
+def test_two_arms_have_two_of_everything() -> None:
+    action = read_action({"ctrl": np.arange(14), "magnet": [False, True]}, arms=2)
+    np.testing.assert_array_equal(action.ctrl, np.arange(14))
+    assert (action.magnet, action.done) == ((False, True), False)
+    assert read_action({"ctrl": np.zeros(14)}, arms=2).magnet == (False, False)
+    for answer, told in (
+        ({"ctrl": np.zeros(7)}, "ctrl has the shape (7,), not (14,)"),
+        ({"ctrl": np.zeros(14), "magnet": True}, "magnet is True, not 2 times true or false"),
+        ({"ctrl": np.zeros(14), "done": [0, 1]}, "done is [0, 1], not true or false"),
+    ):
+        with pytest.raises(InvalidActionError, match=re.escape(told)):
+            read_action(answer, arms=2)
+
+
 @pytest.mark.parametrize("name", ["sample_policies.py:Still", "sample_policies:Still"])
 def test_a_policy_is_found_by_file_and_by_module(name: str) -> None:
     policy = load_policy(name, HERE)
@@ -75,7 +89,10 @@ def test_a_file_with_one_policy_needs_no_class(tmp_path: Path) -> None:
         ("sample_policies.py", "has the policies Still, Seeing"),
         ("sample_policies.py:Stil", "it has no 'Stil'; did you mean 'Still'?"),
         ("sample_policies.py:NoReset", "NoReset needs the methods reset() and __call__(observation)"),
-        ("sample_policies.py:AsksTooMuch", "it asks for the image 'floor'; valid: scene, wrist"),
+        (
+            "sample_policies.py:AsksTooMuch",
+            "it asks for the image 'floor'; valid: left_wrist, right_",
+        ),
         ("broken.py", "cannot be loaded: ZeroDivisionError: division by zero"),
     ],
 )

@@ -8,12 +8,13 @@ import pytest
 
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
+from yamsim_cli.core.randomized import DrawnSurface, Randomized
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import SCENE_CAMERA, build_scene
 from yamsim_cli.core.scene.randomize import SceneRandomizer, scale_mass
 from yamsim_cli.core.scene.textures import pattern
 from yamsim_cli.core.tasks.randomization import draw
-from yamsim_cli.core.types import DrawnSurface, EpisodeJob, Randomized
+from yamsim_cli.core.types import EpisodeJob
 
 GREY, RED = (0.5, 0.5, 0.5), (0.8, 0.1, 0.1)
 

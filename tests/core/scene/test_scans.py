@@ -10,8 +10,8 @@ import pytest
 
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.objects import ObjectConfig
 from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.config.scene import ObjectConfig
 from yamsim_cli.core.objects.distance import signed_distance
 from yamsim_cli.core.objects.scan import Scan
 from yamsim_cli.core.objects.ycb import MASS_G

@@ -9,7 +9,7 @@ from yamsim_cli.core.config.record import GraspKind, RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z, tilt
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan, phases, phases_of, ticks
-from yamsim_cli.core.types import Layout, Plan
+from yamsim_cli.core.types import Layout, Phases, Plan
 
 BASE = pose((0.1, -0.2, 0.0), rotation_z(0.3))
 
@@ -107,7 +107,7 @@ def test_phases_follow_from_the_config_alone(
 
 
 def test_without_a_plan_the_weld_tells_when_the_object_is_in_hand() -> None:
-    found = phases_of([False, False, True, True, False, True, False])
-    assert (found.reached, found.held) == (2, range(2, 6))
-    never = phases_of([False] * 5)
-    assert (never.reached, list(never.held)) == (5, [])
+    assert phases_of([False, False, True, True, False, True, False]) == (Phases(2, range(2, 6)),)
+    assert phases_of([False] * 5) == (Phases(5, range(0)),)
+    both = [(False, True), (True, True), (True, False), (False, False)]
+    assert phases_of(both) == (Phases(1, range(1, 3), 0), Phases(0, range(2), 1))

@@ -11,10 +11,11 @@ import pytest
 from yamsim_cli.core.config.randomization import RandomizationConfig, SurfaceRanges
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, OutcomeRecord, from_json, to_json
+from yamsim_cli.core.randomized import Randomized
 from yamsim_cli.core.tasks import randomization
 from yamsim_cli.core.tasks.randomization import draw
 from yamsim_cli.core.tasks.randomness import Stream, generator
-from yamsim_cli.core.types import EpisodeJob, Outcome, Randomized
+from yamsim_cli.core.types import EpisodeJob, Outcome
 
 JOB = EpisodeJob(3, 5)
 # Part -> what of the draw is its own; distractors' places are drawn elsewhere.

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.randomization import PictureRanges
-from yamsim_cli.core.types import EpisodeJob, Randomized
+from yamsim_cli.core.randomized import Randomized
+from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.vision.augment import PictureAugmenter
 
 SIZE = (160, 120)

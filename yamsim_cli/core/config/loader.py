@@ -15,10 +15,11 @@ from ..resources import Locations
 from .base import Config, Reference
 from .camera import CameraConfig
 from .document import Document, KeyPath, load_yaml, parse_yaml
+from .objects import ObjectConfig
 from .randomization import RandomizationConfig
 from .record import RecordConfig, RenderConfig
 from .rig import RigConfig
-from .scene import ObjectConfig, SceneConfig
+from .scene import SceneConfig
 from .task import TaskConfig
 
 KINDS: Mapping[str, type[Config]] = {

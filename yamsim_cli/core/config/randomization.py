@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from .base import Config, Name, NonNegative, Positive, Range, Reference
-from .scene import ObjectConfig
+from .objects import ObjectConfig
 
 
 def _positive(value: tuple[float, float]) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from .base import Config, Name, NonNegative, Positive, Range, Reference
-from .scene import GraspPoint, ObjectConfig
+from .objects import GraspPoint, ObjectConfig
 
 
 class Sampling(Config):

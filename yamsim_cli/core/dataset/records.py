@@ -11,7 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import DatasetError
 from ..files import sha256_bytes
-from ..types import Cause, EpisodePayload, Margins, Outcome, Randomized
+from ..randomized import Randomized
+from ..types import Cause, EpisodePayload, Margins, Outcome
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 
 Pose2D = tuple[float, float, float, float]

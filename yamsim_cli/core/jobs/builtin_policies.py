@@ -13,11 +13,13 @@ from ..dataset.actions import recorded_actions
 from ..dataset.layout import episode_directories
 from ..dataset.reader import open_episode
 from ..errors import UsageError
+from ..geometry.se3 import Array
 from ..policies.base import Observation, Policy
 from ..policies.loading import FORMS, check_policy, load_policy
 from ..policies.remote import RemotePolicy
+from ..scene.compiled import CompiledScene
 from ..sim.rollout import Rollout
-from ..types import Actions, EpisodeJob
+from ..types import Actions, EpisodeJob, Holds
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,12 @@ class Trial:
     Attributes:
         job: seed and number.
         rollout: what the planned attempt did; None if there was none.
-        nq, nu: positions and drives of the scene.
+        scene: what it is made in.
     """
 
     job: EpisodeJob
     rollout: Rollout | None
-    nq: int
-    nu: int
+    scene: CompiledScene
 
 
 @runtime_checkable
@@ -51,17 +52,20 @@ class _Playback:
     images = ()
 
     def __init__(self) -> None:
-        self._actions: Actions | None = None
+        self._ctrl: Array | None = None
+        self._magnet: tuple[Holds, ...] = ()
         self._tick = 0
+
+    def _play(self, actions: Actions, scene: CompiledScene) -> None:
+        self._ctrl, self._magnet = actions.ctrl[:, scene.drives], actions.magnet
 
     def reset(self) -> None:
         self._tick = 0
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        actions = self._actions
-        assert actions is not None
+        assert self._ctrl is not None
         tick, self._tick = self._tick, self._tick + 1
-        return {"ctrl": actions.ctrl[tick], "magnet": actions.magnet[tick], "done": tick + 1 == len(actions.ctrl)}
+        return {"ctrl": self._ctrl[tick], "magnet": self._magnet[tick], "done": tick + 1 == len(self._ctrl)}
 
 
 class Scripted(_Playback):
@@ -73,7 +77,7 @@ class Scripted(_Playback):
         acting = [state.actions for state in trial.rollout.states]
         ctrl = np.concatenate([actions.ctrl for actions in acting])
         magnet = tuple(holds for actions in acting for holds in actions.magnet)
-        self._actions = Actions(ctrl, magnet, ctrl)
+        self._play(Actions(ctrl, magnet, ctrl), trial.scene)
 
 
 class HoldStill:
@@ -114,10 +118,10 @@ class Replay(_Playback):
         """Read the trial's episode."""
         other = self._episodes[trial.job.attempt % len(self._episodes)]
         episode = self._by_job.get(trial.job, other)
-        found = recorded_actions(episode.frames(), trial.nq, trial.nu)
+        found = recorded_actions(episode.frames(), trial.scene.model.nq, trial.scene.model.nu)
         if found is None:
             raise UsageError(f"{episode.directory} holds no sim_ctrl, so its actions cannot be replayed")
-        self._actions = found[1]
+        self._play(found[1], trial.scene)
 
 
 def make_policy(name: str, folder: Path, timeout: float) -> Policy:

@@ -19,6 +19,7 @@ from ..dataset.records import Pose2D
 from ..errors import ConfigError
 from ..geometry.se3 import Array, inverse, yaw
 from ..planning.planners import make_planner
+from ..randomized import Randomized
 from ..resources import Locations
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene
@@ -28,7 +29,7 @@ from ..sim.watch import object_pose
 from ..tasks.kinds import draw_layout, kind_of
 from ..tasks.pickplace import Poses
 from ..tasks.plans import phases_of
-from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, Randomized, StepState
+from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, StepState
 from ..vision.jpeg import encode_jpeg
 from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import Image, SceneRenderer
@@ -168,7 +169,7 @@ class EpisodeRunner:
                 also `judge`.
         """
         task = self._config.task
-        held = self._phases if planned else (phases_of([bool(np.any(holds)) for holds in actions.magnet]),)
+        held = self._phases if planned else phases_of(actions.magnet)
         rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
@@ -202,7 +203,7 @@ class EpisodeRunner:
             extrinsics={name: replica.T_cam_in_base(name) for name in self._scene.cameras},
             object_poses={item.name: replica.T_object_in_base(item.name) for item in (task.object, task.target)},
             ee_pose=replica.T_grasp_in_base(),
-            ctrl=acting.ctrl[0],
+            ctrl=acting.ctrl[0][self._scene.drives],
             action_joints=acting.joints[0],
             magnet=acting.magnet[0],
             language_task=task.language_task,

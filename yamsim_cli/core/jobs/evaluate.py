@@ -23,7 +23,7 @@ from ..resources import Locations
 from ..scene.build import SCENE_CAMERA
 from ..types import Actions, EpisodeJob, Outcome
 from ..vision.jpeg import encode_jpeg
-from .episode import EpisodeRunner, require_one_arm
+from .episode import EpisodeRunner
 from .executor import LostJobError
 from .films import FilmedTrial, TrialFilms, drawn_in_order
 from .pool import JOB_SECONDS
@@ -61,11 +61,9 @@ def evaluate(
         trial_seconds: real time after which a worker that is stuck in a trial is ended.
 
     Raises:
-        ConfigError: the rig has more than one arm.
         UsageError, ResourceError: the policy cannot be made.
         InterruptedJobError: stopped by the user.
     """
-    require_one_arm(config)
     began = time.monotonic()
     n = config.episodes
     factory = functools.partial(TrialRunner, config, locations, dict(meshes), choice)
@@ -83,7 +81,7 @@ def _lost(lost: LostJobError) -> TrialResult:
 
 
 def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
-    """An evaluation as JSON-ready data: policy, stats, trials, seed, seconds.
+    """An evaluation as JSON-ready data: policy, stats, rig, task, grasp, arms, seed, seconds, trials.
 
     Args:
         thresholds: in metres, by which the outcomes are scored beside the task's own.
@@ -104,6 +102,10 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
     return {
         "policy": evaluation.choice.name,
         "stats": stats,
+        "rig": config.rig.name,
+        "task": config.task.name,
+        "grasp": config.grasp,
+        "arms": [config.rig.arms[k].side for k in config.acting],
         "seed": config.seed,
         "tick_s": tick,
         "seconds": evaluation.seconds,

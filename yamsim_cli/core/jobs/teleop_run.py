@@ -39,6 +39,10 @@ class Jitter:
     Attributes:
         rate_hz: how many ticks there should be in a second.
         ticks: how many there were.
+        p50, p95, max: median, 95 % and most.
+        late: how many began more than half a tick after they were due.
+        lost: time that the clock ran on without the simulation, when the loop was too far behind to catch up, ms. What
+            is recorded lacks no tick by it; for whoever drives, it stood still.
     """
 
     rate_hz: float
@@ -46,6 +50,8 @@ class Jitter:
     p50: float
     p95: float
     max: float
+    late: int
+    lost: float
 
 
 class Pace:
@@ -55,14 +61,19 @@ class Pace:
         self._period = period
         self._due = time.monotonic()
         self._began: list[float] = []
+        self._late = 0
+        self._lost = 0.0
 
     def wait(self) -> None:
         """Until the next turn is due."""
         now = time.monotonic()
+        due = self._due
         if now - self._due > _LONGEST_CATCH_UP:
+            self._lost += now - self._due
             self._due = now
         time.sleep(max(0.0, self._due - now))
         self._began.append(time.monotonic())
+        self._late += self._began[-1] - due > self._period / 2
         self._due += self._period
 
     @property
@@ -72,7 +83,8 @@ class Pace:
             return None
         off = 1000 * np.abs(np.diff(self._began) - self._period)
         p50, p95 = np.percentile(off, (50, 95))
-        return Jitter(1 / self._period, len(self._began), float(p50), float(p95), float(off.max()))
+        rate, ticks, most = 1 / self._period, len(self._began), float(off.max())
+        return Jitter(rate, ticks, float(p50), float(p95), most, self._late, 1000 * self._lost)
 
 
 @dataclass(frozen=True)

@@ -6,25 +6,25 @@ import contextlib
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
-import numpy as np
-
 from ..config.record import RecordConfig
 from ..dataset.records import OutcomeRecord
+from ..errors import UsageError, suggest
 from ..geometry.se3 import Array
-from ..policies.base import IMAGES, Action, InvalidActionError, Observation, read_action
+from ..planning.demonstration import start_stand
+from ..policies.base import SCENE, WRIST, Action, InvalidActionError, Observation, read_action
 from ..policies.loading import reset_policy, wanted_images
 from ..resources import Locations
 from ..scene.build import SCENE_CAMERA
 from ..sim.closed_loop import ClosedLoop
 from ..sim.replica import Replica
-from ..tasks.pickplace import OPEN
+from ..tasks.kinds import kind_of
 from ..types import Actions, EpisodeJob, Layout, Outcome
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
 from .episode import EpisodeRunner, start_poses
@@ -92,8 +92,30 @@ def trial_ticks(config: RecordConfig, choice: PolicyChoice) -> int:
     timing = config.task.timing
     if choice.time_limit is not None:
         return max(1, round(choice.time_limit / timing.tick))
-    # Seven waypoints and the rest after them.
-    return 2 * (7 * timing.ticks_per_waypoint + timing.settle_ticks)
+    return 2 * kind_of(config.task).ticks(config)
+
+
+def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
+    """Key in a policy's observation -> camera, of the images that it asks for.
+
+    Raises:
+        UsageError: there is no such camera on this rig, in this task.
+    """
+    if len(config.rig.arms) == 1:
+        there = {WRIST: {"wrist_rgb": config.rig.arms[0].wrist_camera_name}}
+    else:
+        sides = {f"{arm.side}_wrist": {f"{arm.side}_wrist_rgb": arm.wrist_camera_name} for arm in config.wrist_arms}
+        there = sides | {WRIST: {key: camera for one in sides.values() for key, camera in one.items()}}
+    there[SCENE] = {"scene_rgb": SCENE_CAMERA}
+    cameras: dict[str, str] = {}
+    for name in images:
+        if name not in there:
+            raise UsageError(
+                f"the policy asks for the image {name!r}, which rig {config.rig.name!r} with task {config.task.name!r} "
+                f"does not have; {suggest(name, there)}"
+            )
+        cameras |= there[name]
+    return cameras
 
 
 class TrialRunner:
@@ -113,11 +135,10 @@ class TrialRunner:
         self._config, self._choice = config, choice
         with _talking_on_stderr():
             self._policy = make_policy(choice.name, choice.folder, choice.call_seconds)
-        self._images = wanted_images(self._policy)
         self._runner = EpisodeRunner(config, locations, meshes, draw=False)
         self._replica = Replica(self._runner.scene)
-        wrist = config.rig.arms[0].wrist_camera_name
-        self._cameras = {name: {"scene": SCENE_CAMERA, "wrist": wrist}[name] for name in self._images}
+        self._cameras = policy_cameras(config, wanted_images(self._policy))
+        self._start_stand = start_stand(config)
 
     def run(self, job: EpisodeJob) -> TrialResult:
         """One trial."""
@@ -128,7 +149,7 @@ class TrialRunner:
             return TrialResult(job, OutcomeRecord.of(planned), start_poses(layout), Ended.NOT_STARTED)
         start = rollout.states[0].qpos if rollout else self._start(layout)
         if isinstance(self._policy, Privileged):
-            self._policy.begin(Trial(job, rollout, scene.model.nq, scene.model.nu))
+            self._policy.begin(Trial(job, rollout, scene))
         loop = ClosedLoop(scene, start, self._config.task.object.name, self._config.task.timing)
         seconds: list[float] = []
         ended, error = self._drive(loop, job, seconds)
@@ -147,7 +168,7 @@ class TrialRunner:
         return TrialResult(job, outcome, start_poses(layout), ended, error, loop.ticks, tuple(seconds), start, actions)
 
     def _start(self, layout: Layout) -> Array:
-        return self._runner.scene.start_qpos(layout, np.array(self._config.task.start_joints), OPEN)
+        return self._runner.scene.start_qpos(layout, self._start_stand[:, :6], self._start_stand[:, 6])
 
     def _drive(self, loop: ClosedLoop, job: EpisodeJob, seconds: list[float]) -> tuple[Ended, str]:
         """Let the policy act until it is done, fails or has no time left."""
@@ -162,7 +183,7 @@ class TrialRunner:
                 began = time.monotonic()
                 answer = self._asked(lambda seen=observation: self._policy(seen))  # type: ignore[misc]
                 seconds.append(time.monotonic() - began)
-                action = read_action(answer)
+                action = read_action(answer, len(self._runner.scene.arms))
                 for _ in range(min(hold, limit - loop.ticks)):
                     loop.step(action.ctrl, action.magnet)
                 if action.done:
@@ -198,7 +219,7 @@ class TrialRunner:
         joints = replica.joints()
         seen: dict[str, Any] = {
             "joints": joints,
-            "gripper": float(joints[-1]),
+            "gripper": joints[6::7] if len(scene.arms) > 1 else float(joints[6]),
             "ee_pose_world": T_base @ replica.T_grasp_in_base(),
             "K_scene": replica.intrinsics(SCENE_CAMERA, self._config.image.size_px).K,
             "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
@@ -207,7 +228,7 @@ class TrialRunner:
         }
         if self._cameras:
             drawn = self._runner.draw(loop.data.qpos, tuple(self._cameras.values()))
-            seen |= {IMAGES[name]: drawn[camera] for name, camera in self._cameras.items()}
+            seen |= {key: drawn[camera] for key, camera in self._cameras.items()}
         return seen
 
     def __enter__(self) -> TrialRunner:

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 from ..config.record import RecordConfig
 from ..geometry.se3 import Array
+from ..randomized import Randomized
 from ..scene.build import SCENE_CAMERA
 from ..scene.compiled import CompiledScene
 from ..scene.randomize import SceneRandomizer
 from ..sim.placement import place_distractors
 from ..tasks.randomization import draw
-from ..types import EpisodeJob, Randomized
+from ..types import EpisodeJob
 from ..vision.augment import PictureAugmenter
 from ..vision.renderer import Image, SceneRenderer
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.scene import Primitive
+from ..config.primitives import Primitive
 from ..geometry.se3 import Array, quat_from_rotation
 from .distance import signed_distance
 

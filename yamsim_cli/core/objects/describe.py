@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..config.document import dump_yaml
-from ..config.scene import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..config.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
 from ..geometry.se3 import Array
 from .body import Body
 from .grasps import grasp

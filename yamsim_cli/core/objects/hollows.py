@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from ..config.scene import Cylinder, Primitive, Ring
+from ..config.primitives import Cylinder, Primitive, Ring
 from ..geometry.se3 import Array
 from .scan import Scan
 from .solids import Fit, measure

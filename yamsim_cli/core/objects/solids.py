@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.scene import Box, Capsule, Cylinder, Primitive, Sphere
+from ..config.primitives import Box, Capsule, Cylinder, Primitive, Sphere
 from ..geometry.se3 import Array
 from .distance import signed_distance
 

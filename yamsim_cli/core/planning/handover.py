@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..config.objects import GraspPoint
 from ..config.record import RecordConfig
-from ..config.scene import GraspPoint
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
 from ..tasks.handover import LEFT, RIGHT, exchange, exchange_pose, giving_plan, taking_plan, wrist_turn
 from ..tasks.plans import Hold
-from ..types import Layout, Plan
+from ..types import JointPath, Layout, Plan
 from .choice import lacking, near_enough, path_strain
 from .clearance import Clearance
 from .demonstration import ArmTools, Demonstration, start_stand
@@ -36,6 +37,7 @@ class _Half:
 
     Attributes:
         heading: from the giving to the taking hand, in `world`, rad.
+        path: plans the arm's path, once; one half goes with several others.
     """
 
     hold: Hold
@@ -43,6 +45,7 @@ class _Half:
     T_exchange: Array
     plan: Plan
     solutions: Sequence[IkSolution]
+    path: Callable[[], JointPath]
 
     @property
     def badness(self) -> tuple[bool, float]:
@@ -122,7 +125,8 @@ class HandoverPlanner:
                 hold = Hold(point, flipped, lean)
                 plan = make(self._task, layout, arm.T_base_in_world, hold, T_exchange, heading)
                 solutions = _solve(ik, plan, self._stand[number, :6])
-                yield _Half(hold, heading, T_exchange, plan, solutions)
+                path = functools.cache(functools.partial(self._path, number, plan))
+                yield _Half(hold, heading, T_exchange, plan, solutions, path)
 
     def _touched(self, layout: Layout, giving: _Half, taking: _Half) -> str | None:
         """What either arm would touch at its waypoints, the other one being where it is then."""
@@ -142,14 +146,15 @@ class HandoverPlanner:
 
     def _paths(self, giving: _Half, taking: _Half, badness: _Badness) -> tuple[_Badness, Demonstration]:
         halves = {LEFT: taking, RIGHT: giving}
-        paths = tuple(
-            plan_path(tools.ik, tools.dynamics, halves[k].plan, self._stand[k, :6], self._task.timing)
-            for k, tools in enumerate(self._tools)
-        )
+        paths = tuple(halves[k].path() for k in range(len(self._tools)))
         arms: Sequence[SceneArm] = self._scene.arms
         strain = sum(path_strain(arm, path) for arm, path in zip(arms, paths, strict=True))
         found = Demonstration(paths, max(path.position_error for path in paths), max(path.tilt for path in paths))
         return (badness[0], badness[1], round(badness[2] + strain, 2)), found
+
+    def _path(self, number: int, plan: Plan) -> JointPath:
+        tools = self._tools[number]
+        return plan_path(tools.ik, tools.dynamics, plan, self._stand[number, :6], self._task.timing)
 
 
 def _solve(ik: IkSolver, plan: Plan, start: Array) -> list[IkSolution]:

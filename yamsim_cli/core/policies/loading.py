@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import UsageError, suggest
-from .base import IMAGES, Policy
+from .base import IMAGES, SCENE, WRIST, Policy
 
 _OWN = "module:Class or file.py:Class"
 FORMS = f"give scripted, hold_still, replay:DATASET, http://HOST:PORT, {_OWN}"
@@ -108,8 +108,8 @@ def check_policy(policy: Any, name: str) -> Policy:
 
 
 def wanted_images(policy: Any) -> tuple[str, ...]:
-    """Which images a policy wants to see: "scene", "wrist"."""
-    return tuple(getattr(policy, "images", tuple(IMAGES)))
+    """Which of `IMAGES` a policy wants to see."""
+    return tuple(getattr(policy, "images", (SCENE, WRIST)))
 
 
 def reset_policy(policy: Any, seed: int) -> None:

@@ -103,6 +103,11 @@ class CompiledScene:
         return self.arms[0]
 
     @property
+    def drives(self) -> Ids:
+        """Where the drives (nu,) are in `ctrl`, as recordings have them: each arm's six and gripper, the left first."""
+        return np.concatenate([[*arm.arm_ctrl, arm.gripper_ctrl] for arm in self.arms])
+
+    @property
     def T_base_in_world(self) -> Array:
         """Pose (4, 4) of the base that recorded poses are in: the only arm's, or the left one's."""
         return self.arms[0].T_base_in_world

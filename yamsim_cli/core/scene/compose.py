@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from ..config.objects import ObjectConfig
 from ..config.rig import RigConfig
-from ..config.scene import ObjectConfig, SceneConfig
+from ..config.scene import SceneConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations

@@ -14,7 +14,7 @@ import numpy as np
 from ..config.randomization import RandomizationConfig, SurfaceRanges
 from ..config.scene import SceneConfig
 from ..geometry.se3 import Array, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
-from ..types import DrawnLight, DrawnSurface, Randomized
+from ..randomized import DrawnLight, DrawnSurface, Randomized
 from .objects import HIDDEN_GROUP, add_object
 from .textures import SIZE, pattern
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..types import DrawnSurface
+from ..randomized import DrawnSurface
 
 SIZE = 256
 # How much finer each layer of noise is than the one before, and how many there are.

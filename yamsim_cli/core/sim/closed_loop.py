@@ -7,8 +7,8 @@ import numpy as np
 
 from ..config.task import Success, Timing
 from ..geometry.se3 import Array
-from ..scene.compiled import CompiledScene
-from ..types import Actions
+from ..scene.compiled import CompiledScene, SceneArm
+from ..types import Actions, Holds
 from .rollout import attach
 
 # Farther from the object's middle the hand does not get hold of it, m. The banana's ends are 0.09 m from its middle.
@@ -31,7 +31,7 @@ class ClosedLoop:
         self.data = mujoco.MjData(scene.model)
         scene.reset(self.data, start)
         self._ctrl: list[Array] = []
-        self._magnet: list[bool] = []
+        self._magnet: list[Holds] = []
 
     @property
     def ticks(self) -> int:
@@ -40,14 +40,14 @@ class ClosedLoop:
 
     @property
     def holds(self) -> bool:
-        """Whether the weld holds the object."""
-        return bool(self.data.eq_active[self._scene.arm.weld])
+        """Whether a weld holds the object."""
+        return any(self._held(arm) for arm in self._scene.arms)
 
     @property
     def actions(self) -> Actions:
         """What has acted so far. There was no plan, so what it asked for is what the drives were told."""
         ctrl = np.array(self._ctrl)
-        return Actions(ctrl, tuple(self._magnet), ctrl)
+        return Actions(ctrl, tuple(self._magnet), ctrl[:, self._scene.drives])
 
     def rests_on(self, target: str, limits: Success) -> bool:
         """Whether the object lies on a target by the task's limits now, at rest; who brought it there is not asked."""
@@ -59,21 +59,38 @@ class ClosedLoop:
             np.hypot(dx, dy) <= limits.threshold and 0.0 <= dz <= limits.max_height and speed <= limits.max_speed
         )
 
-    def step(self, ctrl: Array, magnet: bool) -> None:
-        """Let a command (nu,) act for one control tick; the weld takes the object only where the hand is at it."""
+    def step(self, ctrl: Array, magnet: Holds) -> None:
+        """Let a command act for one control tick; a weld takes the object only where its hand is at it.
+
+        Args:
+            ctrl: what the drives are told (7,) or (14,), the left arm's first, rad and m.
+            magnet: whether the weld is to hold; of two arms, of each, or one word for both.
+        """
         scene, data = self._scene, self.data
-        holds = magnet and (self.holds or self._within_reach())
-        if holds and not self.holds:
-            attach(scene.model, scene.arm, data, self._carried)
-        data.eq_active[scene.arm.weld] = holds
-        told = np.clip(ctrl, scene.model.actuator_ctrlrange[:, 0], scene.model.actuator_ctrlrange[:, 1])
+        asked = np.broadcast_to(magnet, len(scene.arms))
+        holds = tuple(self._switch(arm, bool(on)) for arm, on in zip(scene.arms, asked, strict=True))
+        told = np.empty(scene.model.nu)
+        told[scene.drives] = ctrl
+        told = np.clip(told, scene.model.actuator_ctrlrange[:, 0], scene.model.actuator_ctrlrange[:, 1])
         data.ctrl[:] = told
         self._ctrl.append(told)
-        self._magnet.append(holds)
+        self._magnet.append(holds if len(holds) > 1 else holds[0])
         mujoco.mj_step(scene.model, data, self._timing.physics_steps_per_tick)
         # mj_step leaves the poses of the step before.
         mujoco.mj_kinematics(scene.model, data)
 
-    def _within_reach(self) -> bool:
-        pinch, item = self.data.site("pinch_site").xpos, self.data.body(self._carried).xpos
+    def _held(self, arm: SceneArm) -> bool:
+        return bool(self.data.eq_active[arm.weld])
+
+    def _switch(self, arm: SceneArm, on: bool) -> bool:
+        """Switch an arm's weld as far as its hand is near; whether it holds."""
+        held = self._held(arm)
+        holds = on and (held or self._within_reach(arm))
+        if holds and not held:
+            attach(self._scene.model, arm, self.data, self._carried)
+        self.data.eq_active[arm.weld] = holds
+        return holds
+
+    def _within_reach(self, arm: SceneArm) -> bool:
+        pinch, item = self.data.site(f"{arm.prefix}pinch_site").xpos, self.data.body(self._carried).xpos
         return float(np.linalg.norm(pinch - item)) <= _MAGNET_REACH

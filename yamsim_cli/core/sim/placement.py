@@ -8,8 +8,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from ..config.objects import ObjectConfig
 from ..config.randomization import Distractors
-from ..config.scene import ObjectConfig, Table
+from ..config.scene import Table
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..scene.randomize import SceneRandomizer

@@ -8,8 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from ..config.objects import GraspPoint
 from ..config.record import GraspKind, RecordConfig
-from ..config.scene import GraspPoint, Table
+from ..config.scene import Table
 from ..config.task import Sampling, TaskConfig
 from ..errors import ConfigError, suggest
 from ..geometry.se3 import Array

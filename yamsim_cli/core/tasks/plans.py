@@ -6,11 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.objects import GraspPoint
 from ..config.record import GraspKind
-from ..config.scene import GraspPoint
 from ..config.task import TaskConfig, Timing
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
-from ..types import Layout, Phases, Plan, Waypoint
+from ..types import Holds, Layout, Phases, Plan, Waypoint
 
 # A weld's fingers close, and open, in the last part of the way to the grasp, and to the place: the hand never stands
 # still to wait for them, and the weld lets go only once they are open.
@@ -56,10 +59,16 @@ def ticks(task: TaskConfig, grasp: GraspKind) -> int:
     return held.stop + grip + task.timing.ticks_per_waypoint + task.timing.settle_ticks
 
 
-def phases_of(magnet: Sequence[bool]) -> Phases:
-    """When the object was in hand where nothing was planned: while the weld held it, from first to last."""
-    on = [tick for tick, holds in enumerate(magnet) if holds]
-    return Phases(reached=on[0], held=range(on[0], on[-1] + 1)) if on else Phases(reached=len(magnet), held=range(0))
+def phases_of(magnet: Sequence[Holds]) -> tuple[Phases, ...]:
+    """When the object was in each arm's hand where nothing was planned: while its weld held it, from first to last."""
+    held = np.array([np.atleast_1d(holds) for holds in magnet])
+    return tuple(_phase_of(np.flatnonzero(of_arm), len(held), arm) for arm, of_arm in enumerate(held.T))
+
+
+def _phase_of(on: NDArray[np.int_], ticks: int, arm: int) -> Phases:
+    if not len(on):
+        return Phases(reached=ticks, held=range(0), arm=arm)
+    return Phases(reached=int(on[0]), held=range(int(on[0]), int(on[-1]) + 1), arm=arm)
 
 
 def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_world: Array, hold: Hold) -> Plan:

@@ -8,9 +8,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..config.objects import ObjectConfig
 from ..config.randomization import LightRanges, LookRanges, RandomizationConfig, SurfaceRanges, Texture
-from ..config.scene import ObjectConfig
-from ..types import DrawnLight, DrawnLook, DrawnSurface, EpisodeJob, Randomized
+from ..randomized import DrawnLight, DrawnLook, DrawnSurface, Randomized
+from ..types import EpisodeJob
 from .randomness import Stream, generator
 
 # How often a pattern repeats along each edge of a surface.

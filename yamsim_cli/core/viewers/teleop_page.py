@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import numpy as np
 import viser
 
-from ..geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation, rotation_z
+from ..geometry.se3 import pose, pose_from_quat, quat_from_rotation, rotation_z
 from .address import PageAddress
 from .bodies_page import BodiesPage
 from .driven import Driven, DriveStatus
+from .target_fields import TargetFields, heading_of
 from .viewpoint import Viewpoint
 
 _FREE, _STOPPED, _RECORDING = (46, 139, 87), (200, 40, 40), (200, 40, 40)
@@ -45,6 +47,8 @@ class TeleopPage(BodiesPage):
         super().__init__(arm, viewpoint, address)
         self._arm = arm
         self._dragged = False
+        # Many acts read the target and give the one that follows from it: one after the other.
+        self._acting = threading.Lock()
         self._notice = self._server.gui.add_html("")
         self._add_recording()
         self._add_hand()
@@ -59,40 +63,54 @@ class TeleopPage(BodiesPage):
     def update(self) -> None:
         """Send what has changed since the last call to whoever watches."""
         super().update()
-        status = self._arm.status
-        if not self._dragged:
-            self._show_target()
-        self._show(status)
+        with self._acting:
+            if self._fields.ready:
+                self._take_typed()
+            if not self._dragged:
+                self._show_target()
+        self._show(self._arm.status)
 
     def _add_recording(self) -> None:
-        gui = self._server.gui
-        self._start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color=_FREE)
-        self._start.on_click(lambda _: self._arm.start())
-        self._stop = gui.add_button("Stop and judge", icon=viser.Icon.PLAYER_STOP, color=_RECORDING)
-        self._stop.on_click(lambda _: self._arm.stop())
-        self._discard = gui.add_button("Discard", icon=viser.Icon.TRASH)
-        self._discard.on_click(lambda _: self._arm.discard())
+        icons = viser.Icon
+        self._start = self._add_button("Start recording", self._arm.start, icon=icons.PLAYER_RECORD, color=_FREE)
+        self._stop = self._add_button("Stop and judge", self._arm.stop, icon=icons.PLAYER_STOP, color=_RECORDING)
+        self._discard = self._add_button("Discard", self._arm.discard, icon=icons.TRASH)
         self._add_key("Start or stop recording", "R", self._start_or_stop)
         self._add_key("Discard the recording", "X", self._arm.discard)
 
     def _add_hand(self) -> None:
-        gui = self._server.gui
-        self._gripper = gui.add_button("Close gripper")
-        self._gripper.on_click(lambda _: self._arm.toggle_gripper())
-        self._magnet = gui.add_button("Magnet on")
-        self._magnet.on_click(lambda _: self._switch_magnet())
+        self._gripper = self._add_button("Close gripper", self._arm.toggle_gripper)
+        self._magnet = self._add_button("Magnet on", self._switch_magnet)
         self._add_key("Open or close the gripper", "G", self._arm.toggle_gripper)
         self._add_key("Magnet on or off", "M", self._switch_magnet)
-        down = gui.add_button("Point down", icon=viser.Icon.ARROW_DOWN, hint="The hand upright over the table")
-        down.on_click(lambda _: self._point_down())
+        self._add_button(
+            "Point down", self._point_down, icon=viser.Icon.ARROW_DOWN, hint="The hand upright over the table"
+        )
         self._add_key("Point the hand down", "N", self._point_down)
-        self.place = gui.add_vector3("target (m)", (0.0, 0.0, 0.0), step=0.001)
-        self.place.on_update(self._type_place)
-        self.heading = gui.add_number("heading (deg)", 0.0, min=-180.0, max=180.0, step=0.1)
-        self.heading.on_update(self._type_heading)
+        self._fields = TargetFields(self._server.gui)
+
+    def _add_button(self, label: str, act: Callable[[], None], **looks: Any) -> viser.GuiButtonHandle:
+        button = self._server.gui.add_button(label, **looks)
+        button.on_click(self._in_turn(act))
+        return button
 
     def _add_key(self, name: str, key: Any, act: Callable[[], None]) -> None:
-        self._server.gui.add_command(name, hotkey=key).on_trigger(lambda _: act())
+        self._server.gui.add_command(name, hotkey=key).on_trigger(self._in_turn(act))
+
+    def _in_turn(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+        """What a button or a key does, after all that was done before it."""
+
+        # In the server's own loop: in threads, two quick keys could overtake each other, or one be lost.
+        async def act_in_turn(_: Any) -> None:
+            with self._acting:
+                self._take_typed()
+                act()
+
+        return act_in_turn
+
+    def _take_typed(self) -> None:
+        if self._fields.typed:
+            self._arm.aim(self._fields.take(self._arm.target))
 
     def _start_or_stop(self) -> None:
         if self._arm.status.recording:
@@ -109,33 +127,21 @@ class TeleopPage(BodiesPage):
 
     def _point_down(self) -> None:
         target = self._arm.target
-        y = rotation_z(_heading(target))[:, 0]
+        y = rotation_z(heading_of(target))[:, 0]
         down = np.array([0.0, 0.0, -1.0])
         self._arm.aim(pose(target[:3, 3], np.column_stack([np.cross(y, down), y, down])))
 
     # In the server's own loop, so that a drag's steps stay in order.
     async def _drag(self, event: viser.TransformControlsEvent) -> None:
-        self._dragged = event.phase != "end"
-        self._arm.aim(pose_from_quat(event.target.position, event.target.wxyz))
-
-    def _type_place(self, event: Any) -> None:
-        # Moved by nobody's hand, the numbers only say where the target is.
-        if event.client is not None:
-            self._arm.aim(pose(self.place.value, self._arm.target[:3, :3]))
-
-    def _type_heading(self, event: Any) -> None:
-        if event.client is not None:
-            target = self._arm.target
-            turn = rotation_z(np.radians(self.heading.value) - _heading(target))
-            self._arm.aim(pose(target[:3, 3], turn @ target[:3, :3]))
+        with self._acting:
+            self._take_typed()
+            self._dragged = event.phase != "end"
+            self._arm.aim(pose_from_quat(event.target.position, event.target.wxyz))
 
     def _show_target(self) -> None:
         target = self._arm.target
         self._gizmo.position, self._gizmo.wxyz = target[:3, 3], quat_from_rotation(target[:3, :3])
-        x, y, z = (round(float(part), 3) for part in target[:3, 3])
-        # viser's setters take more types than their getters give, which mypy has no words for.
-        self.place.value = (x, y, z)  # type: ignore[misc]
-        self.heading.value = round(float(np.degrees(_heading(target))), 1)  # type: ignore[misc]
+        self._fields.show(target)
 
     def _show(self, status: DriveStatus) -> None:
         self._ball.color = _FREE if status.free else _STOPPED
@@ -151,11 +157,6 @@ class TeleopPage(BodiesPage):
         self._status.content = (
             f"{state}  \n{status.episodes} episodes, {status.failures} failed{waiting}  \n{status.message}"
         )
-
-
-def _heading(T: Array) -> float:
-    """The direction of the hand's y axis, along which the fingers close, in the world's xy plane, rad."""
-    return float(np.arctan2(T[1, 1], T[0, 1]))
 
 
 def _notice(status: DriveStatus) -> str:

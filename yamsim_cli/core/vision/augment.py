@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 
 from ..config.randomization import PictureRanges
+from ..randomized import Randomized
 from ..tasks.randomness import Stream, generator
-from ..types import EpisodeJob, Randomized
+from ..types import EpisodeJob
 from .renderer import Image
 
 _GREY = 127.5
