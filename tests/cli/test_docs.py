@@ -37,6 +37,8 @@ def parse(line: str) -> None:
     name, *words = shlex.split(line, comments=True)
     assert name == "yamsim", line
     # The rest is the shell's.
+    if words == ["--version"]:
+        return
     words = words[: next((k for k, word in enumerate(words) if word in (">", "|", "&&", "2>")), len(words))]
     command, context = ROOT, None
     while hasattr(command, "commands"):

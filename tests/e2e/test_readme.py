@@ -22,7 +22,7 @@ import yaml
 
 from tests.core.objects.test_fits import block
 from tests.e2e.readme_lines import prepared, reason_not_to_run, serves
-from tests.readme import Block, shell_blocks, snippet
+from tests.readme import Block, blocks, shell_blocks, snippet
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.resources import Locations
@@ -151,6 +151,11 @@ def test_every_command_line_of_the_readme_works(shell: Shell, locations: Locatio
     failures: list[str] = []
     for k, lines in enumerate(shell_blocks()):
         run_block(shell, lines, policy_port, shell.folder.parent / f"block{k}", failures, locations)
+    for code in (part.text for part in blocks() if part.language == "python" and '"labelled' in part.text):
+        (shell.folder / "snippet.py").write_text(code)
+        log = shell.folder.parent / "snippet.log"
+        if problem := shell.run(f"{sys.executable} snippet.py", log):
+            failures.append(failure(code, problem, log))
     assert not failures, "\n\n".join(failures)
 
 
