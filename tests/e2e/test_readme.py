@@ -136,12 +136,14 @@ def failure(line: str, problem: str, log: Path) -> str:
     return f"$ {line}\n{problem}; it printed:\n{log.read_text()[-2000:]}"
 
 
-def needs_the_network(line: str, locations: Locations) -> bool:
-    """Whether a line wants meshes that are not here."""
+def no_meshes(line: str, locations: Locations) -> str | None:
+    """Why a line that would fetch meshes, or read them, is not run; None where they are here, or it does neither."""
     lock, store = load_lock(locations), AssetStore(locations.assets)
-    return line.startswith(("yamsim assets fetch", "yamsim assets import 0")) and not all(
+    if line.startswith(("yamsim assets fetch", "yamsim assets import 0")) and not all(
         store.resolve(assets) for assets in lock.sets.values()
-    )
+    ):
+        return "the meshes are not here, and this test uses no network"
+    return None
 
 
 def test_every_command_line_of_the_readme_works(shell: Shell, locations: Locations) -> None:
@@ -164,7 +166,9 @@ def run_block(
 ) -> None:
     with ExitStack() as servers:
         for k, shown in enumerate(lines.commands):
-            if reason_not_to_run(shown) or needs_the_network(shown, locations):
+            reason = reason_not_to_run(shown) or no_meshes(shown, locations)
+            if reason:
+                print(f"not run: {shown}: {reason}")
                 continue
             line, log = prepared(shown, policy_port), Path(f"{logs}_{k}.log")
             began = time.monotonic()
