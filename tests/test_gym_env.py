@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +74,30 @@ def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: Recor
     assert 80 <= tick < 114
 
 
+def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
+    config = make_config({("rig",): "russet", ("task",): "handover", ("seed",): 2})
+    with EpisodeRunner(config, locations, {}, draw=False) as runner:
+        rollout = runner.simulate(EpisodeJob(2, 1))[2]
+        drives = runner.scene.drives
+    assert rollout
+    env = gymnasium.make(ENV_ID, rig="russet", task="handover")
+    assert (env.action_space.shape, env.observation_space["ee_pose_world"].shape) == ((16,), (2, 4, 4))
+    observation, _ = env.reset(seed=2, options={"trial": 1})
+    assert env.observation_space.contains(observation)
+    success = False
+    for state in rollout.states:
+        for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
+            _, _, done, truncated, info = env.step(np.array([*ctrl[drives], *magnet], np.float32))
+            assert not truncated
+            success = success or info["success"]
+            if done:
+                break
+        if success:
+            break
+    env.close()
+    assert success
+
+
 def test_doing_nothing_is_truncated(env: Any) -> None:
     observation, _ = env.reset(seed=1)
     action = np.append(observation["joints"], 0.0).astype(np.float32)
@@ -126,7 +150,7 @@ def test_what_is_not_valid_is_told(env: Any) -> None:
         with pytest.raises((ValueError, gymnasium.error.Error)):
             gymnasium.make(ENV_ID, **options)
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="eight finite numbers"):
+    with pytest.raises(ValueError, match="8 finite numbers"):
         env.unwrapped.step(np.full(8, np.nan))
 
 

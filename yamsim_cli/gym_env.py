@@ -26,6 +26,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     """Pick the banana up and put it onto the plate; one step is a control tick of 32 ms.
 
     The action (8,) is that of `yamsim eval` and of the LeRobot export: seven drives (rad, m), and the weld above 0.5.
+    On a rig with two arms it is (16,): the left arm's drives and the right one's, the left weld and the right one. So
+    are `joints` (14,) and `ee_pose_world` (2, 4, 4).
     The reward is 1 on success, which ends the episode, else 0. Success is judged as `yamsim pickplace batch` judges,
     with the object let go.
 
@@ -36,8 +38,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         observation: "state" tells where the objects are, and draws nothing; "images" shows them.
         size: width and height of images, px.
         render_mode: None or "rgb_array", the scene camera's image.
-        max_ticks: after which the episode is truncated.
-        rig, task, config, quality: as the flags of `yamsim record`.
+        max_ticks: after which the episode is truncated; by default, twice as many as the plan takes.
+        rig, task, arm, config, quality: as the flags of `yamsim record`.
     """
 
     # gymnasium reads it of the class, and declares it of the instance.
@@ -52,9 +54,10 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         *,
         observation: Literal["state", "images"] = "state",
         size: tuple[int, int] = (320, 240),
-        max_ticks: int = 228,
+        max_ticks: int | None = None,
         rig: str | None = None,
         task: str | None = None,
+        arm: str | None = None,
         config: str = "default",
         quality: str = "fast",
     ) -> None:
@@ -64,29 +67,33 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             raise ValueError(f"observation {observation!r} is not valid: give 'state' or 'images'")
         self.render_mode = render_mode
         self._images = observation == "images"
-        self._max_ticks = max_ticks
         drawn = self._images or render_mode is not None
-        given = {"rig": rig, "task": task, "wrist": True, "size": size, "quality": quality}
+        given = {"rig": rig, "task": task, "arm": arm, "wrist": True, "size": size, "quality": quality}
         if drawn:
             self._config, where = drawn_config(config, parallel=False, **given)
         else:
             where = locations()
             self._config = task_config(config, where, **given)
 
-        from .core.jobs.episode import EpisodeRunner, require_one_arm
-        from .core.scene.build import SCENE_CAMERA
+        from .core.jobs.episode import EpisodeRunner
+        from .core.jobs.trials import policy_cameras
+        from .core.planning.demonstration import start_stand
+        from .core.policies.base import SCENE, WRIST
         from .core.sim.replica import Replica
+        from .core.tasks.kinds import kind_of
 
-        require_one_arm(self._config)
+        self._max_ticks = max_ticks or 2 * kind_of(self._config.task).ticks(self._config)
         meshes: dict[str, Path | None] = scene_meshes(self._config, where) if drawn else {}
         self._runner = EpisodeRunner(self._config, where, meshes, draw=False)
         self._replica = Replica(self._runner.scene)
-        self._cameras = {"scene_rgb": SCENE_CAMERA, "wrist_rgb": self._config.rig.arms[0].wrist_camera_name}
+        self._cameras = policy_cameras(self._config, (SCENE, WRIST))
+        self._stand = start_stand(self._config)
         self._job: Any = None
         self._loop: Any = None
         self._denied, self._rested = False, 0
-        ranges = self._runner.scene.model.actuator_ctrlrange
-        low, high = np.append(ranges[:, 0], 0.0), np.append(ranges[:, 1], 1.0)
+        scene = self._runner.scene
+        welds = np.tile((0.0, 1.0), (len(scene.arms), 1))
+        low, high = np.concatenate([scene.model.actuator_ctrlrange[scene.drives], welds]).T
         self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
         self.observation_space: spaces.Space[Any] = self._observation_space(size)
 
@@ -94,7 +101,9 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         def numbers(*shape: int) -> spaces.Box:
             return spaces.Box(-_FAR, _FAR, shape, np.float32)
 
-        parts: dict[str, spaces.Space[Any]] = {"joints": numbers(7), "ee_pose_world": numbers(4, 4)}
+        arms = len(self._runner.scene.arms)
+        hands = (4, 4) if arms == 1 else (arms, 4, 4)
+        parts: dict[str, spaces.Space[Any]] = {"joints": numbers(7 * arms), "ee_pose_world": numbers(*hands)}
         if self._images:
             parts |= {key: spaces.Box(0, 255, (size[1], size[0], 3), np.uint8) for key in self._cameras}
         else:
@@ -106,7 +115,6 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Start the next trial, or one of a seed."""
         from .core.sim.closed_loop import ClosedLoop
-        from .core.tasks.pickplace import OPEN
         from .core.types import EpisodeJob
 
         super().reset(seed=seed)
@@ -121,7 +129,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             self._job = EpisodeJob(self._job.seed, self._job.attempt + 1)
             layout, _, rollout = self._runner.simulate(self._job)
         scene, task = self._runner.scene, self._config.task
-        start = rollout.states[0].qpos if rollout else scene.start_qpos(layout, np.array(task.start_joints), OPEN)
+        start = rollout.states[0].qpos if rollout else scene.start_qpos(layout, self._stand[:, :6], self._stand[:, 6])
         self._start, self._denied, self._rested = start, False, 0
         self._loop = ClosedLoop(scene, start, task.object.name, task.timing)
         return self._observe(), self._info()
@@ -129,9 +137,10 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Let an action act for one control tick."""
         values = np.asarray(action, dtype=np.float64)
-        if values.shape != (8,) or not np.isfinite(values).all():
-            raise ValueError(f"an action is eight finite numbers, not {values.shape} {values}")
-        self._loop.step(values[:7], bool(values[7] > 0.5))
+        arms = len(self._runner.scene.arms)
+        if values.shape != (8 * arms,) or not np.isfinite(values).all():
+            raise ValueError(f"an action is {8 * arms} finite numbers, not {values.shape} {values}")
+        self._loop.step(values[: 7 * arms], tuple(map(bool, values[7 * arms :] > 0.5)))
         success = self._succeeded()
         truncated = not success and self._loop.ticks >= self._max_ticks
         return self._observe(), float(success), success, truncated, self._info(success)

@@ -31,7 +31,7 @@ def _export() -> None:
 def raiden(
     dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
 ) -> None:
-    """The converted layout of the real stack (TRI's raiden), images and depth byte for byte as they are.
+    """The converted layout of the real stack (TRI's raiden), a lone arm as the left one; images and depth as they are.
 
     Example: yamsim export raiden dataset/ real_layout/
     """
@@ -48,7 +48,7 @@ def raiden(
 def lerobot(
     dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
 ) -> None:
-    """LeRobotDataset v3.0: Parquet, and H.264 with exact times.
+    """LeRobotDataset v3.0: Parquet, and H.264 with exact times. Of two arms the left one comes first, the welds last.
 
     Example: yamsim export lerobot dataset/ lerobot_dataset/
     """

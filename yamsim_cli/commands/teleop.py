@@ -14,7 +14,7 @@ from yamsim_cli.core.errors import UsageError
 from .console import note, print_json, print_line
 from .record import mode_of
 from .session import Json, scene_meshes
-from .settings import ConfigOption, Quality, Rig, Seed, Size, Task, Wrist, drawn_config
+from .settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist, drawn_config
 from .signals import stoppable
 from .viewing import Host, Port, page_address, quiet_page
 
@@ -35,7 +35,10 @@ def teleop(
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("teleop"),
     seed: Seed = None,
     task: Task = None,
+    item: Object = None,
+    target: Target = None,
     rig: Rig = None,
+    arm: Arm = None,
     wrist: Wrist = None,
     size: Size = None,
     quality: Quality = None,
@@ -56,13 +59,25 @@ def teleop(
             raise UsageError(f"{flag} is of the page: leave it out, or leave out --input")
     if realtime and stream is None:
         raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
-    settings, where = drawn_config(config, rig=rig, task=task, seed=seed, wrist=wrist, size=size, quality=quality)
+    settings, where = drawn_config(
+        config,
+        rig=rig,
+        arm=arm,
+        task=task,
+        object=item,
+        target=target,
+        seed=seed,
+        wrist=wrist,
+        size=size,
+        quality=quality,
+    )
     quiet_page()
 
     from yamsim_cli.core.jobs.teleop_run import check_page, open_seat, run_page, run_stream
     from yamsim_cli.core.jobs.teleop_stream import read_stream
 
-    commands = None if stream is None else read_stream(stream)
+    sides = [arm.side for arm in settings.rig.arms]
+    commands = None if stream is None else read_stream(stream, sides)
     page = None if commands else page_address(port, host)
     if page is not None:
         check_page(page)

@@ -17,7 +17,7 @@ TICK = 0.032
 
 
 def planned_lines(config: RecordConfig, locations: Locations, attempt: int, began: float = 0.0) -> list[dict[str, Any]]:
-    """One recorded attempt: the scripted plan's joints, gripper and magnet, tick by tick, at half its speed."""
+    """One recorded attempt: the joints, grippers and magnets of the scripted plan, tick by tick, at half its speed."""
     with EpisodeRunner(config, locations, {}, draw=False) as runner:
         _, outcome, rollout = runner.simulate(EpisodeJob(config.seed, attempt))
         assert outcome.success
@@ -28,7 +28,11 @@ def planned_lines(config: RecordConfig, locations: Locations, attempt: int, bega
     lines: list[dict[str, Any]] = [{"t": began, "event": "start"}]
     for k, (row, holds) in enumerate(zip(joints[:-settle], magnet[:-settle], strict=True)):
         t = round(began + 2 * k * TICK, 6)
-        lines.append({"t": t, "joints": row[:6].tolist(), "gripper": max(0.0, float(row[6])), "magnet": holds})
+        if isinstance(holds, tuple):
+            lines.append({"t": t, "joints": row.tolist()})
+            lines += [{"t": t, "arm": side, "magnet": on} for side, on in zip(("left", "right"), holds, strict=True)]
+        else:
+            lines.append({"t": t, "joints": row[:6].tolist(), "gripper": max(0.0, float(row[6])), "magnet": holds})
     lines.append({"t": round(began + (2 * len(joints[:-settle]) + 15) * TICK, 6), "event": "stop"})
     return lines
 

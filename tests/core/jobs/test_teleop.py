@@ -67,7 +67,7 @@ def run(session: TeleopSession, seconds: float) -> None:
 
 
 def play(session: TeleopSession, lines: list[dict[str, Any]], folder: Path) -> None:
-    player = Player(read_stream(write_stream(folder / "stream.jsonl", lines)))
+    player = Player(read_stream(write_stream(folder / "stream.jsonl", lines), session.sides))
     while not player.done:
         player.act(session, session.time)
         session.tick()
@@ -208,7 +208,7 @@ def test_what_is_recorded_repeats_bit_for_bit(
     """The demonstration is judged by its actions alone: they have to lead where the arm was driven."""
     driven: list[Array] = []
     lines = planned_lines(config, locations, 0)
-    player = Player(read_stream(write_stream(tmp_path / "stream.jsonl", lines[:-1])))
+    player = Player(read_stream(write_stream(tmp_path / "stream.jsonl", lines[:-1]), session.sides))
     while not player.done:
         player.act(session, session.time)
         driven.append(session.data.qpos.copy())
@@ -254,12 +254,15 @@ def grasp_place(session: TeleopSession) -> Array:
         ([{"t": 0, "joints": [0] * 6, "ee": np.eye(4).tolist()}], "give joints or ee, not both"),
         ([{"t": 0, "ee": np.zeros((4, 4)).tolist()}], "no rotation"),
         ([{"t": 0, "joints": [float("nan")] * 6}], "stream.jsonl:1: joints"),
+        ([{"t": 0, "joints": [0] * 7}], "7 numbers; give six of one arm, or 14 of two"),
+        ([{"t": 0, "joints": [0] * 14}], "14 numbers are of two arms, and there is one"),
+        ([{"t": 0, "arm": "left"}], "stream.jsonl:1: arm: there is only a right one"),
         ([], "is empty"),
     ],
 )
 def test_a_faulty_stream_is_named_by_line(lines: list[dict[str, Any]], message: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=message):
-        read_stream(write_stream(tmp_path / "stream.jsonl", lines))
+        read_stream(write_stream(tmp_path / "stream.jsonl", lines), ("right",))
 
 
 def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
@@ -428,9 +431,8 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
     assert yamsim("teleop", "--input", "s.jsonl", "--port", "1").code == 2
     out = tmp_path / "d"
     stream = str(write_stream(tmp_path / "s.jsonl", [{"t": 0}]))
-    both = yamsim("teleop", "--rig", "russet", "--input", stream, "--out", str(out))
-    assert both.code == 3
-    assert "this works with one" in both.message
+    left = yamsim("teleop", "--arm", "left", "--input", stream, "--out", str(out))
+    assert (left.code, "rig 'single' has only a right one" in left.message) == (3, True)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

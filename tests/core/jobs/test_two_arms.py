@@ -201,14 +201,6 @@ def test_a_recorded_camera_is_given_in_the_first_arms_base(dataset: Path, handov
     np.testing.assert_allclose(photo.joints, [frame["joints"][RIGHT], frame["joints"][LEFT]], atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["lerobot", "raiden", "rerun"])
-def test_exports_that_hold_one_arm_say_so(dataset: Path, tmp_path: Path, kind: str) -> None:
-    run = yamsim("export", kind, dataset, tmp_path / "out")
-    assert run.code == 3
-    assert "this works with one" in run.message
-    assert not (tmp_path / "out").exists()
-
-
 def test_summarize_accepts_two_arms_and_checks_both(dataset: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(dataset, tmp_path / "dataset")
     frame = read_frame(copy / "ep_000000", 3)

@@ -51,7 +51,8 @@ class SimulationData:
 
     Attributes:
         qpos: MuJoCo's positions (nq,) at the frame, objects in `world`.
-        ctrl: what the drives are told on each control tick until the next frame, (ticks, nu), rad and m.
+        ctrl: what the drives are told on each control tick until the next frame, (ticks, nu), rad and m, in MuJoCo's
+            own order: of two arms that need not be the one of recordings.
         magnet: whether the weld holds on each of those ticks, (ticks,); of two arms (ticks, 2), the left one first.
     """
 

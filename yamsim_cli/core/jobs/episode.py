@@ -16,7 +16,6 @@ from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..dataset.records import Pose2D
-from ..errors import ConfigError
 from ..geometry.se3 import Array, inverse, yaw
 from ..planning.planners import make_planner
 from ..randomized import Randomized
@@ -46,18 +45,6 @@ def versions() -> dict[str, str]:
     return {"yamsim": __version__, "python": platform.python_version()} | {
         key: version(name) for key, name in packages.items()
     }
-
-
-def require_one_arm(config: RecordConfig) -> None:
-    """Refuse a rig with two arms, for what can drive or describe but one.
-
-    Raises:
-        ConfigError: the rig has more than one arm.
-    """
-    if len(config.rig.arms) > 1:
-        raise ConfigError(
-            f"rig {config.rig.name!r} has {len(config.rig.arms)} arms, and this works with one: use --rig single"
-        )
 
 
 class EpisodeRunner:

@@ -20,7 +20,6 @@ from ..resources import Locations
 from ..scene.compose import Meshes
 from ..viewers.address import PageAddress
 from .demonstrations import Desk, open_worker
-from .episode import require_one_arm
 from .stop import Stop
 from .teleop import TeleopSession
 from .teleop_stream import Command, Player
@@ -152,10 +151,9 @@ def open_seat(
     """Open a dataset and an arm to fill it with.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter` and `require_one_arm`.
+        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
         PartialJobError: the disk refused something.
     """
-    require_one_arm(config)
     with DatasetWriter(out, config.data_config(), mode) as writer:
         if writer.moved_aside:
             warn(f"What was in {out} is now in {writer.moved_aside}.")

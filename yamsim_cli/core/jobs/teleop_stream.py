@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, field_validator, model_validator
 
 from ..config.base import Config, Quaternion, Vector
+from ..config.record import Side
 from ..errors import ConfigError
 from ..geometry.se3 import Array, pose_from_quat
 from .teleop import TeleopSession
+
+_JOINTS, _OF_TWO = 6, 14
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
@@ -34,15 +37,17 @@ class Command(Config):
 
     Attributes:
         t: seconds since the stream's beginning.
-        joints: of the arm, rad.
-        ee: `grasp_site` in the arm's base, as frames hold it in `ee_pose`.
+        arm: of two arms, which one this and what follows is for; at first, the one that does the task.
+        joints: six of the arm, rad; or 14 of both, the left one's first, as frames hold them.
+        ee: `grasp_site` in the arm's base, or in the left one's of two, as frames hold it in `ee_pose`.
         gripper: opening of one finger, m.
         magnet: whether it is on.
         event: what to do with the recording.
     """
 
     t: Annotated[float, Field(ge=0, le=86400)]
-    joints: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    arm: Side | None = None
+    joints: tuple[FiniteFloat, ...] | None = None
     ee: tuple[Row, Row, Row, Row] | PoseTarget | None = None
     gripper: Annotated[float, Field(ge=0, le=0.1)] | None = None
     magnet: bool | None = None
@@ -54,6 +59,13 @@ class Command(Config):
         if self.ee is None:
             return None
         return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
+
+    @field_validator("joints")
+    @classmethod
+    def _six_or_all(cls, joints: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if joints is not None and len(joints) not in (_JOINTS, _OF_TWO):
+            raise ValueError(f"{len(joints)} numbers; give six of one arm, or 14 of two")
+        return joints
 
     @model_validator(mode="after")
     def _one_target(self) -> Command:
@@ -69,8 +81,11 @@ class Command(Config):
         return self
 
 
-def read_stream(file: Path) -> list[Command]:
+def read_stream(file: Path, sides: Sequence[str]) -> list[Command]:
     """All commands of a file, in order of time.
+
+    Args:
+        sides: of the arms that there are, "left" and "right".
 
     Raises:
         ConfigError: the file cannot be read, or a line of it is no command; the message names line and key.
@@ -85,6 +100,7 @@ def read_stream(file: Path) -> list[Command]:
         if not line.strip():
             continue
         command = _read(line, f"{file}:{number}")
+        _check_arms(command, sides, f"{file}:{number}")
         if commands and command.t < commands[-1].t:
             raise ConfigError(f"{file}:{number}: t {command.t:g} is before {commands[-1].t:g} of the line above")
         commands.append(command)
@@ -100,6 +116,13 @@ def _read(line: str, where: str) -> Command:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{where}: {key + ': ' if key else ''}{first['msg']}") from error
+
+
+def _check_arms(command: Command, sides: Sequence[str], where: str) -> None:
+    if command.arm is not None and command.arm not in sides:
+        raise ConfigError(f"{where}: arm: there is only a {sides[0]} one; leave it out")
+    if command.joints is not None and len(command.joints) == _OF_TWO and len(sides) < 2:
+        raise ConfigError(f"{where}: joints: 14 numbers are of two arms, and there is one; give six")
 
 
 class Player:
@@ -124,8 +147,14 @@ class Player:
     def _apply(self, session: TeleopSession, command: Command) -> None:
         if command.event is not None:
             {"start": session.start, "stop": session.stop, "discard": session.discard}[command.event]()
+        if command.arm is not None:
+            session.drive(command.arm)
         if command.joints is not None:
-            session.aim_joints(np.array(command.joints))
+            joints = np.array(command.joints)
+            if len(joints) == _OF_TWO:
+                session.aim_all(joints.reshape(2, 7))
+            else:
+                session.aim_joints(joints)
         if (T := command.T_grasp_in_base) is not None:
             session.aim_grasp(T)
         if command.gripper is not None:

@@ -73,7 +73,7 @@ def _with_cameras(spec: mujoco.MjSpec, rig: RigConfig, quality: RenderConfig | N
 def task_viewpoint(config: RecordConfig) -> Viewpoint:
     """Where a task's scene is watched from: between the arm and the middle of the table."""
     x, y, _ = config.table.position
-    return frame_workspace(x - 0.15, y, config.table.top + 0.1)
+    return frame_workspace(x - 0.15, y, config.table.top + 0.1, config.rig.span)
 
 
 class LivePictures:

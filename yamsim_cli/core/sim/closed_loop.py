@@ -41,7 +41,12 @@ class ClosedLoop:
     @property
     def holds(self) -> bool:
         """Whether a weld holds the object."""
-        return any(self._held(arm) for arm in self._scene.arms)
+        return any(self.held)
+
+    @property
+    def held(self) -> tuple[bool, ...]:
+        """Whether each arm's weld holds it."""
+        return tuple(self._held(arm) for arm in self._scene.arms)
 
     @property
     def actions(self) -> Actions:

@@ -1,4 +1,4 @@
-"""What stands in the arm's way, told before it gets there."""
+"""What stands in an arm's way, told before it gets there."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ _TOUCH = 5e-4
 
 
 class Obstruction:
-    """Tells what the arm would run into with its joints elsewhere; the task's objects are there to be moved."""
+    """Tells what an arm would run into with its joints elsewhere; the task's objects are there to be moved.
 
-    def __init__(self, scene: CompiledScene) -> None:
+    Args:
+        arm: its number in the scene.
+    """
+
+    def __init__(self, scene: CompiledScene, arm: int) -> None:
         self._scene = scene
+        self._joints = scene.arms[arm].joint_qpos
         model = scene.model
         self._data = mujoco.MjData(model)
-        arm = model.body_rootid == model.body(model.jnt_bodyid[model.joint("joint1").id]).rootid
-        self._is_arm = arm[model.geom_bodyid]
+        self._is_arm = scene.geom_arm == arm
         objects = [model.body(name).id for name in scene.object_qpos]
         self._is_object = np.isin(model.body_rootid[model.geom_bodyid], objects)
 
@@ -33,7 +37,7 @@ class Obstruction:
         """
         data, model = self._data, self._scene.model
         data.qpos[:] = qpos
-        data.qpos[self._scene.arm.joint_qpos] = joints
+        data.qpos[self._joints] = joints
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         pairs = data.contact.geom

@@ -14,6 +14,7 @@ class DriveStatus:
     """How things stand, for a person to read.
 
     Attributes:
+        arm: which arm is driven, "left" or "right"; empty where there is but one.
         recording: whether what happens is recorded, and since how many seconds.
         episodes, failures, waiting: successes in the dataset, attempts that failed, and those not judged yet.
         apart: how far the target is out of the arm's reach, m; 0 where the hand can be there.
@@ -23,6 +24,7 @@ class DriveStatus:
         message: what came of the last thing that was asked for.
     """
 
+    arm: str
     recording: bool
     seconds: float
     episodes: int
@@ -43,7 +45,7 @@ class DriveStatus:
 
 
 class Driven(Shown, Protocol):
-    """An arm that follows a target. Its methods may be called from any thread."""
+    """An arm that follows a target, or one of two arms. Its methods may be called from any thread."""
 
     @property
     def target(self) -> Array:
@@ -53,6 +55,10 @@ class Driven(Shown, Protocol):
     @property
     def status(self) -> DriveStatus:
         """How things stand."""
+        ...
+
+    def switch_arm(self) -> None:
+        """Drive the other arm, if there is one."""
         ...
 
     def aim(self, T_pinch_in_world: Array) -> None:

@@ -1,4 +1,4 @@
-"""A browser page from which a person drives an arm and records what it does."""
+"""A browser page from which a person drives an arm, or two in turn, and records what they do."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _KEYS = (
 
 
 class TeleopPage(BodiesPage):
-    """The page of one driven arm: a gizmo for its hand's target, the recording's buttons, what is in the way."""
+    """The page of a driven arm: a gizmo for its hand's target, the recording's buttons, what is in the way."""
 
     def __init__(self, arm: Driven, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
@@ -55,7 +55,7 @@ class TeleopPage(BodiesPage):
         self._gizmo = self._server.scene.add_transform_controls("/target", scale=0.12, line_width=3.0, depth_test=False)
         self._ball = self._server.scene.add_icosphere("/target/ball", 0.008, color=_FREE)
         self._gizmo.on_update(self._drag)
-        self._server.gui.add_markdown(_KEYS)
+        self._server.gui.add_markdown(_KEYS + (", **T** other arm" if arm.status.arm else ""))
         for key, name, shift, turn in _MOVES:
             self._add_key(name, key, lambda shift=shift, turn=turn: self._move(shift, turn))  # type: ignore[misc]
         self.update()
@@ -79,6 +79,10 @@ class TeleopPage(BodiesPage):
         self._add_key("Discard the recording", "X", self._arm.discard)
 
     def _add_hand(self) -> None:
+        if self._arm.status.arm:
+            name = "Drive the other arm"
+            self._add_button(name, self._arm.switch_arm, icon=viser.Icon.SWITCH_HORIZONTAL)
+            self._add_key(name, "T", self._arm.switch_arm)
         self._gripper = self._add_button("Close gripper", self._arm.toggle_gripper)
         self._magnet = self._add_button("Magnet on", self._switch_magnet)
         self._add_key("Open or close the gripper", "G", self._arm.toggle_gripper)
@@ -150,12 +154,13 @@ class TeleopPage(BodiesPage):
         self._stop.disabled = self._discard.disabled = not status.recording
         self._gripper.label = "Close gripper" if status.gripper_open else "Open gripper"
         self._magnet.label = "Magnet off" if status.magnet else "Magnet on"
+        whose = f"{status.arm} arm, " if status.arm else ""
         state = f"**recording {status.seconds:.1f} s**" if status.recording else "not recording"
         if self._arm.paused:
             state += ", paused"
         waiting = f", {status.waiting} being judged and drawn" if status.waiting else ""
         self._status.content = (
-            f"{state}  \n{status.episodes} episodes, {status.failures} failed{waiting}  \n{status.message}"
+            f"{whose}{state}  \n{status.episodes} episodes, {status.failures} failed{waiting}  \n{status.message}"
         )
 
 

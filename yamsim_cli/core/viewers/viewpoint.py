@@ -42,9 +42,13 @@ class Viewpoint:
         return self.look_at - self.distance * np.array(sight)
 
 
-def frame_workspace(x: float, y: float, z: float) -> Viewpoint:
-    """From the front, to one side and above, what stands around a point of `world` (m): a table and the arm at it."""
-    radius = _REACH + 0.12
+def frame_workspace(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
+    """From the front, to one side and above, what stands around a point of `world` (m): a table and the arms at it.
+
+    Args:
+        span: between the outermost arms' places, m.
+    """
+    radius = _REACH + 0.12 + span / 2
     distance = radius / math.sin(math.radians(FOV_DEG / 2))
     return Viewpoint(np.array([x, y, z]), distance, azimuth_deg=150.0, elevation_deg=-32.0)
 

@@ -13,12 +13,12 @@ import numpy as np
 from yamsim_cli.core.jobs.exports import raiden_schema as schema
 
 
-def differences(root: Path) -> list[str]:
+def differences(root: Path, *, arms: int = 1) -> list[str]:
     """What is wrong with an export, one text each."""
-    return list(_dataset(root))
+    return list(_dataset(root, arms))
 
 
-def _dataset(root: Path) -> Iterator[str]:
+def _dataset(root: Path, arms: int) -> Iterator[str]:
     split = json.loads((root / schema.SPLIT).read_text())
     yield from _keys(schema.SPLIT, split, schema.SPLIT_KEYS)
     yield from _names(
@@ -34,7 +34,7 @@ def _dataset(root: Path) -> Iterator[str]:
     first = root / next(iter(split["files"])) / schema.METADATA
     if (root / schema.SHARED_METADATA).read_bytes() != first.read_bytes():
         yield f"{schema.SHARED_METADATA} is not that of the first episode"
-    yield from _calibration(root, json.loads(first.read_text())["cameras"])
+    yield from _calibration(root, json.loads(first.read_text())["cameras"], arms)
 
 
 def _episode(folder: Path, frames: int) -> Iterator[str]:
@@ -79,9 +79,10 @@ def _frame(file: Path, cameras: list[str]) -> Iterator[str]:
             yield from _form(f"{file.name}: {key}", value, form)
 
 
-def _calibration(root: Path, cameras: list[str]) -> Iterator[str]:
+def _calibration(root: Path, cameras: list[str], arms: int) -> Iterator[str]:
     calibration = json.loads((root / schema.CALIBRATION).read_text())
-    yield from _keys(schema.CALIBRATION, calibration, schema.CALIBRATION_KEYS)
+    on_top = schema.BIMANUAL_CALIBRATION_KEYS if arms == 2 else {}
+    yield from _keys(schema.CALIBRATION, calibration, {**schema.CALIBRATION_KEYS, **on_top})
     if list(calibration["cameras"]) != cameras:
         yield f"{schema.CALIBRATION}: cameras are {list(calibration['cameras'])}"
     for name, entry in calibration["cameras"].items():

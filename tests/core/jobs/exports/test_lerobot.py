@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.core.jobs.exports.conftest import CAMERAS, EPISODES
+from tests.core.jobs.exports.lerobot_files import rows, run_reader
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.jobs.exports import lerobot_schema
@@ -59,11 +58,6 @@ def recorded(dataset: Path) -> list[dict[str, Any]]:
 def jpegs(dataset: Path, camera: str) -> np.ndarray:
     files = [file for k in range(EPISODES) for file in sorted((dataset / f"ep_{k:06d}" / "rgb" / camera).iterdir())]
     return np.array([decode_jpeg(file.read_bytes()) for file in files])
-
-
-def rows(root: Path, pattern: str) -> dict[str, list[Any]]:
-    tables = [parquet.read_table(file).to_pydict() for file in sorted(root.glob(pattern))]
-    return {key: [value for table in tables for value in table[key]] for key in tables[0]}
 
 
 def check_numbers(found: dict[str, Any], frames: list[dict[str, Any]]) -> None:
@@ -203,27 +197,12 @@ def test_what_breaks_off_leaves_nothing(dataset: Path, locations: Locations, tmp
     assert [path.name for path in tmp_path.iterdir()] == ["copy"]
 
 
-@pytest.fixture(scope="module")
-def lerobot_python() -> str:
-    """A Python that has lerobot: this one, or `$YAMSIM_LEROBOT_PYTHON`."""
-    python = os.environ.get("YAMSIM_LEROBOT_PYTHON", sys.executable)
-    probe = [python, "-c", "from lerobot.datasets.lerobot_dataset import LeRobotDataset"]
-    if subprocess.run(probe, capture_output=True, check=False).returncode:
-        pytest.skip("lerobot 0.4 is not installed (it needs torch); YAMSIM_LEROBOT_PYTHON names a Python that has it")
-    return python
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("which", ["export", "split"])
 def test_lerobots_own_loader_reads_every_frame(
     which: str, dataset: Path, lerobot_python: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    root: Path = request.getfixturevalue(which)
-    reader = Path(__file__).with_name("lerobot_reader.py")
-    run = [lerobot_python, str(reader), str(root), str(tmp_path / "read.npz")]
-    done = subprocess.run(run, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr[-3000:]
-    found = dict(np.load(tmp_path / "read.npz"))
+    found = run_reader(lerobot_python, request.getfixturevalue(which), tmp_path)
     check_numbers(found, recorded(dataset))
     assert (float(found["fps"]), set(found["task"])) == (15.625, {"pick up the banana and put it on the plate"})
     for camera in CAMERAS:

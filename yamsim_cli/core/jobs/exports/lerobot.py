@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...dataset.lowdim import BETWEEN_BASES
 from ...dataset.reader import StoredEpisode
 from ...vision.video import VideoWriter, require_encoder
-from ..episode import require_one_arm
 from ..replay import recorded_images
 from . import lerobot_schema as schema
 from .lerobot_schema import Place
@@ -34,12 +34,10 @@ def export_lerobot(source: Source, out: Path, progress: Progress, *, overwrite: 
     """Write a dataset as LeRobotDataset v3.0: Parquet for numbers, H.264 for images, frame k at exactly k periods.
 
     Raises:
-        ConfigError: the rig has more than one arm.
         DatasetError: a file is missing, altered or damaged.
         ResourceError: pyarrow or PyAV is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
-    require_one_arm(source.config)
     require_parquet()
     require_encoder()
     with export_directory(out, overwrite=overwrite) as stage:
@@ -111,10 +109,11 @@ class _Writer:
     def __init__(self, root: Path, source: Source) -> None:
         self.frames = 0
         self._root, self._source = root, source
-        self._columns = schema.columns(source.cameras)
+        self._columns = schema.columns(source.cameras, source.prefixes)
         self._tasks: dict[str, int] = {}
         self._total = RunningStats()
         self._provenance: list[dict[str, Any]] = []
+        self._bases: dict[str, Any] = {}
         self._open = contextlib.ExitStack()
 
     def __enter__(self) -> _Writer:
@@ -164,13 +163,15 @@ class _Writer:
         self._episodes.write(episode_table(row))
         self._total.add(stats)
         self.frames += len(frames)
+        if BETWEEN_BASES in frames[0]:
+            self._bases = {BETWEEN_BASES: frames[0][BETWEEN_BASES].tolist()}
         record = episode.record
         origin = {"episode": episode.directory.name, "seed": record.seed, "attempt": record.attempt}
         self._provenance.append({"episode_index": number} | origin)
 
     def _values(self, frames: Sequence[Mapping[str, Any]], number: int, task: int) -> dict[str, NDArray[Any]]:
         n = len(frames)
-        command = [np.append(frame["ctrl"], np.float32(frame["magnet"])) for frame in frames]
+        command = [np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32)) for frame in frames]
         values = {schema.STATE: np.array([frame["joints"] for frame in frames]), schema.ACTION: np.array(command)}
         for camera in self._source.cameras:
             values[schema.intrinsics_key(camera)] = np.array([frame["intrinsics"][camera] for frame in frames])
@@ -191,13 +192,16 @@ class _Writer:
         sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in source.cameras.items()}
         counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
         robot = source.config.rig.arms[0].model
-        _write_json(root / schema.INFO, schema.info(sizes, 1 / source.frame_period, robot, **counts))
+        _write_json(root / schema.INFO, schema.info(sizes, 1 / source.frame_period, robot, source.prefixes, **counts))
         stats = {
             key: {name: value.tolist() for name, value in _whole(found).items()}
             for key, found in self._total.stats().items()
         }
         _write_json(root / schema.STATS, stats)
-        _write_json(root / schema.PROVENANCE, {"dataset": source.path.absolute().name, "episodes": self._provenance})
+        _write_json(
+            root / schema.PROVENANCE,
+            {"dataset": source.path.absolute().name, **self._bases, "episodes": self._provenance},
+        )
 
 
 def _whole(stats: Stats) -> dict[str, NDArray[Any]]:

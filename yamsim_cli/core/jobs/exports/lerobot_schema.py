@@ -5,11 +5,11 @@ Source: lerobot 0.4.4, `lerobot.datasets`; the format's version is `CODEBASE_VER
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ...scene.robot import JOINTS
+from ...scene.robot import ACTUATORS
 
 VERSION = "v3.0"
 CHUNK_FILES = 1000
@@ -30,7 +30,8 @@ VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 STATE = "observation.state"
 ACTION = "action"
 
-_COMMANDS = (*JOINTS, "gripper")
+# Before a robot's type where there are two of it, as in lerobot's own names.
+_TWO = "bi_"
 
 
 @dataclass(frozen=True)
@@ -88,15 +89,21 @@ def intrinsics_key(camera: str) -> str:
 
 
 def extrinsics_key(camera: str) -> str:
-    """Feature of a camera's pose in the robot's base."""
+    """Feature of a camera's pose in the robot's base; of two arms, in the left one's."""
     return f"observation.extrinsics.{camera}"
 
 
-def columns(cameras: Mapping[str, tuple[int, int]]) -> dict[str, Feature]:
-    """The features that the Parquet files hold: all but the images."""
+def columns(cameras: Mapping[str, tuple[int, int]], prefixes: Sequence[str]) -> dict[str, Feature]:
+    """The features that the Parquet files hold: all but the images.
+
+    Args:
+        prefixes: what the names of each arm's parts begin with, in order. An action has all drives, then all welds.
+    """
+    drives = tuple(prefix + name for prefix in prefixes for name in ACTUATORS)
+    commands = (*drives, *(f"{prefix}magnet" for prefix in prefixes))
     features = {
-        STATE: Feature("float32", (7,), _COMMANDS),
-        ACTION: Feature("float32", (8,), (*_COMMANDS, "magnet")),
+        STATE: Feature("float32", (len(drives),), drives),
+        ACTION: Feature("float32", (len(commands),), commands),
     }
     for camera in cameras:
         features[intrinsics_key(camera)] = Feature("float32", (3, 3))
@@ -108,6 +115,7 @@ def info(
     cameras: Mapping[str, tuple[int, int]],
     fps: float,
     robot: str,
+    prefixes: Sequence[str],
     *,
     episodes: int,
     frames: int,
@@ -117,11 +125,13 @@ def info(
 
     Args:
         cameras: camera -> width and height (px) of its images in the videos.
+        robot: the model of each arm.
+        prefixes: see `columns`.
     """
     images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
     return {
         "codebase_version": VERSION,
-        "robot_type": robot,
+        "robot_type": robot if len(prefixes) == 1 else _TWO + robot,
         "total_episodes": episodes,
         "total_frames": frames,
         "total_tasks": tasks,
@@ -132,7 +142,7 @@ def info(
         "splits": {"train": f"0:{episodes}"},
         "data_path": DATA,
         "video_path": VIDEO,
-        "features": images | {key: feature.plain() for key, feature in columns(cameras).items()},
+        "features": images | {key: feature.plain() for key, feature in columns(cameras, prefixes).items()},
     }
 
 

@@ -13,21 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...config.limits import load_limits
+from ...config.rig import ArmConfig
 from ...dataset.layout import depth_name
-from ...dataset.lowdim import dump_frame
+from ...dataset.lowdim import BETWEEN_BASES, dump_frame
 from ...dataset.reader import StoredEpisode
 from ...errors import DatasetError
 from ...geometry.se3 import Array, inverse, rotation_vector
 from ...planning.kinematics import ArmKinematics
 from ...resources import Locations
 from ...scene.robot import bare_arm
-from ..episode import require_one_arm
 from . import raiden_schema as schema
 from .source import Exported, Progress, Source, depth_cameras
 from .target import export_directory
 
-# A lone arm is the left one, and so is its camera.
-_LEFT_WRIST_CAMERA = "left_wrist_camera"
+# Of the arms in order: a lone arm is the left one, and so is its camera.
+_WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
 _ZERO_TIME = "1970-01-01T00:00:00.000000"
 
@@ -41,15 +41,13 @@ def export_raiden(
     Grippers are a share of the opening, 0 closed and 1 open, as the real arm's drive reports them.
 
     Raises:
-        ConfigError: the rig has more than one arm.
         DatasetError: a file is missing, altered or damaged.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
-    require_one_arm(source.config)
     converter = _Converter(source, locations)
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
-        first: Mapping[str, Any] = {}
+        calibration: dict[str, Any] = {}
         for number, episode in enumerate(source.episodes()):
             name = schema.episode_name(number)
             recorded = episode.frames()
@@ -57,16 +55,39 @@ def export_raiden(
             metadata = converter.metadata(episode, data)
             _write_images(stage.path / name, episode, converter.names, [frame["timestamp"] for frame in recorded])
             _write_frames(stage.path / name, data, metadata)
-            if not first:
-                first = data[0]
+            if not calibration:
+                calibration = converter.calibration(data[0], recorded[0].get(BETWEEN_BASES))
                 _write_json(stage.path / schema.SHARED_METADATA, metadata)
             frames[name] = len(data)
             progress(number + 1, len(source))
         total = sum(frames.values())
         size = {"n_seqs": len(frames), "n_samples": len(frames), "n_frames": total}
         _write_json(stage.path / schema.SPLIT, {"filters": {}, "size": size, "files": frames})
-        _write_json(stage.path / schema.CALIBRATION, converter.calibration(first))
+        _write_json(stage.path / schema.CALIBRATION, calibration)
     return Exported(out, len(frames), total, stage.moved_aside)
+
+
+class _Arm:
+    """What the real stack tells of an arm, from recorded joints (7,): six in rad, and one finger's opening in m."""
+
+    def __init__(self, arm: ArmConfig, locations: Locations) -> None:
+        self._kinematics = ArmKinematics(bare_arm(arm, locations))
+        self._opening = load_limits(arm.model, locations).fingers[arm.gripper][1]
+
+    def shared(self, joints: ArrayLike) -> Array:
+        """Six joints, and the gripper as a share of its opening."""
+        values = np.array(joints, dtype=np.float64)
+        values[6] = np.clip(values[6] / self._opening, 0.0, 1.0)
+        return values
+
+    def hand(self, shared: Array) -> Array:
+        """The hand's position, its rotation row by row and the gripper (13,), in this arm's base."""
+        T = self.T_hand_in_base(shared)
+        return np.concatenate([T[:3, 3], T[:3, :3].ravel(), shared[6:]])
+
+    def T_hand_in_base(self, joints: ArrayLike) -> Array:
+        """The hand's pose (4, 4) in this arm's base, by kinematics."""
+        return self._kinematics.T_grasp_in_base(np.asarray(joints)[:6])
 
 
 class _Converter:
@@ -77,13 +98,16 @@ class _Converter:
     """
 
     def __init__(self, source: Source, locations: Locations) -> None:
-        arm = source.config.rig.arms[0]
+        config = source.config
+        arms = [config.rig.arms[k] for k in config.rig.recorded]
         self._cameras = source.cameras
-        self._wrist = arm.wrist_camera_name if source.config.wrist else None
-        self.names = {name: _LEFT_WRIST_CAMERA if name == self._wrist else name for name in source.cameras}
-        self._kinematics = ArmKinematics(bare_arm(arm, locations))
-        self._opening = load_limits(arm.model, locations).fingers[arm.gripper][1]
-        self._still = np.zeros(7)
+        # Wrist camera -> its arm's place.
+        self._wrists = {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}
+        self.names = {
+            name: _WRIST_CAMERAS[self._wrists[name]] if name in self._wrists else name for name in self._cameras
+        }
+        # Where there is one alone, the other is like it.
+        self._arms = [_Arm(arm, locations) for arm in (arms[0], arms[-1])]
         self._framerate = 1 / source.frame_period
 
     def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
@@ -92,23 +116,23 @@ class _Converter:
         return {
             "intrinsics": {self.names[camera]: frame["intrinsics"][camera] for camera in self.names},
             "extrinsics": {self.names[camera]: frame["extrinsics"][camera] for camera in self.names},
-            "joints": _f32([joints, self._still]),
-            "action": _f32([self._hand(command), self._hand(self._still)]),
-            "actual_poses": _f32([self._hand(joints), self._hand(self._still)]),
-            "action_joints": _f32([command, self._still]),
+            "joints": _f32(joints),
+            "action": _f32(self._hands(command)),
+            "actual_poses": _f32(self._hands(joints)),
+            "action_joints": _f32(command),
             "language_task": frame["language_task"],
             "language_prompt": frame["language_prompt"],
         }
 
-    def _shared(self, joints: ArrayLike) -> Array:
-        """Six joints, and the gripper as a share of its opening."""
-        values = np.array(joints, dtype=np.float64)
-        values[6] = np.clip(values[6] / self._opening, 0.0, 1.0)
-        return values
+    def _shared(self, joints: ArrayLike) -> list[Array]:
+        """Each arm's joints (7,), of recorded ones (7,) or (14,)."""
+        rows = np.zeros((2, 7))
+        recorded = np.reshape(joints, (-1, 7))
+        rows[: len(recorded)] = recorded
+        return [arm.shared(row) for arm, row in zip(self._arms, rows, strict=True)]
 
-    def _hand(self, joints: Array) -> Array:
-        T = self._kinematics.T_grasp_in_base(joints[:6])
-        return np.concatenate([T[:3, 3], T[:3, :3].ravel(), joints[6:]])
+    def _hands(self, shared: Sequence[Array]) -> list[Array]:
+        return [arm.hand(row) for arm, row in zip(self._arms, shared, strict=True)]
 
     def metadata(self, episode: StoredEpisode, frames: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """What `metadata.json` holds."""
@@ -134,18 +158,27 @@ class _Converter:
             "action": {"format": "joint_cmd", "dims": 14},
         }
 
-    def calibration(self, frame: Mapping[str, Any]) -> dict[str, Any]:
-        """What `calibration_results.json` holds: the cameras as they are in a frame of the real stack's kind."""
+    def calibration(self, frame: Mapping[str, Any], T_right_base_in_left_base: ArrayLike | None) -> dict[str, Any]:
+        """What `calibration_results.json` holds: the cameras as they are in a frame of the real stack's kind.
+
+        Args:
+            T_right_base_in_left_base: pose (4, 4), of two arms.
+        """
+        between = None if T_right_base_in_left_base is None else np.asarray(T_right_base_in_left_base, np.float64)
         return {
             "version": "1.0",
             "timestamp": _ZERO_TIME,
             "coordinate_frame": "left_arm_base",
             "cameras": {
-                self.names[camera]: self._calibrated(camera, size, frame) for camera, size in self._cameras.items()
+                self.names[camera]: self._calibrated(camera, size, frame, between)
+                for camera, size in self._cameras.items()
             },
+            **({} if between is None else {"bimanual_transform": _bimanual(between)}),
         }
 
-    def _calibrated(self, camera: str, size: tuple[int, int], frame: Mapping[str, Any]) -> dict[str, Any]:
+    def _calibrated(
+        self, camera: str, size: tuple[int, int], frame: Mapping[str, Any], T_right_base_in_left_base: Array | None
+    ) -> dict[str, Any]:
         name = self.names[camera]
         T = np.asarray(frame["extrinsics"][name], dtype=np.float64)
         intrinsics = {
@@ -155,10 +188,23 @@ class _Converter:
             "source": "simulation",
         }
         entry = {"serial_number": 0, "intrinsics": intrinsics, "num_poses_used": 0}
-        if camera != self._wrist:
+        if camera not in self._wrists:
             return {"type": "scene", **entry, "extrinsics": {**_transform(T), "reference_frame": "left_arm_base"}}
-        hand = self._kinematics.T_grasp_in_base(frame["joints"][:6])
+        arm = self._wrists[camera]
+        hand = self._arms[arm].T_hand_in_base(frame["joints"][7 * arm :])
+        if arm == 1 and T_right_base_in_left_base is not None:
+            hand = T_right_base_in_left_base @ hand
         return {"type": "hand_eye", **entry, "hand_eye_calibration": {**_transform(inverse(hand) @ T), "method": "sim"}}
+
+
+def _bimanual(T_right_base_in_left_base: Array) -> dict[str, Any]:
+    """Where the arms stand. Source: TRI-ML/raiden, `converter.py`: it inverts what it reads, whatever the key says."""
+    return {
+        "right_base_to_left_base": inverse(T_right_base_in_left_base).tolist(),
+        "computed_from_calibration": False,
+        "description": "Pose of the left arm's base in the right one's: the inverse of T_right_base_in_left_base",
+        BETWEEN_BASES: T_right_base_in_left_base.tolist(),
+    }
 
 
 def _f32(arms: Sequence[ArrayLike]) -> NDArray[np.float32]:

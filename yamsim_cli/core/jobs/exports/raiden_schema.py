@@ -84,5 +84,13 @@ _TRANSFORM: Keys = {"success": None, "rotation_matrix": None, "translation_vecto
 _CAMERA: Keys = {"type": None, "serial_number": None, "intrinsics": _INTRINSICS, "num_poses_used": None}
 SCENE_CAMERA_KEYS: Keys = {**_CAMERA, "extrinsics": {**_TRANSFORM, "reference_frame": None}}
 WRIST_CAMERA_KEYS: Keys = {**_CAMERA, "hand_eye_calibration": {**_TRANSFORM, "method": None}}
-# A bimanual station's has `bimanual_transform` on top.
 CALIBRATION_KEYS: Keys = {"version": None, "timestamp": None, "coordinate_frame": None, "cameras": None}
+# Of two arms, on top. The last one, a plain name for the inverse of the first, is not in the real stack's.
+BIMANUAL_CALIBRATION_KEYS: Keys = {
+    "bimanual_transform": {
+        "right_base_to_left_base": None,
+        "computed_from_calibration": None,
+        "description": None,
+        "T_right_base_in_left_base": None,
+    }
+}

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from ...dataset.layout import depth_name
+from ...dataset.lowdim import BETWEEN_BASES
 from ...dataset.reader import StoredEpisode
 from ...errors import ResourceError
 from ...geometry.se3 import Array
-from ...scene.robot import JOINTS
-from ..episode import require_one_arm
+from ...scene.robot import ACTUATORS
 from .source import Exported, Progress, Source, depth_cameras
 from .target import export_directory
 
@@ -25,15 +25,13 @@ _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
 def export_rerun(source: Source, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
-    """Write `ep_NNNNNN.rrd` files into a directory; everything is in the robot's base frame.
+    """Write `ep_NNNNNN.rrd` files into a directory; everything is in the robot's base frame, or the left one's.
 
     Raises:
-        ConfigError: the rig has more than one arm.
         DatasetError: a file is missing, altered or damaged.
         ResourceError: rerun is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
-    require_one_arm(source.config)
     _require_rerun()
     frames = 0
     with export_directory(out, overwrite=overwrite) as stage:
@@ -80,10 +78,11 @@ def _write(path: Path, source: Source, episode: StoredEpisode) -> int:
             if camera in with_depth:
                 with np.load(io.BytesIO(episode.whole(depth_name(camera, k))), allow_pickle=False) as archive:
                     stream.log(f"{place}/depth", rerun.DepthImage(archive["depth"], meter=1000.0))
-        stream.log("base/hand", _transform(frame["ee_pose"]))
+        for hand, T in _hands(source, frame).items():
+            stream.log(f"base/{hand}", _transform(T))
         for item in episode.record.objects:
             stream.log(f"base/{item}", _transform(frame[f"{item}_pose"]))
-        _log_numbers(stream, frame)
+        _log_numbers(stream, source, frame)
     stream.disconnect()
     return len(frames)
 
@@ -93,10 +92,15 @@ def _log_static(stream: Any, source: Source, episode: StoredEpisode, frames: lis
 
     stream.log("base", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     axes = rerun.Arrows3D(vectors=np.eye(3) * _AXIS, colors=_AXIS_COLOURS)
-    for item in ("hand", *episode.record.objects):
+    hands = [_hands(source, frame) for frame in frames]
+    for item in (*hands[0], *episode.record.objects):
         stream.log(f"base/{item}/axes", axes, static=True)
-    path = np.array([frame["ee_pose"][:3, 3] for frame in frames])
-    stream.log("base/hand_path", rerun.LineStrips3D([path], colors=[[90, 90, 90]], radii=0.001), static=True)
+    for hand in hands[0]:
+        path = np.array([each[hand][:3, 3] for each in hands])
+        stream.log(f"base/{hand}_path", rerun.LineStrips3D([path], colors=[[90, 90, 90]], radii=0.001), static=True)
+    if BETWEEN_BASES in frames[0]:
+        stream.log("base/right_base", _transform(frames[0][BETWEEN_BASES]), static=True)
+        stream.log("base/right_base/axes", axes, static=True)
     record = episode.record
     lines = [
         f"{source.path.absolute().name}/{episode.directory.name}",
@@ -107,13 +111,21 @@ def _log_static(stream: Any, source: Source, episode: StoredEpisode, frames: lis
     stream.log("episode", rerun.TextDocument("\n".join(lines)), static=True)
 
 
-def _log_numbers(stream: Any, frame: Mapping[str, Any]) -> None:
+def _hands(source: Source, frame: Mapping[str, Any]) -> dict[str, Array]:
+    """Name -> pose (4, 4) of each hand."""
+    poses = np.reshape(frame["ee_pose"], (-1, 4, 4))
+    return {f"{prefix}hand": T for prefix, T in zip(source.prefixes, poses, strict=True)}
+
+
+def _log_numbers(stream: Any, source: Source, frame: Mapping[str, Any]) -> None:
     import rerun
 
+    drives = [prefix + name for prefix in source.prefixes for name in ACTUATORS]
     for key in ("joints", "ctrl"):
-        for name, value in zip((*JOINTS, "gripper"), frame[key], strict=True):
+        for name, value in zip(drives, frame[key], strict=True):
             stream.log(f"{key}/{name}", rerun.Scalars(float(value)))
-    stream.log("weld", rerun.Scalars(float(frame["magnet"])))
+    for prefix, holds in zip(source.prefixes, np.atleast_1d(frame["magnet"]), strict=True):
+        stream.log(f"{prefix}weld", rerun.Scalars(float(holds)))
 
 
 def _transform(T: Array) -> Any:

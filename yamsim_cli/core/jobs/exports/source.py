@@ -58,6 +58,12 @@ class Source:
         return self.first.record.cameras
 
     @property
+    def prefixes(self) -> tuple[str, ...]:
+        """What the names of each arm's parts begin with, in the order of recordings; nothing for a lone arm."""
+        rig = self.config.rig
+        return tuple(f"{rig.arms[k].side}_" for k in rig.recorded) if len(rig.arms) > 1 else ("",)
+
+    @property
     def frame_period(self) -> float:
         """From one frame to the next, s."""
         return self.first.record.frame_period_s
@@ -70,7 +76,7 @@ class Source:
         """
         for directory in self.directories:
             episode = open_episode(directory)
-            for what in ("cameras", "frame_period_s", "objects"):
+            for what in ("cameras", "frame_period_s", "objects", "arms"):
                 mine, others = getattr(episode.record, what), getattr(self.first.record, what)
                 if mine != others:
                     raise DatasetError(
