@@ -12,10 +12,12 @@ from typing import Any
 import pytest
 import typer
 
+from tests.e2e import readme_lines
+from tests.readme import TEXT as README
+from tests.readme import shell_blocks
 from yamsim_cli.main import app
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 
 
 def _commands(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -35,6 +37,8 @@ def parse(line: str) -> None:
     name, *words = shlex.split(line, comments=True)
     assert name == "yamsim", line
     # The rest is the shell's.
+    if words == ["--version"]:
+        return
     words = words[: next((k for k, word in enumerate(words) if word in (">", "|", "&&", "2>")), len(words))]
     command, context = ROOT, None
     while hasattr(command, "commands"):
@@ -49,10 +53,8 @@ def example(command: Any) -> str:
     return found[1] if found else ""
 
 
-def readme_lines() -> list[str]:
-    """Every line of the README's shell blocks that runs yamsim."""
-    blocks = re.findall(r"^```sh\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
-    return [line for block in blocks for line in block.splitlines() if line.startswith("yamsim ")]
+SHELL_LINES = [line for block in shell_blocks() for line in block.commands]
+YAMSIM_LINES = [line for line in SHELL_LINES if line.startswith("yamsim ")]
 
 
 @pytest.mark.parametrize("path", COMMANDS)
@@ -64,8 +66,9 @@ def test_help_says_what_it_does(path: str) -> None:
 
 
 @pytest.mark.parametrize("path", LEAVES)
-def test_readme_names_it(path: str) -> None:
-    assert re.search(rf"\byamsim {re.escape(path)}\b", README), f"README.md never mentions `yamsim {path}`"
+def test_readme_shows_it(path: str) -> None:
+    shown = any(line.startswith(f"yamsim {path} ") for line in (f"{line} " for line in YAMSIM_LINES))
+    assert shown, f"no shell block of README.md has a line `yamsim {path} ...`"
 
 
 @pytest.mark.parametrize("path", LEAVES)
@@ -80,9 +83,24 @@ def test_every_command_can_answer_in_json(path: str) -> None:
     assert any("--json" in parameter.opts for parameter in LEAVES[path].params)
 
 
-@pytest.mark.parametrize("line", readme_lines())
+@pytest.mark.parametrize("line", YAMSIM_LINES)
 def test_readmes_command_lines_parse(line: str) -> None:
     parse(line)
+    # So does what the test that runs them makes of it.
+    parse(readme_lines.prepared(line, policy_port=8081))
+
+
+def test_readmes_make_targets_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    shown = re.findall(r"^make ([a-z-]+)", "\n".join(SHELL_LINES), re.MULTILINE)
+    named = re.findall(r"`make ([a-z-]+)`", README)
+    assert {*shown, *named} - targets == set()
+
+
+def test_what_is_known_of_readmes_lines_is_about_some() -> None:
+    patterns = [*readme_lines.SMALLER, *readme_lines.NOT_RUN, *readme_lines.CHEAPER, *readme_lines.SERVERS]
+    assert [pattern for pattern in patterns if not any(re.search(pattern, line) for line in SHELL_LINES)] == []
+    assert any(readme_lines.serves(line) for line in SHELL_LINES)
 
 
 def test_readme_names_only_flags_that_exist() -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from yamsim_cli.core.errors import ResourceError
 
 from .import_object import import_object
+from .tables import file_size, listing
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -36,7 +37,7 @@ def list_assets(json: Json = False) -> None:
     if json:
         print_json({"items": items})
     else:
-        print_table(_table(items, ("name", "set", "size", "status")))
+        print_table(_table(items, ("name", "set", "status", "size"), 3))
         for assets in lock.sets.values():
             print_line(f"{assets.name} ({assets.license}): {store.status(assets)[0].path.parent}")
 
@@ -74,7 +75,7 @@ def fetch(
     if json:
         print_json({"items": items})
     else:
-        print_table(_table(items, ("name", "files", "size", "faces", "reduced_faces", "source")))
+        print_table(_table(items, ("name", "source", "files", "size", "faces", "reduced_faces"), 2))
         for item in items:
             print_line(f"{item['name']}: {item['path']}")
 
@@ -135,12 +136,16 @@ def _fetch_with_progress(
     return report, reduced
 
 
-def _table(items: Sequence[Mapping[str, object]], columns: tuple[str, ...]) -> Table:
-    from rich.table import Table
-
-    table = Table()
-    for column in columns:
-        table.add_column(column.replace("_", " "), overflow="fold")
+def _table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> Table:
+    table = listing([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
     for item in items:
-        table.add_row(*(str(item[column]) for column in columns))
+        table.add_row(*(_shown(column, item[column]) for column in columns))
     return table
+
+
+def _shown(column: str, value: Any) -> str:
+    if value is None:
+        return ""
+    if column == "size":
+        return file_size(value)
+    return f"{value:,}" if isinstance(value, int) else str(value)

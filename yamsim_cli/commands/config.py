@@ -11,6 +11,7 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import print_json, print_line, print_table
 from .session import Json, locations
+from .tables import facts
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 
@@ -25,8 +26,6 @@ def list_configs(json: Json = False) -> None:
 
     Example: yamsim config list
     """
-    from rich.table import Table
-
     from yamsim_cli.core.config.loader import KINDS
 
     where = locations()
@@ -38,10 +37,9 @@ def list_configs(json: Json = False) -> None:
     if json:
         print_json({"items": items})
         return
-    table = Table("kind", "name", "file")
-    for item in items:
-        table.add_row(item["kind"], item["name"], item["path"])
-    print_table(table)
+    print_table(facts((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in KINDS))
+    for root in where.data:
+        print_line(f"They are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
 
 
 @app.command()

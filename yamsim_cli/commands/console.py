@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-# Without a terminal there is no width to fit: a table in a log must not be cut at 80 columns.
-_PIPED_WIDTH = 160
-
 # Between two lines of progress in a log, s: a job of minutes stays silent, one of a night can be followed.
 _LOG_SECONDS = 30.0
 
@@ -33,8 +30,15 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def print_table(table: RenderableType) -> None:
-    """Write a rich table, or anything rich can draw, to stdout."""
-    Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH).print(table)
+    """Write a rich table, or anything rich can draw, to stdout: as wide as the terminal, or 80 columns without one."""
+    out = Console()
+    if out.is_terminal:
+        out.print(table)
+        return
+    with out.capture() as captured:
+        out.print(table)
+    # Rich fills every line up to the table's width.
+    sys.stdout.writelines(f"{line.rstrip()}\n" for line in captured.get().splitlines())
 
 
 def print_line(text: str) -> None:
@@ -43,10 +47,15 @@ def print_line(text: str) -> None:
 
 
 def print_text(marked: str, text: str, style: str) -> None:
-    """Write a line of a result to stdout, its beginning in a colour where there are colours."""
+    """Write a line of a result to stdout, its beginning in a colour where there are colours, wrapped beside it."""
+    from rich.table import Table
     from rich.text import Text
 
-    Console(soft_wrap=True).print(Text.assemble((marked, style), "  ", text))
+    row = Table.grid(padding=(0, 2, 0, 0))
+    row.add_column(style=style, no_wrap=True)
+    row.add_column(overflow="fold")
+    row.add_row(Text(marked), Text(text))
+    print_table(row)
 
 
 def note(text: str) -> None:

@@ -13,6 +13,8 @@ from rich.text import Text
 
 from yamsim_cli.core.dataset.checks.problem import printable
 
+from .tables import facts, file_size, listing
+
 _WIDTH = 80
 
 # More would only repeat the fault; --json has them all.
@@ -29,26 +31,17 @@ def findings(report: Mapping[str, Any]) -> RenderableType:
     return Constrain(Group(*parts), _WIDTH)
 
 
-def _table(*headings: str, title: str | None = None) -> Table:
-    table = Table(box=box.SIMPLE, title=title, title_justify="left", title_style="bold", pad_edge=False)
-    for k, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if k == 0 else "right", overflow="fold")
-    return table
-
-
 def _figures(report: Mapping[str, Any]) -> Table:
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(style="dim", no_wrap=True)
-    table.add_column(overflow="fold")
+    rows: list[tuple[str, str]] = []
 
     def row(name: str, value: str) -> None:
         if value:
-            table.add_row(name, Text(printable(value)))
+            rows.append((name, printable(value)))
 
     row("dataset", report["path"])
     row("episodes", f"{report['episodes']:,}: {report['frames']:,} frames, {_duration(report['seconds'])}")
     each = report["bytes_per_episode"]
-    row("size", _size(report["bytes"]) + (f", {_size(each['median'])} an episode" if each else ""))
+    row("size", file_size(report["bytes"]) + (f", {file_size(each['median'])} an episode" if each else ""))
     row("cameras", ", ".join(f"{name} {w}x{h}" for name, (w, h) in report["cameras"].items()))
     row("task, grasp", "; ".join(", ".join(names) for names in (report["tasks"], report["grasps"]) if names))
     attempts = report["attempts"]
@@ -58,7 +51,7 @@ def _figures(report: Mapping[str, Any]) -> Table:
     for key, label in (("dxy_m", "off centre"), ("dz_m", "above target")):
         if spread := report[key]:
             row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _SPREAD.items()))
-    return table
+    return facts(rows)
 
 
 _SPREAD = {"median": "median", "p95": "95 %", "max": "most"}
@@ -66,7 +59,7 @@ _SPREAD = {"median": "median", "p95": "95 %", "max": "most"}
 
 def _rates(report: Mapping[str, Any]) -> Table:
     attempts = report["attempts"]
-    table = _table("within", "episodes", *(["all attempts"] if attempts["n"] else []), title="Success")
+    table = listing(["within", "episodes", *(["all attempts"] if attempts["n"] else [])], title="Success")
     for limit, rate in report["success_rate"].items():
         cells = [_rate(rate, report["wilson95"][limit])]
         if attempts["n"]:
@@ -76,7 +69,7 @@ def _rates(report: Mapping[str, Any]) -> Table:
 
 
 def _workspace(workspace: Mapping[str, Any]) -> Table:
-    table = _table("m", "x", "y", "cells hit", "outside", title="Workspace")
+    table = listing(["m", "x", "y", "cells hit", "outside"], title="Workspace")
     if found := workspace["box"]:
         table.add_row("sampled from", _span(found["x"]), _span(found["y"]), "", "")
     for name, ends in workspace["objects"].items():
@@ -128,13 +121,6 @@ def _rate(rate: float | None, interval: Sequence[float]) -> str:
 
 def _span(span: Sequence[float]) -> str:
     return f"{span[0]:.2f} to {span[1]:.2f}"
-
-
-def _size(size: float) -> str:
-    for unit, scale in (("GB", 1e9), ("MB", 1e6)):
-        if size >= scale:
-            return f"{size / scale:.1f} {unit}"
-    return f"{size / 1e3:.1f} kB"
 
 
 def _duration(seconds: float) -> str:

@@ -106,7 +106,8 @@ def _tell(report: OverlayReport) -> None:
     from yamsim_cli.core.jobs.overlay import captions
 
     for result in report.results:
-        print_line(f"{result.path}: {'; '.join(captions(result))}")
+        for caption in captions(result):
+            print_line(f"{result.path}: {caption}")
         for text in result.notes:
             note(f"{result.path}: {text}")
     print_line(f"{len(report.files)} files, such as {report.files[0]}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,9 +13,10 @@ from yamsim_cli.core.errors import DatasetError, UsageError
 from .console import print_json, print_table, progress_bar
 from .divergence import WAYS, sentence, trouble, verdict
 from .session import Json, locations, scene_meshes, skip_gl, use_gl
+from .tables import facts
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.text import Text
 
 
 def verify(
@@ -69,28 +71,27 @@ def verify(
     if json:
         print_json(report)
     else:
-        print_table(_table(report))
+        print_table(facts(_rows(report)))
     if report["agree"] < report["episodes"]:
         raise DatasetError(verdict(report))
 
 
-def _table(report: dict[str, Any]) -> Table:
-    from rich.table import Table
+def _rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
+    from rich.text import Text
 
-    table = Table("dataset", report["path"])
-    table.add_row("episodes that agree", f"{report['agree']} of {report['episodes']}")
+    yield "dataset", report["path"]
+    yield "episodes that agree", f"{report['agree']} of {report['episodes']}"
     for check, label in WAYS.items():
         if found := report["checks"][check]:
             apart = "pixels differ by up to" if check == "images" else "largest difference"
             exact = " (bit for bit)" if not found["max_error"] and found["agree"] else ""
-            table.add_row(label, f"{found['agree']} of {found['episodes']}, {apart} {found['max_error']:.3g}{exact}")
+            yield label, f"{found['agree']} of {found['episodes']}, {apart} {found['max_error']:.3g}{exact}"
             for reason in found["skipped"]:
-                table.add_row("", f"not made for some: {reason}")
+                yield "", f"not made for some: {reason}"
     for change in report["versions_changed"]:
-        table.add_row(f"{change['name']} changed", f"{change['recorded']} then, {change['now']} now")
+        yield f"{change['name']} changed", f"{change['recorded']} then, {change['now']} now"
     for divergence in report["divergences"][:10]:
-        table.add_row("[red]differs[/red]", sentence(divergence))
+        yield Text("differs", style="red"), sentence(divergence)
     for problem in report["problems"][:10]:
-        table.add_row("[red]problem[/red]", trouble(problem))
-    table.add_row("time", f"{report['seconds']:.1f} s, {report['seconds'] / report['episodes']:.2f} s an episode")
-    return table
+        yield Text("problem", style="red"), trouble(problem)
+    yield "time", f"{report['seconds']:.1f} s, {report['seconds'] / report['episodes']:.2f} s an episode"

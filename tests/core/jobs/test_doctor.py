@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -123,6 +124,11 @@ def test_as_many_workers_as_cores_and_memory_allow(
     monkeypatch.setattr(doctor, "usable_memory", lambda: memory and int(memory))
     check = look()["workers"]
     assert (check.figures["workers"], check.health) == (workers, health)
+
+
+def test_it_knows_every_extra(repository: Path) -> None:
+    project = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert doctor.EXTRAS.keys() == project["optional-dependencies"].keys()
 
 
 def test_a_package_that_is_missing_is_a_fault(look: Look, monkeypatch: pytest.MonkeyPatch) -> None:

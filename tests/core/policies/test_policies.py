@@ -83,7 +83,7 @@ def test_a_file_with_one_policy_needs_no_class(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("nothing", "is not valid: give scripted, hold_still, replay:DATASET"),
+        ("scripted", "is not valid: give module:Class or file.py:Class"),
         ("nowhere.py", "there is no such file"),
         ("nowhere:Class", "cannot be loaded: ModuleNotFoundError"),
         ("sample_policies.py", "has the policies Still, Seeing"),

@@ -15,7 +15,7 @@ from ..dataset.reader import open_episode
 from ..errors import UsageError
 from ..geometry.se3 import Array
 from ..policies.base import Observation, Policy
-from ..policies.loading import check_policy, load_policy
+from ..policies.loading import FORMS, check_policy, load_policy
 from ..policies.remote import RemotePolicy
 from ..scene.compiled import CompiledScene
 from ..sim.rollout import Rollout
@@ -145,4 +145,4 @@ def make_policy(name: str, folder: Path, timeout: float) -> Policy:
     if kind in ("http", "https"):
         remote: Any = RemotePolicy(name, timeout)
         return check_policy(remote, name)
-    return load_policy(name, folder)
+    return load_policy(name, folder, FORMS)

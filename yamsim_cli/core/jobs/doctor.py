@@ -29,6 +29,10 @@ EXTRAS = {
     "view": ("viser", "the browser page of view and replay"),
     "video": ("av", "MP4"),
     "print": ("reportlab", "boards as PDF"),
+    "lerobot": ("pyarrow", "export lerobot"),
+    "rerun": ("rerun-sdk", "export rerun"),
+    "gym": ("gymnasium", "the gymnasium environment"),
+    "remote": ("msgpack", "policies in another process"),
     "ray": ("ray", "record --executor ray"),
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),
 }

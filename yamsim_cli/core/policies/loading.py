@@ -13,7 +13,8 @@ from typing import Any
 from ..errors import UsageError, suggest
 from .base import IMAGES, SCENE, WRIST, Policy
 
-FORMS = "give scripted, hold_still, replay:DATASET, http://HOST:PORT, module:Class or file.py:Class"
+_OWN = "module:Class or file.py:Class"
+FORMS = f"give scripted, hold_still, replay:DATASET, http://HOST:PORT, {_OWN}"
 
 # Of those, the ones for which nothing has to be drawn.
 _BLIND = ("scripted", "hold_still", "replay")
@@ -24,12 +25,13 @@ def sees_images(name: str) -> bool:
     return name.partition(":")[0] not in _BLIND
 
 
-def load_policy(name: str, folder: Path) -> Policy:
+def load_policy(name: str, folder: Path, forms: str = f"give {_OWN}") -> Policy:
     """Make a policy of the user's.
 
     Args:
         name: `module:Class`, `file.py:Class`, or `file.py` where it has one class that can be called.
         folder: where modules and files are looked for first.
+        forms: what the caller takes for a name, to say so.
 
     Raises:
         UsageError: there is no such thing, or it cannot be loaded or made.
@@ -37,7 +39,7 @@ def load_policy(name: str, folder: Path) -> Policy:
     place, _, attribute = name.partition(":")
     is_file = place.endswith(".py")
     if not is_file and not attribute:
-        raise UsageError(f"--policy {name!r} is not valid: {FORMS}")
+        raise UsageError(f"--policy {name!r} is not valid: {forms}")
     try:
         module = _load_file(folder / place) if is_file else _load_module(place, folder)
         made = _find(module, attribute, name)()

@@ -1,0 +1,145 @@
+"""What is printed where there is no terminal, or where colours are not wanted."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from tests.cli.run_cli import yamsim
+from tests.cli.test_docs import COMMANDS
+from yamsim_cli.commands.console import print_table, print_text
+from yamsim_cli.commands.tables import facts, listing
+from yamsim_cli.commands.trials import evaluation_table, trials_table
+
+LONG = "/data/" + "a_very_long_name/" * 8 + "[bold]x"
+SPREAD = {"median": 0.1234, "p95": 0.2345, "max": 0.3456}
+COUNTS: dict[str, Any] = {
+    "n": 1000,
+    "n_success": 987,
+    "success_rate": 0.987,
+    "wilson95": [0.9777, 0.9925],
+    "threshold_m": 0.05,
+    "rates": {"0.05": 0.987, "0.08": 0.99},
+    "dxy_m": SPREAD,
+    "causes": {"off_target": 13},
+}
+BATCH = COUNTS | {
+    "task": "handover",
+    "rig": "single_linear",
+    "grasp": "contact",
+    "margins": {
+        "velocity_share": 0.92,
+        "torque_share": 0.52,
+        "joint_rad": 0.17,
+        "slip_m": 0.0042,
+        "object_tilt_rad": 0.03,
+    },
+    "trials": [{"trial": 12, "outcome": {"success": False, "detail": "250 mm from the plate's centre " * 4}}],
+    "videos": [{"path": LONG}],
+    "seconds": 12345.6,
+    "core_seconds_per_trial": 12.34,
+}
+EVALUATION = {
+    "task": "handover",
+    "rig": "single_linear",
+    "policy": LONG,
+    "stats": COUNTS | {"policy_s": SPREAD, "slower_than_real_time": 0.5},
+    "tick_s": 0.032,
+    "trials": [{"trial": 3, "ended": "policy_raised", "error": "ValueError: " + "a reason " * 20}],
+    "seconds": 1.0,
+}
+
+
+@pytest.fixture
+def piped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No width, no colours asked for by the environment, and no terminal to take a width from."""
+    for name in ("COLUMNS", "FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "get_terminal_size", lambda *_: (_ for _ in ()).throw(OSError))
+
+
+@pytest.mark.usefixtures("piped")
+@pytest.mark.parametrize("path", ["", *COMMANDS])
+def test_help_fits_80_columns_and_has_no_colours(path: str) -> None:
+    # The parser's own help, in this process: one process a command would take half a minute.
+    from typer.testing import CliRunner
+
+    from yamsim_cli.main import app
+
+    run = CliRunner().invoke(app, [*path.split(), "--help"])
+    assert run.exit_code == 0
+    assert plain_and_narrow(run.output)
+
+
+@pytest.mark.usefixtures("piped")
+def test_tables_fit_80_columns_and_lose_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    files = listing(["name", "set", "size"], numbers_from=2)
+    files.add_row(LONG, "ycb", "1.0 MB")
+    for table in (trials_table(BATCH), evaluation_table(EVALUATION), facts([("dataset", LONG)]), files):
+        print_table(table)
+        out = capsys.readouterr().out
+        assert plain_and_narrow(out)
+        assert not any(line.endswith(" ") for line in out.splitlines())
+        if table is not files:
+            assert "".join(LONG.split()) in "".join(out.split())
+    print_text("ok", f"packages: {'numpy 2.4.6, ' * 20}", "green")
+    assert plain_and_narrow(capsys.readouterr().out)
+
+
+def test_a_pipe_has_no_colours() -> None:
+    assert "\x1b" not in yamsim("config", "list").out
+    assert "\x1b" not in yamsim("--help").out
+
+
+@pytest.mark.parametrize("arguments", [("assets", "list"), ("record", "--help")])
+def test_a_terminal_has_colours_unless_they_are_not_wanted(arguments: tuple[str, ...], repository: Path) -> None:
+    coloured, plain = (on_terminal(arguments, repository, environ) for environ in ({}, {"NO_COLOR": "1"}))
+    assert b"\x1b[" in coloured
+    # Bold and dim are no colours, and stay.
+    assert not any(colour in plain for colour in (b"\x1b[3", b"\x1b[9", b";3"))
+
+
+def on_terminal(arguments: tuple[str, ...], repository: Path, environ: dict[str, str]) -> bytes:
+    """What a command prints to a terminal of 80 columns."""
+    ours, its = pty.openpty()
+    unset = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "TERM")
+    kept = {key: value for key, value in os.environ.items() if key not in unset}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "yamsim_cli", *arguments],
+        stdin=its,
+        stdout=its,
+        stderr=its,
+        cwd=repository,
+        env={**kept, "TERM": "xterm-256color", **environ},
+    )
+    os.close(its)
+    said = b""
+    while True:
+        try:
+            part = os.read(ours, 65536)
+        except OSError:  # the terminal's other end is closed
+            break
+        if not part:
+            break
+        said += part
+    os.close(ours)
+    assert process.wait(30) == 0
+    return said
+
+
+def plain_and_narrow(text: str) -> bool:
+    """Whether no line is wider than 80 columns and nothing is an escape."""
+    return "\x1b" not in text and max(map(cell_len, text.splitlines())) <= 80
+
+
+def test_a_narrow_check_can_fail() -> None:
+    assert not plain_and_narrow("x" * 81)
+    assert Console(width=80).width == 80

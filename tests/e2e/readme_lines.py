@@ -1,0 +1,77 @@
+"""How the README's command lines are run by a test: what is made smaller, what serves, and what cannot run."""
+
+from __future__ import annotations
+
+import re
+import shlex
+
+# Pattern -> what stands there in a test. The README asks for as much as a user wants; a few say whether it works.
+SMALLER = {
+    # Later lines name the fourth episode of this one.
+    r"--n 500 --workers 4$": "--n 4 --workers 2",
+    r"--n \d{2,}": "--n 1",
+    r"--sample \d+": "--sample 2",
+    r"--episodes 0-9\b": "--episodes 0-1",
+    # Places that no test may write to.
+    r"/data/episodes": "episodes",
+}
+
+# Words that a line begins with -> flags that it gets unless it has them, for time's sake.
+CHEAPER = {
+    "yamsim record": "--workers 1 --quality fast --size 160x120",
+    "yamsim teleop": "--quality fast --size 160x120",
+    "yamsim eval": "--quality fast --size 96x72 --time-limit 1",
+    "yamsim render-views": "--quality fast --size 160x120",
+}
+
+# Words that a line begins with -> flags without which it serves until a signal ends it. It prints its URL first,
+# and its exit code is 0 after SIGINT. It runs until its block's last line is done.
+SERVERS = {
+    "yamsim view": (),
+    "yamsim replay": ("--video",),
+    "yamsim teleop": ("--input",),
+    "yamsim serve-policy": (),
+}
+
+# Pattern -> why a line that it is found in is not run.
+NOT_RUN = {
+    r"^make (demo|test)\b": "it is what set this environment up",
+    r"^pip install\b": "it would change this environment; what is missing skips the test",
+    r"^ray start\b": "it starts a cluster on this machine; test_ray_cluster.py has one",
+    r"--address HEAD:6379": "there is no machine HEAD; test_ray_cluster.py records on a cluster of its own",
+}
+
+
+def reason_not_to_run(line: str) -> str | None:
+    """Why a line is not run; None for one that is."""
+    return next((reason for pattern, reason in NOT_RUN.items() if re.search(pattern, line)), None)
+
+
+def serves(line: str) -> bool:
+    """Whether a line has no end but a signal."""
+    return any(
+        line.startswith(begin) and not any(flag in shlex.split(line) for flag in ended_by)
+        for begin, ended_by in SERVERS.items()
+    )
+
+
+def prepared(line: str, policy_port: int) -> str:
+    """A line as a test runs it.
+
+    Args:
+        policy_port: stands for the port 8080 that the README gives a policy; free on this machine.
+    """
+    for pattern, smaller in SMALLER.items():
+        line = re.sub(pattern, smaller, line)
+    line = re.sub(r"\b8080\b", str(policy_port), line)
+    for begin, flags in CHEAPER.items():
+        if line.startswith(begin):
+            line = _with_flags(line, flags)
+    return _with_flags(line, "--port 0") if serves(line) else line
+
+
+def _with_flags(line: str, flags: str) -> str:
+    for flag, value in re.findall(r"(--\S+) (\S+)", flags):
+        if flag not in shlex.split(line):
+            line = f"{line} {flag} {value}"
+    return line

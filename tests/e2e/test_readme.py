@@ -1,0 +1,179 @@
+"""Every command line that the README shows, run in its order in one folder, as a user would."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from tests.core.objects.test_fits import block
+from tests.e2e.readme_lines import prepared, reason_not_to_run, serves
+from tests.readme import Block, blocks, shell_blocks, snippet
+from tests.rig_photos import CAMERA, JOINTS, Studio, looking
+from yamsim_cli.core.assets import AssetStore, load_lock
+from yamsim_cli.core.resources import Locations
+
+pytestmark = [pytest.mark.slow, pytest.mark.render]
+
+# A line that takes longer than this, s, hangs: or it serves, and readme_lines.SERVERS does not know.
+LIMIT = 150
+EXTRAS = ("av", "gymnasium", "msgpack", "pyarrow", "reportlab", "rerun", "viser")
+
+
+@dataclass(frozen=True)
+class Shell:
+    """A user's shell: the folder it is in, and its environment."""
+
+    folder: Path
+    environ: dict[str, str]
+
+    def start(self, line: str, log: Path) -> subprocess.Popen[bytes]:
+        """Start a line in a process group of its own; what it prints goes to a file."""
+        with log.open("wb") as file:
+            # `exec` replaces the shell, so that a signal reaches the command.
+            return subprocess.Popen(
+                ["bash", "-c", f"exec {line}"],
+                cwd=self.folder,
+                env=self.environ,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def run(self, line: str, log: Path) -> str | None:
+        """Run a line to its end; what is wrong with that, if anything."""
+        process = self.start(line, log)
+        try:
+            code = process.wait(LIMIT)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            return f"has not ended after {LIMIT} s; if it serves until it is stopped, name it in readme_lines.SERVERS"
+        return None if code == 0 else f"ended with exit code {code}"
+
+    @contextmanager
+    def serving(self, line: str, log: Path, failures: list[str]) -> Iterator[None]:
+        """Run a line that serves, from when it has told its URL on."""
+        process = self.start(line, log)
+        end = time.monotonic() + LIMIT
+        while not (told := re.search(r"http://127\.0\.0\.1:\d+", log.read_text())):
+            if process.poll() is not None or time.monotonic() > end:
+                break
+            time.sleep(0.1)
+        try:
+            yield
+            if told is None:
+                failures.append(failure(line, "has told no URL", log))
+                return
+            process.send_signal(signal.SIGINT)
+            if code := process.wait(LIMIT):
+                failures.append(failure(line, f"ended with exit code {code} after SIGINT", log))
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+
+@pytest.fixture
+def shell(tmp_path: Path, repository: Path, locations: Locations) -> Shell:
+    """A folder with the files that the README's lines name, and `yamsim` on the path."""
+    for extra in EXTRAS:
+        pytest.importorskip(extra, reason="README lines need the extras: make setup-dev")
+    folder, programs, assets = (tmp_path / name for name in ("work", "bin", "assets"))
+    folder.mkdir()
+    programs.mkdir()
+    (programs / "yamsim").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m yamsim_cli "$@"\n')
+    (programs / "yamsim").chmod(0o755)
+    # `assets import` adds to the store, which is the user's.
+    if locations.assets.is_dir():
+        shutil.copytree(locations.assets, assets)
+    write_inputs(folder, locations)
+    # A page rather than a window, and no width or colour but what a pipe has.
+    environ = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY", "COLUMNS")}
+    environ |= {
+        "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": str(repository),
+        "YAMSIM_ASSETS": str(assets),
+    }
+    return Shell(folder, environ)
+
+
+def write_inputs(folder: Path, locations: Locations) -> None:
+    """What a user brings: the README's own text where it shows some, else what a test can make."""
+    (folder / "my_policy.py").write_text(snippet("python", "class MyPolicy"))
+    (folder / "stream.jsonl").write_text(snippet("json", '"event": "start"'))
+    (folder / "mug.stl").write_bytes(block((0.04, 0.04, 0.09)))
+    with Studio("russet", locations, CAMERA) as studio:
+        shot = studio.shoot(looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1)), JOINTS)
+    cv2.imwrite(str(folder / "photo.png"), shot.image[:, :, ::-1])
+    # The left arm's come first.
+    np.save(folder / "joints.npy", JOINTS[::-1].reshape(-1))
+    camera = {
+        "width": CAMERA.width,
+        "height": CAMERA.height,
+        "K": [list(row) for row in CAMERA.K],
+        "distortion": list(CAMERA.distortion),
+    }
+    (folder / "camera.yaml").write_text(yaml.safe_dump(camera))
+
+
+def failure(line: str, problem: str, log: Path) -> str:
+    return f"$ {line}\n{problem}; it printed:\n{log.read_text()[-2000:]}"
+
+
+def no_meshes(line: str, locations: Locations) -> str | None:
+    """Why a line that would fetch meshes, or read them, is not run; None where they are here, or it does neither."""
+    lock, store = load_lock(locations), AssetStore(locations.assets)
+    if line.startswith(("yamsim assets fetch", "yamsim assets import 0")) and not all(
+        store.resolve(assets) for assets in lock.sets.values()
+    ):
+        return "the meshes are not here, and this test uses no network"
+    return None
+
+
+def test_every_command_line_of_the_readme_works(shell: Shell, locations: Locations) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        policy_port = probe.getsockname()[1]
+    failures: list[str] = []
+    for k, lines in enumerate(shell_blocks()):
+        run_block(shell, lines, policy_port, shell.folder.parent / f"block{k}", failures, locations)
+    for code in (part.text for part in blocks() if part.language == "python" and '"labelled' in part.text):
+        (shell.folder / "snippet.py").write_text(code)
+        log = shell.folder.parent / "snippet.log"
+        if problem := shell.run(f"{sys.executable} snippet.py", log):
+            failures.append(failure(code, problem, log))
+    assert not failures, "\n\n".join(failures)
+
+
+def run_block(
+    shell: Shell, lines: Block, policy_port: int, logs: Path, failures: list[str], locations: Locations
+) -> None:
+    with ExitStack() as servers:
+        for k, shown in enumerate(lines.commands):
+            reason = reason_not_to_run(shown) or no_meshes(shown, locations)
+            if reason:
+                print(f"not run: {shown}: {reason}")
+                continue
+            line, log = prepared(shown, policy_port), Path(f"{logs}_{k}.log")
+            began = time.monotonic()
+            if serves(line):
+                servers.enter_context(shell.serving(line, log, failures))
+            elif problem := shell.run(line, log):
+                failures.append(f"{lines.section}: {failure(line, problem, log)}")
+            print(f"{time.monotonic() - began:6.1f} s  {line}")
