@@ -175,7 +175,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         time.sleep(1)
         go((x, y, 0.2))
         browser.click("Stop and judge")
-        wait_until(lambda: "1 episodes, 0 failed" in browser.text())
+        wait_until(lambda: "1 episode, 0 failed" in browser.text())
         assert "attempt 0: ep_000000" in browser.text()
 
         # A second one, thrown away, and a target that no hand can reach.

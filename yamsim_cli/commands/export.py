@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from yamsim_cli.core.errors import counted
+
 from .console import note, print_json, print_line, progress_bar
 from .session import Json, locations, skip_gl
 
@@ -130,4 +132,4 @@ def _show(done: Exported, json: bool) -> None:
         moved = str(done.moved_aside) if done.moved_aside else None
         print_json({"path": str(done.path), "episodes": done.episodes, "frames": done.frames, "moved_aside": moved})
     else:
-        print_line(f"{done.episodes} episodes, {done.frames} frames in {done.path}")
+        print_line(f"{counted(done.episodes, 'episode')}, {counted(done.frames, 'frame')} in {done.path}")

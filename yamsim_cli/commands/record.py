@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.errors import UsageError, counted
 
 from .console import note, print_json, print_line, progress_bar
 from .session import Json, scene_meshes
@@ -149,5 +149,6 @@ def _show(report: RecordReport, json: bool) -> None:
         )
     else:
         print_line(
-            f"{report.episodes} episodes from {report.attempts} attempts in {report.path} ({report.seconds:.1f} s)"
+            f"{counted(report.episodes, 'episode')} from {counted(report.attempts, 'attempt')} in {report.path} "
+            f"({report.seconds:.1f} s)"
         )

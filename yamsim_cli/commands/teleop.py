@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.errors import UsageError, counted
 
 from .console import note, print_json, print_line
 from .record import mode_of
@@ -109,7 +109,7 @@ def _show(report: TeleopReport, json: bool) -> None:
             f"{jitter.ticks} ticks at {jitter.rate_hz:.2f} Hz, off by {jitter.p50:.2f} ms (median), "
             f"{jitter.p95:.2f} ms (95 %), {jitter.max:.2f} ms (most), {jitter.late} late, {jitter.lost:.0f} ms lost"
         )
-    print_line(f"{report.episodes} episodes from {report.attempts} attempts in {report.path}")
+    print_line(f"{counted(report.episodes, 'episode')} from {counted(report.attempts, 'attempt')} in {report.path}")
 
 
 def _summary(report: TeleopReport) -> dict[str, Any]:

@@ -59,6 +59,11 @@ class InterruptedJobError(YamsimError):
     exit_code = 130
 
 
+def counted(number: int, noun: str) -> str:
+    """How many there are: ``"1 episode"``, ``"2 episodes"``."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def suggest(value: str, valid: Iterable[str]) -> str:
     """Say which values would have been valid, with the closest first named when one is close.
 

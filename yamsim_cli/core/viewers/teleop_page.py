@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from ..errors import counted
 from ..geometry.se3 import pose, pose_from_quat, quat_from_rotation, rotation_z
 from .address import PageAddress
 from .bodies_page import BodiesPage
@@ -159,9 +160,7 @@ class TeleopPage(BodiesPage):
         if self._arm.paused:
             state += ", paused"
         waiting = f", {status.waiting} being judged and drawn" if status.waiting else ""
-        self._status.content = (
-            f"{whose}{state}  \n{status.episodes} episodes, {status.failures} failed{waiting}  \n{status.message}"
-        )
+        self._status.content = f"{whose}{state}  \n{counted(status.episodes, 'episode')}, {status.failures} failed{waiting}  \n{status.message}"
 
 
 def _notice(status: DriveStatus) -> str:
