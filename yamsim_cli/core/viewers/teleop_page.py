@@ -160,7 +160,8 @@ class TeleopPage(BodiesPage):
         if self._arm.paused:
             state += ", paused"
         waiting = f", {status.waiting} being judged and drawn" if status.waiting else ""
-        self._status.content = f"{whose}{state}  \n{counted(status.episodes, 'episode')}, {status.failures} failed{waiting}  \n{status.message}"
+        done = f"{counted(status.episodes, 'episode')}, {status.failures} failed{waiting}"
+        self._status.content = f"{whose}{state}  \n{done}  \n{status.message}"
 
 
 def _notice(status: DriveStatus) -> str:
