@@ -90,7 +90,11 @@ def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
     # Filesystems that make inodes as they go say they have none at all.
     inodes = state.f_favail if state.f_files else math.inf
     fit = int(min(free / size.least, inodes / size.inodes))
-    takes = f"{counted(episodes, 'episode')} {'takes' if episodes == 1 else 'take'} {size.inodes * episodes} files and at least {_amount(size.least * episodes)}"
+    verb = "takes" if episodes == 1 else "take"
+    takes = (
+        f"{counted(episodes, 'episode')} {verb} {size.inodes * episodes} files and at least "
+        f"{_amount(size.least * episodes)}"
+    )
     there = f"{place} has room for {_amount(free)}" + ("" if inodes == math.inf else f" in {inodes} files")
     if fit < episodes:
         raise ResourceError(f"{takes}, but {there}: {fit} fit; make room, choose another --out, or a smaller --n")
