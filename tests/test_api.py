@@ -12,20 +12,14 @@ import pytest
 
 import yamsim_cli
 from tests.e2e.test_record_summarize import digest
+from tests.readme import snippet
 from yamsim_cli.core.errors import ConfigError, UsageError
 
 pytestmark = pytest.mark.render
 
 
-def example(repository: Path) -> str:
-    text = (repository / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    (found,) = [block for block in blocks if "from yamsim_cli import" in block]
-    return found
-
-
 def test_the_readmes_example_records_an_episode(repository: Path, tmp_path: Path) -> None:
-    code = example(repository)
+    code = snippet("python", "from yamsim_cli import open_dataset, record")
     assert len([line for line in code.splitlines() if line.strip()]) <= 10
     done = subprocess.run(
         [sys.executable, "-c", code],
