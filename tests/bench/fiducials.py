@@ -21,6 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from tests.bench.setting import use_gl
 from tests.truth_photos import CAMERA, Photographer, covered, shot_of, spoilt
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
@@ -214,6 +215,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    # The workers, who draw, inherit it.
+    use_gl()
     tables = cases()
     jobs = [(title, case) for title, rows in tables.items() for case in rows]
     poses = [options.poses * (10 if isinstance(case.distance, tuple) else 1) for _, case in jobs]
