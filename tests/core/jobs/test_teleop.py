@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import urllib.request
 from concurrent.futures import wait
 from pathlib import Path
@@ -408,6 +409,8 @@ def test_a_signal_ends_the_page_with_what_there_is(tmp_path: Path, repository: P
             said += line
         with urllib.request.urlopen(f"http://127.0.0.1:{found[1]}", timeout=10) as answer:
             assert answer.status == 200
+        # Some ticks, whose jitter is told.
+        time.sleep(2)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)
     finally:
