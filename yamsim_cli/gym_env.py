@@ -77,7 +77,6 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
         from .core.jobs.episode import EpisodeRunner
         from .core.jobs.trials import policy_cameras
-        from .core.planning.demonstration import start_stand
         from .core.policies.base import SCENE, WRIST
         from .core.sim.replica import Replica
         from .core.tasks.kinds import kind_of
@@ -87,7 +86,6 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self._runner = EpisodeRunner(self._config, where, meshes, draw=False)
         self._replica = Replica(self._runner.scene)
         self._cameras = policy_cameras(self._config, (SCENE, WRIST))
-        self._stand = start_stand(self._config)
         self._job: Any = None
         self._loop: Any = None
         self._denied, self._rested = False, 0
@@ -129,7 +127,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             self._job = EpisodeJob(self._job.seed, self._job.attempt + 1)
             layout, _, rollout = self._runner.simulate(self._job)
         scene, task = self._runner.scene, self._config.task
-        start = rollout.states[0].qpos if rollout else scene.start_qpos(layout, self._stand[:, :6], self._stand[:, 6])
+        start = self._runner.start(layout, rollout)
         self._start, self._denied, self._rested = start, False, 0
         self._loop = ClosedLoop(scene, start, task.object.name, task.timing)
         return self._observe(), self._info()

@@ -16,7 +16,7 @@ from ..files import write_file
 from ..resources import Locations
 from ..types import EpisodeJob, EpisodePayload
 from .episode import EpisodeRunner
-from .tally import Progress, run_trials, tally
+from .tally import Progress, run_trials, tally, what_ran
 from .workers import WorkerPool
 
 
@@ -55,11 +55,7 @@ def run_batch(
     return {
         **tally([record.outcome for record in records], config.task.success, thresholds, [True] * n),
         "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
-        "rig": config.rig.name,
-        "task": config.task.name,
-        "grasp": config.grasp,
-        "arms": [config.rig.arms[k].side for k in config.acting],
-        "seed": config.seed,
+        **what_ran(config),
         "seconds": seconds,
         "core_seconds_per_trial": seconds * workers / n,
         "trials": trials,

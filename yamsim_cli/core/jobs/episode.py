@@ -17,6 +17,7 @@ from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..dataset.records import Pose2D
 from ..geometry.se3 import Array, inverse, yaw
+from ..planning.demonstration import start_stand
 from ..planning.planners import make_planner
 from ..randomized import Randomized
 from ..resources import Locations
@@ -134,6 +135,13 @@ class EpisodeRunner:
         if outcome.success:
             self._variation.place(job, [state.qpos for state in rollout.states])
         return layout, outcome, rollout
+
+    def start(self, layout: Layout, rollout: Rollout | None) -> Array:
+        """MuJoCo's positions (nq,) that an attempt begins with: its plan's, or without one the task's own."""
+        if rollout:
+            return rollout.states[0].qpos
+        stand = start_stand(self._config)
+        return self._scene.start_qpos(layout, stand[:, :6], stand[:, 6])
 
     @property
     def randomized(self) -> Randomized:

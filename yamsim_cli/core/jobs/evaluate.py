@@ -5,36 +5,25 @@ from __future__ import annotations
 import functools
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
-
-import numpy as np
 
 from ..config.record import RecordConfig
 from ..dataset.records import OutcomeRecord, plain
 from ..dataset.statistics import spread
-from ..errors import InterruptedJobError
 from ..geometry.se3 import Array
 from ..resources import Locations
-from ..scene.build import SCENE_CAMERA
 from ..types import Actions, EpisodeJob, Outcome
-from ..vision.jpeg import encode_jpeg
-from .episode import EpisodeRunner
 from .executor import LostJobError
-from .films import FilmedTrial, TrialFilms, drawn_in_order
+from .films import Drawer, FilmedTrial, TrialFilms, film_jobs
 from .pool import JOB_SECONDS
-from .tally import Progress, run_trials, tally
+from .tally import Progress, run_trials, tally, what_ran
 from .trials import Ended, PolicyChoice, TrialResult, TrialRunner
 from .workers import WorkerPool
 
 Meshes = Mapping[str, Path | None]
-
-# As on the way to a batch's film.
-_JPEG_QUALITY = 95
 
 
 @dataclass(frozen=True)
@@ -102,11 +91,7 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
     return {
         "policy": evaluation.choice.name,
         "stats": stats,
-        "rig": config.rig.name,
-        "task": config.task.name,
-        "grasp": config.grasp,
-        "arms": [config.rig.arms[k].side for k in config.acting],
-        "seed": config.seed,
+        **what_ran(config),
         "tick_s": tick,
         "seconds": evaluation.seconds,
         "trials": [_trial(result, tick) for result in results],
@@ -133,27 +118,14 @@ class _FilmJob:
     actions: Actions
 
 
-class ActionDrawer:
-    """Repeats what a policy did, and draws it; a context manager that owns a renderer."""
-
-    def __init__(self, config: RecordConfig, locations: Locations, meshes: Meshes) -> None:
-        self._runner = EpisodeRunner(config, locations, meshes, draw=False)
+class ActionDrawer(Drawer):
+    """Repeats what a policy did, and draws it."""
 
     def run(self, film: _FilmJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
         # What is random in the scene beside the start comes of it.
         self._runner.simulate(film.job)
-        _, rollout = self._runner.repeat(film.start, film.actions, 0.0, 0.0, planned=False)
-        drawn = (self._runner.draw(state.qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for state in rollout.states)
-        return [encode_jpeg(np.ascontiguousarray(image), _JPEG_QUALITY) for image in drawn]
-
-    def __enter__(self) -> ActionDrawer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._runner.close()
+        return self._drawn(self._runner.repeat(film.start, film.actions, 0.0, 0.0, planned=False)[1])
 
 
 def film(
@@ -184,10 +156,5 @@ def film(
     ]
     if not jobs:
         return []
-    factory: Callable[[], AbstractContextManager[ActionDrawer]]
     factory = functools.partial(ActionDrawer, config, locations, dict(meshes))
-    try:
-        with WorkerPool[_FilmJob, list[bytes]](factory, min(config.workers, len(jobs))) as pool:
-            return films.write(drawn_in_order([_trial(result, tick) for result in chosen], jobs, pool, progress))
-    except KeyboardInterrupt:
-        raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None
+    return film_jobs(factory, [_trial(result, tick) for result in chosen], jobs, films, config.workers, progress)

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from ..config.record import RecordConfig
 from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
 from ..files import move_aside
 from ..resources import Locations
 from ..scene.build import SCENE_CAMERA
+from ..sim.rollout import Rollout
 from ..types import Cause, EpisodeJob
 from ..vision.jpeg import decode_jpeg, encode_jpeg
 from ..vision.video import VideoWriter, require_encoder
 from ..vision.views import label
 from .episode import EpisodeRunner
-from .executor import Executor, J
+from .executor import Executor, Factory, J
 from .workers import WorkerPool
 
 # Trials that end before anything moves.
@@ -41,26 +41,33 @@ class FilmedTrial:
     path: Path
 
 
-class TrialDrawer:
-    """Makes trials again and draws them, whatever their outcome; a context manager that owns a renderer."""
+class Drawer:
+    """Draws what happened in physics; a context manager that owns a renderer."""
 
     def __init__(self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None]) -> None:
         self._runner = EpisodeRunner(config, locations, meshes, draw=False)
 
-    def run(self, job: EpisodeJob) -> list[bytes]:
-        """The trial's frames as JPEGs."""
-        rollout = self._runner.simulate(job)[2]
+    def _drawn(self, rollout: Rollout | None) -> list[bytes]:
+        """Its frames as JPEGs; none of what never moved."""
         states = rollout.states if rollout else ()
         drawn = (self._runner.draw(state.qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for state in states)
         return [encode_jpeg(image, _JPEG_QUALITY) for image in drawn]
 
-    def __enter__(self) -> TrialDrawer:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._runner.close()
+
+
+class TrialDrawer(Drawer):
+    """Makes trials again and draws them, whatever their outcome."""
+
+    def run(self, job: EpisodeJob) -> list[bytes]:
+        """The trial's frames as JPEGs."""
+        return self._drawn(self._runner.simulate(job)[2])
 
 
 class TrialFilms:
@@ -154,12 +161,23 @@ def film_trials(
     chosen = sorted(moving, key=lambda trial: trial["outcome"]["success"])[:limit]
     if not chosen:
         return []
-    factory: Callable[[], AbstractContextManager[TrialDrawer]]
     factory = functools.partial(TrialDrawer, config, locations, dict(meshes))
+    jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]
+    return film_jobs(factory, chosen, jobs, films, config.workers, progress)
+
+
+def film_jobs(
+    factory: Factory[J, list[bytes]],
+    trials: Sequence[dict[str, Any]],
+    jobs: Sequence[J],
+    films: TrialFilms,
+    workers: int,
+    progress: Progress,
+) -> list[FilmedTrial]:
+    """Film trials whose frames the jobs give, at least one of them. Raises as `film_trials`."""
     try:
-        with WorkerPool[EpisodeJob, list[bytes]](factory, min(config.workers, len(chosen))) as pool:
-            jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]
-            return films.write(drawn_in_order(chosen, jobs, pool, progress))
+        with WorkerPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
+            return films.write(drawn_in_order(trials, jobs, pool, progress))
     except KeyboardInterrupt:
         raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None
 

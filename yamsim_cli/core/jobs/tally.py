@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
+from ..config.record import RecordConfig
 from ..config.task import Success
 from ..dataset.records import OutcomeRecord
 from ..dataset.statistics import spread, wilson95
@@ -54,6 +55,17 @@ def run_trials(
             f"interrupted after {len(results)} of {n} trials; run again to count them all"
         ) from None
     return results
+
+
+def what_ran(config: RecordConfig) -> dict[str, Any]:
+    """What a report says its trials were of, JSON-ready: rig, task, grasp, arms (those that act), seed."""
+    return {
+        "rig": config.rig.name,
+        "task": config.task.name,
+        "grasp": config.grasp,
+        "arms": [config.rig.arms[k].side for k in config.acting],
+        "seed": config.seed,
+    }
 
 
 def tally(

@@ -17,7 +17,6 @@ from ..config.record import RecordConfig
 from ..dataset.records import OutcomeRecord
 from ..errors import UsageError, suggest
 from ..geometry.se3 import Array
-from ..planning.demonstration import start_stand
 from ..policies.base import SCENE, WRIST, Action, InvalidActionError, Observation, read_action
 from ..policies.loading import reset_policy, wanted_images
 from ..resources import Locations
@@ -25,7 +24,7 @@ from ..scene.build import SCENE_CAMERA
 from ..sim.closed_loop import ClosedLoop
 from ..sim.replica import Replica
 from ..tasks.kinds import kind_of
-from ..types import Actions, EpisodeJob, Layout, Outcome
+from ..types import Actions, EpisodeJob, Outcome
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
 from .episode import EpisodeRunner, start_poses
 
@@ -138,7 +137,6 @@ class TrialRunner:
         self._runner = EpisodeRunner(config, locations, meshes, draw=False)
         self._replica = Replica(self._runner.scene)
         self._cameras = policy_cameras(config, wanted_images(self._policy))
-        self._start_stand = start_stand(config)
 
     def run(self, job: EpisodeJob) -> TrialResult:
         """One trial."""
@@ -147,7 +145,7 @@ class TrialRunner:
         scripted = isinstance(self._policy, Scripted)
         if layout is None or (rollout is None and scripted):
             return TrialResult(job, OutcomeRecord.of(planned), start_poses(layout), Ended.NOT_STARTED)
-        start = rollout.states[0].qpos if rollout else self._start(layout)
+        start = self._runner.start(layout, rollout)
         if isinstance(self._policy, Privileged):
             self._policy.begin(Trial(job, rollout, scene))
         loop = ClosedLoop(scene, start, self._config.task.object.name, self._config.task.timing)
@@ -166,9 +164,6 @@ class TrialRunner:
         if ended in FAULTS:
             outcome = outcome.model_copy(update={"success": False, "cause": ended.value, "detail": error})
         return TrialResult(job, outcome, start_poses(layout), ended, error, loop.ticks, tuple(seconds), start, actions)
-
-    def _start(self, layout: Layout) -> Array:
-        return self._runner.scene.start_qpos(layout, self._start_stand[:, :6], self._start_stand[:, 6])
 
     def _drive(self, loop: ClosedLoop, job: EpisodeJob, seconds: list[float]) -> tuple[Ended, str]:
         """Let the policy act until it is done, fails or has no time left."""
