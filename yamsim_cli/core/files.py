@@ -18,6 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from .errors import UsageError
+
 # Flushing waits for the disk, and does not hold the interpreter.
 _FLUSHERS = 16
 
@@ -203,8 +205,49 @@ def _fsync(path: Path) -> None:
         os.fsync(descriptor)
 
 
+def nearest_directory(path: Path) -> Path:
+    """The directory at `path`, or the first one around it that is there."""
+    # Not Path.is_dir, which raises where a name is too long or a directory may not be looked into.
+    return next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
+
+
+def obstacle(path: Path) -> str | None:
+    """What keeps a directory from being at `path`, such as `it is a file`; None if nothing is known to."""
+    try:
+        path.lstat()
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            return "it is too long: a name may have 255 bytes, and a whole path 4,095"
+    for place in (path, *path.parents):
+        if os.path.isdir(place):
+            return None
+        if os.path.lexists(place):
+            name = "it" if place == path else str(place)
+            if os.path.exists(place):
+                return f"{name} is {'a file' if os.path.isfile(place) else 'no directory'}"
+            return f"{name} is a link to {os.readlink(place)}, where nothing is"
+    return None
+
+
+def refusal(error: OSError, path: Path) -> str:
+    """Why a directory cannot be made or filled at `path`, as a clause."""
+    return obstacle(path) or error.strerror or str(error)
+
+
 def move_aside(path: Path) -> Path:
-    """Rename what is at `path` to the first free `<name>.old-<n>` beside it, and say where it went."""
+    """Rename what is at `path` to the first free `<name>.old-<n>` beside it, and say where it went.
+
+    Raises:
+        UsageError: it is the directory that this process is in, or one around that; whoever started it is in it too.
+        OSError: it cannot be renamed.
+    """
+    if not path.is_symlink():
+        # So that "." and ".." have a name.
+        path = path.resolve() if path.name in ("", "..") else path
+        if Path.cwd().is_relative_to(path.resolve()):
+            raise UsageError(
+                f"{path} cannot be moved aside, because you are in it: run from another directory, or write elsewhere"
+            )
     number = 1
     while (target := path.with_name(f"{path.name}.old-{number}")).exists():
         number += 1

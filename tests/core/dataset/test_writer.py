@@ -68,20 +68,52 @@ def test_what_is_in_a_directory_is_never_written_over_unasked(dataset):
     assert tree(dataset) == before
 
 
-@pytest.mark.parametrize("mode", [OpenMode.NEW, OpenMode.RESUME])
-def test_a_file_in_the_place_of_the_directory_is_refused_and_kept(tmp_path, mode):
-    (tmp_path / "out").write_text("precious")
-    with pytest.raises((UsageError, ResourceError), match="out"):
-        opened(tmp_path / "out", CONFIG, mode)
-    assert (tmp_path / "out").read_text() == "precious"
+def put_in_the_way(path: Path, what: str) -> None:
+    """A file, or a link that leads nowhere."""
+    if what == "file":
+        path.write_text("precious")
+    else:
+        path.symlink_to("gone")
 
 
-def test_a_file_in_the_place_of_the_directory_can_be_moved_aside(tmp_path):
-    (tmp_path / "out").write_text("precious")
-    writer = opened(tmp_path / "out", CONFIG, OpenMode.OVERWRITE)
-    assert writer.moved_aside == tmp_path / "out.old-1"
-    assert (tmp_path / "out.old-1").read_text() == "precious"
-    assert (tmp_path / "out/config.yaml").is_file()
+@pytest.mark.parametrize(
+    ("what", "told"), [("file", "it is a file"), ("link", "it is a link to gone, where nothing is")]
+)
+class TestWhatIsNoDirectory:
+    def test_is_refused_and_kept(self, tmp_path, what, told):
+        put_in_the_way(tmp_path / "out", what)
+        with pytest.raises(UsageError) as caught:
+            opened(tmp_path / "out", CONFIG, OpenMode.NEW)
+        assert str(caught.value) == (
+            f"{tmp_path}/out is not a directory: {told}; move it aside with --overwrite, or choose another --out"
+        )
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+    def test_is_not_resumed(self, tmp_path, what, told):
+        put_in_the_way(tmp_path / "out", what)
+        with pytest.raises(UsageError) as caught:
+            opened(tmp_path / "out", CONFIG, OpenMode.RESUME)
+        assert str(caught.value) == f"{tmp_path}/out is no dataset to resume: {told}; choose another --out"
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+    def test_can_be_moved_aside(self, tmp_path, what, told):
+        put_in_the_way(tmp_path / "out", what)
+        writer = opened(tmp_path / "out", CONFIG, OpenMode.OVERWRITE)
+        assert writer.moved_aside == tmp_path / "out.old-1"
+        if what == "file":
+            assert (tmp_path / "out.old-1").read_text() == "precious"
+        else:
+            assert (tmp_path / "out.old-1").readlink() == Path("gone")
+        assert (tmp_path / "out/config.yaml").is_file()
+
+
+def test_where_one_stands_is_not_moved_aside(dataset, monkeypatch):
+    before = tree(dataset)
+    monkeypatch.chdir(dataset)
+    with pytest.raises(UsageError, match=r"dataset cannot be moved aside, because you are in it"):
+        opened(Path(), CONFIG, OpenMode.OVERWRITE)
+    assert tree(dataset) == before
+    assert resume(Path()).episodes == 3
 
 
 def test_overwriting_moves_aside_as_often_as_it_is_asked(dataset):
@@ -98,7 +130,18 @@ def test_a_place_that_cannot_be_written_is_a_resource_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ResourceError) as caught:
         opened(tmp_path / "file/dataset", CONFIG, OpenMode.NEW)
-    assert str(caught.value) == f"{tmp_path}/file/dataset cannot be written: Not a directory; choose another --out"
+    assert (
+        str(caught.value)
+        == f"{tmp_path}/file/dataset cannot be written: {tmp_path}/file is a file; choose another --out"
+    )
+
+
+@pytest.mark.parametrize("mode", OpenMode)
+def test_a_name_that_is_too_long_is_a_resource_error(tmp_path, mode):
+    with pytest.raises(
+        ResourceError, match=r"x cannot be written: it is too long: .* 255 bytes, .*; choose another --out"
+    ):
+        opened(tmp_path / ("x" * 300), CONFIG, mode)
 
 
 @pytest.mark.parametrize("mode", OpenMode)

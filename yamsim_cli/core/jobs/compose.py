@@ -12,7 +12,7 @@ from ..config.record import RecordConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ResourceError, SimulationError, UsageError
-from ..files import move_aside, publish_directory, write_file
+from ..files import move_aside, publish_directory, refusal, write_file
 from ..resources import Locations
 from ..scene.build import SCENE_CAMERA, add_fixed_camera, add_grasp_weld
 from ..scene.compose import Contents, Meshes, add_home_key, compose
@@ -81,7 +81,7 @@ def write_scene(
         # An empty directory is as good as none.
         if out.is_dir() and not any(out.iterdir()):
             out.rmdir()
-        if out.exists():
+        if out.exists() or out.is_symlink():
             if not overwrite:
                 raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another --out")
             moved = move_aside(out)
@@ -93,7 +93,7 @@ def write_scene(
             publish_directory(out, files, staging)
             staging.rmdir()
     except OSError as error:
-        raise ResourceError(f"{out} cannot be written: {error.strerror}; choose another --out") from error
+        raise ResourceError(f"{out} cannot be written: {refusal(error, out)}; choose another --out") from error
     bodies = tuple(model.body(k).name for k in range(1, model.nbody))
     return ComposeReport(out, tuple(files), model.nq, model.nu, bodies, moved)
 

@@ -14,6 +14,7 @@ from ..dataset.space import EpisodeSize, block_size, check_space, files_per_epis
 from ..dataset.stage import MAX_WAITING, StagedWriter
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import InterruptedJobError
+from ..files import nearest_directory
 from ..mounts import Mount, network_mount, read_mounts
 from ..tasks.kinds import kind_of
 from .collect import Sink, Watch
@@ -140,7 +141,7 @@ def _check_space(
     if episodes <= 0:
         return
     frames, cameras = _frames(config), _cameras(config)
-    disk = next(folder for folder in (place, *place.absolute().parents) if folder.is_dir())
+    disk = nearest_directory(place)
     block = block_size(disk)
     size = EpisodeSize.expected(frames, cameras, config.image, block, truth=config.truth)
     size = size.learned(entries.values(), _files(config), block)
