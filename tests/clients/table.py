@@ -1,7 +1,7 @@
 """README's table of clients, brought up to date: `python -m tests.clients.table` after `make test-clients`.
 
-A row whose tests all passed gets their version and date; one that was not run keeps what it had. Where a test failed, it
-is named, and the table stays as it is.
+A row whose tests all passed gets their version and date; one that was not run keeps what it had. Where a test failed,
+it is named, and the table stays as it is.
 """
 
 from __future__ import annotations
