@@ -49,8 +49,8 @@ def record(
     with open_destination(config, output, watch) as destination:
         collector = Collector(config, destination.sink, watch, stop)
         with _telling_what_is_left(config, collector, destination):
-            if collector.outstanding:
-                workers = min(config.workers, collector.outstanding)
+            if collector.work:
+                workers = min(config.workers, collector.work)
                 with executors.open(config, locations, meshes, workers) as executor:
                     collector.run(executor)
             destination.finish(watch, stop)

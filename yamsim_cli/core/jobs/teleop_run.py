@@ -159,6 +159,9 @@ def open_seat(
             warn(f"What was in {out} is now in {writer.moved_aside}.")
         for repair in writer.repairs:
             warn(repair.removesuffix(", and made again"))
+        for number in sorted(writer.untold):
+            # A demonstration cannot be made again; this says so in the ledger too.
+            writer.log(writer.attempts[number])
         for lost in writer.missing:
             warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
         try:
