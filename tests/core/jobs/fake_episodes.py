@@ -93,14 +93,15 @@ class Recording:
         self.config = config
         self.path = path
         self.stage = stage
+        self.meshes: dict[str, Path | None] = {}
         self.warnings: list[str] = []
         self.stop = Stop()
 
     def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
         return record(
             self.config.model_copy(update={"workers": workers}),
-            Locations((), Path("/nowhere")),
-            {},
+            Locations(Locations.find({}).data, Path("/nowhere")),
+            self.meshes,
             Output(self.path, mode, self.stage),
             executor or Inline(),
             Watch(lambda done, wanted, attempts: None, self.warnings.append),

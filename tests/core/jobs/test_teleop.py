@@ -32,6 +32,7 @@ from yamsim_cli.core.jobs.teleop import TeleopSession
 from yamsim_cli.core.jobs.teleop_run import Jitter, Pace, open_seat
 from yamsim_cli.core.jobs.teleop_stream import Player, read_stream
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.types import Actions, Cause, EpisodeJob, EpisodePayload, Outcome
 
 
@@ -360,7 +361,7 @@ def test_what_a_broken_line_said_is_lost_and_nothing_else(
 ) -> None:
     """A demonstration cannot be made again; its line says so from then on."""
     out = tmp_path / "out"
-    with DatasetWriter(out, config.data_config(), OpenMode.NEW) as writer:
+    with DatasetWriter(out, noting_meshes(config, locations, {}).data_config(), OpenMode.NEW) as writer:
         for k in range(3):
             writer.log(failed_attempt(k))
     lines = (out / "attempts.jsonl").read_bytes().splitlines(keepends=True)

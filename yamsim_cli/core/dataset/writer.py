@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any
 
 from ..config.document import dump_yaml, parse_yaml
-from ..errors import ConfigError, DatasetError, ResourceError, ranges
+from ..errors import DatasetError, ResourceError, ranges
 from ..files import append_line, publish_directory, sha256_bytes, write_file
 from .faults import reason
 from .integrity import Found, find_episodes, set_aside
@@ -17,9 +17,7 @@ from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
 from .ledger import Ledger, lost_line
 from .opening import OpenMode, claim
 from .records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
-
-# A message stays one line that can be read.
-_SHOWN_CHANGES = 5
+from .same_config import MESHES, require_same, unsaid_meshes
 
 __all__ = ["DatasetWriter", "OpenMode"]
 
@@ -29,8 +27,9 @@ class DatasetWriter:
 
     Attributes:
         path: the dataset's directory.
+        config: everything that decides the data, as the dataset says it.
         moved_aside: where an earlier dataset went with `OpenMode.OVERWRITE`, if there was one.
-        repairs: what was found damaged on resuming, and where it was moved, a sentence each.
+        repairs: what was found damaged or missing on resuming, and what became of it, a sentence each.
         attempts: the ledger so far, in order of attempt.
         untold: attempts in it whose lines are lost, and which count as failures until they are logged again.
         entries: what the manifest will say of each episode, by its number.
@@ -52,6 +51,7 @@ class DatasetWriter:
             ResourceError: the directory cannot be made or written, or another recorder is at it.
         """
         self.path = path
+        self.config = config
         self.repairs: list[str] = []
         self.attempts: list[AttemptRecord] = []
         self.untold: set[int] = set()
@@ -163,13 +163,12 @@ class DatasetWriter:
             raise DatasetError(
                 f"{self.path} has no {CONFIG}, so it is no dataset that could be resumed; choose another --out"
             )
-        changed = _differences(parse_yaml(file.read_bytes(), str(file)).data, config)
-        if changed:
-            more = f"; and {len(changed) - _SHOWN_CHANGES} more" if len(changed) > _SHOWN_CHANGES else ""
-            raise ConfigError(
-                f"{self.path} was recorded with another configuration: {'; '.join(changed[:_SHOWN_CHANGES])}{more}; "
-                f"run with the same values (--config {self.path / CONFIG} has them), or record into another --out"
-            )
+        recorded = parse_yaml(file.read_bytes(), str(file)).data
+        if MESHES in config and MESHES not in recorded:
+            # It goes on as it began: what some of its episodes say is worth little where the others do not.
+            self.config = {key: value for key, value in config.items() if key != MESHES}
+            self.repairs.append(unsaid_meshes(self.path, config))
+        require_same(self.path, recorded, self.config)
 
     def _take_up(self, found: Found) -> EpisodeRecord | None:
         """Enter an episode that is whole; move one that is not out of the way, to be made again."""
@@ -192,25 +191,3 @@ def _entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:
         bytes=size + len(text),
         sha256=sha256_bytes(text),
     )
-
-
-def _flatten(data: Any, prefix: str = "") -> dict[str, Any]:
-    if isinstance(data, dict):
-        return {
-            key: value
-            for name, inner in data.items()
-            for key, value in _flatten(inner, f"{prefix}.{name}" if prefix else name).items()
-        }
-    if isinstance(data, list | tuple):
-        return {key: value for k, inner in enumerate(data) for key, value in _flatten(inner, f"{prefix}[{k}]").items()}
-    return {prefix: data}
-
-
-def _differences(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    """`key: recorded value, wanted value` for every value that differs."""
-    old, new = _flatten(recorded), _flatten(wanted)
-    return [
-        f"{key}: {old.get(key)!r} there, {new.get(key)!r} now"
-        for key in dict.fromkeys([*old, *new])
-        if old.get(key) != new.get(key)
-    ]

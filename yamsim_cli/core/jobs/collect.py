@@ -278,6 +278,7 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
         randomized=attempt.randomized,
         versions=dict(payload.versions),
         renderer=payload.renderer,
+        meshes=None if config.meshes is None else dict(config.meshes),
         content_sha256=payload.content_sha256,
         files=file_hashes(payload.files),
     )

@@ -12,6 +12,7 @@ from ..config.record import RecordConfig
 from ..dataset.faults import explain
 from ..errors import InterruptedJobError, PartialJobError
 from ..resources import Locations
+from ..scene.build import noting_meshes
 from .collect import Collector, Watch
 from .destination import Destination, Output, open_destination
 from .executors import Executors
@@ -46,8 +47,9 @@ def record(
         PartialJobError: the disk refused something, workers do not last, or the task fails too often.
     """
     began = time.monotonic()
+    config = noting_meshes(config, locations, meshes)
     with open_destination(config, output, watch) as destination:
-        collector = Collector(config, destination.sink, watch, stop)
+        collector = Collector(destination.config, destination.sink, watch, stop)
         with _telling_what_is_left(config, collector, destination):
             if collector.work:
                 workers = min(config.workers, collector.work)

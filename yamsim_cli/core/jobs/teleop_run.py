@@ -17,9 +17,11 @@ from ..dataset.records import AttemptRecord
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import PartialJobError
 from ..resources import Locations
+from ..scene.build import noting_meshes
 from ..scene.compose import Meshes
 from ..viewers.address import PageAddress
 from .demonstrations import Desk, open_worker
+from .destination import as_said
 from .stop import Stop
 from .teleop import TeleopSession
 from .teleop_stream import Command, Player
@@ -154,6 +156,7 @@ def open_seat(
         UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
         PartialJobError: the disk refused something.
     """
+    config = noting_meshes(config, locations, meshes)
     with DatasetWriter(out, config.data_config(), mode) as writer:
         if writer.moved_aside:
             warn(f"What was in {out} is now in {writer.moved_aside}.")
@@ -165,7 +168,10 @@ def open_seat(
         for lost in writer.missing:
             warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
         try:
-            with open_worker(config, locations, meshes) as worker, Desk(config, writer, worker) as desk:
+            with (
+                open_worker(config, locations, meshes) as worker,
+                Desk(as_said(config, writer), writer, worker) as desk,
+            ):
                 yield Seat(TeleopSession(config, locations, meshes, desk), desk, writer)
         except OSError as error:
             raise PartialJobError(
