@@ -35,8 +35,8 @@ def commands_page() -> str:
     parts = [
         _MADE,
         "# Commands\n\n",
-        "Every command takes `--help`, and `--json`, which prints one JSON object on stdout and nothing else. Flags override "
-        "the config file.\n",
+        "Every command takes `--help`, and `--json`, which prints one JSON object on stdout and nothing else. Flags "
+        "override the config file.\n",
     ]
     for path, command in sorted(_leaves(root)):
         parts.append(f"\n## yamsim {path}\n\n{_prose(command.callback.__doc__ or command.help)}\n")
