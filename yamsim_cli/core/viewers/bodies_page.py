@@ -6,6 +6,7 @@ import logging
 import math
 import os
 import socket
+import time
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,10 @@ from .viewpoint import FOV_DEG, Viewpoint
 
 # Of positions in m, and of quaternions.
 _DECIMALS = 5
+
+# How often a page is told that it is still connected, and how long it believes that, s.
+_BEAT_SECONDS = 1.0
+_SILENCE_SECONDS = 5.0
 
 
 class _LocalServer(viser.ViserServer):
@@ -46,6 +51,8 @@ class BodiesPage:
         self._status = self._server.gui.add_markdown("")
         self._pause_button = self._server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._pause_button.on_click(self._toggle_pause)
+        self._heartbeat = self._server.gui.add_html("")
+        self._beat, self._beat_due = 0, 0.0
 
     def update(self) -> None:
         """Send what has changed since the last call to whoever watches."""
@@ -55,6 +62,12 @@ class BodiesPage:
             for body, frame in self._bodies.frames.items():
                 # viser drops a pose that has not changed.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
+        if self._pause_button.label != (label := "Play" if self._shown.paused else "Pause"):
+            self._pause_button.label = label
+            self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._shown.paused else viser.Icon.PLAYER_PAUSE
+        if (now := time.monotonic()) >= self._beat_due:
+            self._beat, self._beat_due = self._beat + 1, now + _BEAT_SECONDS
+            self._heartbeat.content = _disconnected(self._beat)
 
     def close(self) -> None:
         """Stop serving."""
@@ -66,9 +79,23 @@ class BodiesPage:
         camera.fov, camera.near = math.radians(FOV_DEG), 0.01
 
     def _toggle_pause(self, _: Any) -> None:
-        self._shown.paused = paused = not self._shown.paused
-        self._pause_button.label = "Play" if paused else "Pause"
-        self._pause_button.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
+        self._shown.paused = not self._shown.paused
+
+
+def _disconnected(beat: int) -> str:
+    """A notice that comes up by itself unless another one replaces it in time.
+
+    A page whose server is gone shows the last thing that it was sent, such as a recording that goes on; and what it
+    would have to be told now, nobody can tell it any more.
+    """
+    name = f"yamsim-gone-{beat}"
+    place = "position: fixed; top: 0; left: 0; right: 0; z-index: 10000; visibility: hidden"
+    looks = "background: rgb(200, 40, 40); color: white; padding: 0.8em; text-align: center; font-weight: bold"
+    return (
+        f"<style>@keyframes {name} {{ to {{ visibility: visible }} }}</style>"
+        f'<div style="{place}; {looks}; animation: {name} 0s {_SILENCE_SECONDS}s forwards">'
+        "Disconnected: this page no longer shows what happens, and nothing is recorded from it.</div>"
+    )
 
 
 def _serve(address: PageAddress, title: str) -> viser.ViserServer:
