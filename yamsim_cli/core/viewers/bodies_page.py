@@ -48,11 +48,11 @@ class BodiesPage:
         self.url = f"http://{address.url_host}:{self._server.get_port()}"
         self._bodies = add_bodies(self._server.scene, shown.model)
         self._place_camera(viewpoint)
+        self._heartbeat = self._server.gui.add_html("")
+        self._beat, self._beat_due = 0, 0.0
         self._status = self._server.gui.add_markdown("")
         self._pause_button = self._server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._pause_button.on_click(self._toggle_pause)
-        self._heartbeat = self._server.gui.add_html("")
-        self._beat, self._beat_due = 0, 0.0
 
     def update(self) -> None:
         """Send what has changed since the last call to whoever watches."""
@@ -83,18 +83,19 @@ class BodiesPage:
 
 
 def _disconnected(beat: int) -> str:
-    """A notice that comes up by itself unless another one replaces it in time.
+    """A notice that comes up by itself, on the panel and across the page, unless another one replaces it in time.
 
     A page whose server is gone shows the last thing that it was sent, such as a recording that goes on; and what it
     would have to be told now, nobody can tell it any more.
     """
     name = f"yamsim-gone-{beat}"
-    place = "position: fixed; top: 0; left: 0; right: 0; z-index: 10000; visibility: hidden"
-    looks = "background: rgb(200, 40, 40); color: white; padding: 0.8em; text-align: center; font-weight: bold"
+    looks = "background: rgb(150, 0, 0); color: white; font-weight: bold"
+    shown = f"{looks}; visibility: hidden; overflow: hidden; max-height: 0; animation: {name} 0s {_SILENCE_SECONDS}s forwards"
+    across = "position: fixed; bottom: 0; left: 0; width: 100vw; z-index: 10000; font-size: 1.3em; text-align: center"
     return (
-        f"<style>@keyframes {name} {{ to {{ visibility: visible }} }}</style>"
-        f'<div style="{place}; {looks}; animation: {name} 0s {_SILENCE_SECONDS}s forwards">'
-        "Disconnected: this page no longer shows what happens, and nothing is recorded from it.</div>"
+        f"<style>@keyframes {name} {{ to {{ visibility: visible; max-height: 8em; padding: 0.7em }} }}</style>"
+        f'<div style="{shown}">Disconnected: nothing below is up to date.</div>'
+        f'<div style="{shown}; {across}">Disconnected: the server is gone, and nothing is recorded.</div>'
     )
 
 
