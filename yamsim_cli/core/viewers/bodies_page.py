@@ -89,8 +89,9 @@ def _disconnected(beat: int) -> str:
     would have to be told now, nobody can tell it any more.
     """
     name = f"yamsim-gone-{beat}"
+    hidden = "visibility: hidden; overflow: hidden; max-height: 0"
     looks = "background: rgb(150, 0, 0); color: white; font-weight: bold"
-    shown = f"{looks}; visibility: hidden; overflow: hidden; max-height: 0; animation: {name} 0s {_SILENCE_SECONDS}s forwards"
+    shown = f"{hidden}; {looks}; animation: {name} 0s {_SILENCE_SECONDS}s forwards"
     across = "position: fixed; bottom: 0; left: 0; width: 100vw; z-index: 10000; font-size: 1.3em; text-align: center"
     return (
         f"<style>@keyframes {name} {{ to {{ visibility: visible; max-height: 8em; padding: 0.7em }} }}</style>"
