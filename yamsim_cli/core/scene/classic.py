@@ -114,9 +114,9 @@ def _moved(frame: Element) -> Iterator[Element]:
 def _reduce(root: Element, scene: str) -> None:
     """Leave out what may be left out, and refuse what 3.3 does not know."""
     for where, element in _walk(root):
-        known, optional, values = (table.get(where, {}) for table in (ATTRIBUTES, OPTIONAL, VALUES))
         if where not in ATTRIBUTES:
             raise UsageError(_unknown(scene, f"<{element.tag}>"))
+        known, optional, values = ATTRIBUTES[where], OPTIONAL.get(where, {}), VALUES.get(where, {})
         for name, value in list(element.attrib.items()):
             if name in optional and ((harmless := optional[name]) is None or value in harmless):
                 del element.attrib[name]
@@ -125,7 +125,7 @@ def _reduce(root: Element, scene: str) -> None:
 
 
 def _unknown(scene: str, what: str) -> str:
-    return f"scene {scene!r} has {what.strip()}, which MuJoCo 3.3 does not know: write it with --mujoco 4"
+    return f"scene {scene!r} has {what.strip()}, which MuJoCo 3.3 does not read, or otherwise: write it with --mujoco 4"
 
 
 def _walk(root: Element) -> Iterator[tuple[str, Element]]:
