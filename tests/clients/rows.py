@@ -27,4 +27,17 @@ class Row:
 
 
 # Key, as tests give it to the fixture `client` -> row.
-ROWS: dict[str, Row] = {}
+_SCENES = "`compose-xml`: all rigs and tasks load and rest; recorded episodes move as in MuJoCo 4"
+
+ROWS: dict[str, Row] = {
+    "mujoco-3.3": Row("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
+    "mujoco-3.11": Row("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11")),
+    "mujoco-3.17": Row("MuJoCo 3.17", "mujoco", _SCENES, Environment("mujoco-3.17")),
+    "mujoco-4": Row("MuJoCo 4", "mujoco", "`compose-xml`: the same; recorded episodes move as they were recorded"),
+    "dm_control": Row(
+        "dm_control",
+        "dm_control",
+        "`compose-xml`: parsed by `mjcf.from_path`, stepped (with MuJoCo 3.17); rigs without boards attached",
+        Environment("dm_control"),
+    ),
+}

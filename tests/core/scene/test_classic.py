@@ -115,7 +115,7 @@ def test_what_has_another_default_in_another_version_is_said(scene: Composed) ->
     spec, model = scene
     root = ElementTree.fromstring(classic_xml(spec, model))
     assert root.find("option").get("ccd_iterations") == str(model.opt.ccd_iterations)
-    assert root.find("option/flag").attrib == {"island": "enable", "multiccd": "enable"}
+    assert root.find("option/flag").attrib == {"multiccd": "enable"}
     assert root.find("visual/headlight").get("active") == "1"
     for actuator in root.find("actuator"):
         assert len(actuator.get("ctrlrange").split()) == 2
@@ -128,13 +128,13 @@ def test_what_has_another_default_in_another_version_is_said(scene: Composed) ->
 def test_a_flag_that_is_off_stays_off(locations: Locations) -> None:
     studio = load_config(SceneConfig, "scenes", "studio", locations)
     spec, _ = rig_spec(load_config(RigConfig, "rigs", "single", locations), studio, Contents(), locations, {})
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD | mujoco.mjtDisableBit.mjDSBL_ISLAND
     spec.visual.headlight.active = 0
     model = spec.compile()
     files = scene_files(spec, model)
     assert _differences(_read(files), model).keys() <= {"geom_pos", "bvh_aabb"}
     root = ElementTree.fromstring(files["scene.xml"])
-    assert root.find("option/flag").attrib == {"island": "enable", "multiccd": "disable"}
+    assert root.find("option/flag").attrib == {"island": "disable", "multiccd": "disable"}
     assert root.find("visual/headlight").get("active") == "0"
 
 

@@ -18,10 +18,6 @@ from .mjcf_3_3 import ATTRIBUTES, CLASS_ELEMENTS, OPTIONAL, VALUES
 
 Element = ElementTree.Element
 
-# Their defaults differ: since 3.3.6 islands are solved one by one, since 3.8 a pair of convex geoms may touch at
-# several points. Source: MuJoCo's changelog.
-_FLAGS = {"island": mujoco.mjtDisableBit.mjDSBL_ISLAND, "multiccd": mujoco.mjtDisableBit.mjDSBL_MULTICCD}
-
 
 def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
     """The MJCF of a scene for MuJoCo 3.3 and newer; numbers are written in full, so that none is rounded.
@@ -60,18 +56,22 @@ def _as_authored(spec: mujoco.MjSpec) -> str:
 
 
 def _say_defaults(root: Element, model: mujoco.MjModel) -> None:
-    """Write out what has another default in other versions."""
+    """Write out what has another default in other versions.
+
+    All but `island`, which is on since 3.3.6 and solves the same equations in parts: where it is turned on, older
+    versions paint all that moves in its island's colour.
+    """
     option = _child(root, "option")
     option.set("ccd_iterations", str(model.opt.ccd_iterations))
-    for name, bit in _FLAGS.items():
-        off = model.opt.disableflags & bit
-        _child(option, "flag").set(name, "disable" if off else "enable")
-    # 4.0 has a third value, which draws as 1 does.
+    # Since 3.8 a pair of convex geoms may touch at several points. Source: MuJoCo's changelog.
+    several = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD
+    _child(option, "flag").set("multiccd", "enable" if several else "disable")
+    # 4.0 has a third value for the headlight, which draws as 1 does.
     _child(_child(root, "visual"), "headlight").set("active", "1" if model.vis.headlight.active else "0")
 
 
 def _say_inertia(body: Element, model: mujoco.MjModel, number: int) -> None:
-    """Say that a body weighs nothing; before 3.5, MuJoCo looks for the centre of what massless geoms weigh."""
+    """Say that a body weighs nothing; MuJoCo 3.3.5 looks for the centre of massless geoms otherwise."""
     if model.body_mass[number] == 0 and body.find("inertial") is None:
         place = {"pos": _text(model.body_ipos[number]), "quat": _text(model.body_iquat[number])}
         body.insert(0, ElementTree.Element("inertial", {**place, "mass": "0", "diaginertia": "0 0 0"}))
