@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
@@ -72,11 +73,6 @@ class EpisodeRunner:
         self._phases = self._kind.phases(config)
         self._replica = Replica(self._scene)
         self._renderer: SceneRenderer | None = None
-        self._labels: SceneLabels | None = None
-        if config.truth:
-            objects = (config.task.object, config.task.target, *config.randomization.extras)
-            names = [item.name for item in objects]
-            self._labels = scene_labels(self._scene.model, config.rig, names, boards=config.boards)
         self._variation = Variation(config, self._scene)
         bases = [arm.T_base_in_world for arm in self._scene.arms]
         self._T_right_base_in_left_base = inverse(bases[0]) @ bases[1] if len(bases) > 1 else None
@@ -226,7 +222,9 @@ class EpisodeRunner:
             ResourceError: no OpenGL context could be made.
         """
         files: dict[str, bytes] = {}
-        truth = EpisodeTruth(self._labels, self._scene.cameras, self._scene.T_base_in_world) if self._labels else None
+        truth: EpisodeTruth | None = None
+        if self._config.truth:
+            truth = EpisodeTruth(self._labels, self._scene.cameras, self._scene.T_base_in_world)
         for k, camera, image in self.pictures(positions):
             files[image_name(camera, k)] = encode_jpeg(image, self._config.image.jpeg_quality)
             if truth:
@@ -234,7 +232,7 @@ class EpisodeRunner:
         return files | (truth.files if truth else {})
 
     def pictures(self, positions: Iterable[Array]) -> Iterator[tuple[int, str, Image]]:
-        """Frame, camera and its RGB image (height, width, 3) for each of MuJoCo's positions (nq,), as recorded ones are.
+        """Frame, camera and RGB image (height, width, 3), as recordings have them, of each of MuJoCo's positions (nq,).
 
         The image's memory is used again for the next one. Raises as `images`.
         """
@@ -251,7 +249,14 @@ class EpisodeRunner:
     def depth(self, qpos: Array, camera: str) -> NDArray[np.uint16]:
         """A depth image (height, width) in mm at MuJoCo's positions (nq,). Raises as `images`."""
         self._replica.show(qpos)
-        return whole_mm(self.renderer.depth(self._replica.data, camera))
+        # Of what has a label, as recorded truth is: the sky has none, and is at no distance.
+        return whole_mm(self.renderer.label(self._replica.data, camera, self._labels.of_geom)[1])
+
+    @functools.cached_property
+    def _labels(self) -> SceneLabels:
+        config = self._config
+        names = [item.name for item in (config.task.object, config.task.target, *config.randomization.extras)]
+        return scene_labels(self._scene.model, config.rig, names, boards=config.boards)
 
     def draw(self, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
         """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,). Raises as `images`."""

@@ -14,8 +14,8 @@ _ROUNDING_S = 1e-9
 class Moments:
     """Gathers MuJoCo's positions at given times while a simulation runs: give it to `sim.rollout.simulate` as `see`.
 
-    A moment on a step is that step's state, bit for bit. One between two steps lies on the straight way from one state to
-    the other, which joints turn and bodies turn and move by: 2 ms apart, that is a millionth of a radian off.
+    A moment on a step is that step's state, bit for bit. One between two steps lies on the straight way from one state
+    to the other, as joints turn, and bodies turn and move.
 
     Attributes:
         qpos: positions (n, nq) at the times, as far as the simulation has come.
@@ -42,7 +42,8 @@ class Moments:
     def _at(self, time: float, data: mujoco.MjData) -> Array:
         then, qpos = self._before
         if abs(time - data.time) <= _ROUNDING_S:
-            return data.qpos.copy()
+            there: Array = data.qpos.copy()
+            return there
         if abs(time - then) <= _ROUNDING_S:
             return qpos
         way, found = np.zeros(self._model.nv), qpos.copy()

@@ -49,8 +49,8 @@ def export_raiden(
 ) -> Exported:
     """Write a dataset in the real stack's layout.
 
-    The global frame is the base of the left arm. A lone arm is the left one; the right one, unless left out, is still, with all
-    joints 0. Grippers are a share of the opening, 0 closed and 1 open, as the real arm's drive reports them.
+    The global frame is the base of the left arm. A lone arm is the left one; the right one, unless left out, is still,
+    with all joints 0. Grippers are a share of the opening, 0 closed and 1 open, as the real arm's drive reports them.
 
     Args:
         meshes: asset set -> folder of its files, or None for primitives, for pictures that are drawn.
@@ -131,7 +131,7 @@ def _metadata(
         "labels": ["rgb", *(["depth"] if depth else []), "action", "language"],
         "cameras": list(sizes),
         "resolution": next(iter(sizes.values())) if one_size else sizes,
-        "framerate": 1 / record.frame_period_s if options.fps is None else options.fps,
+        "framerate": 1 / record.frame_period_s if options.fps is None else _plain(options.fps),
         "language": {"task": task, "prompt": [str(data[0]["language_prompt"])]},
         "num_frames": len(data),
         "rgb": {"extension": options.images},
@@ -143,6 +143,11 @@ def _metadata(
         "hand_frame": hand_frame(options.hand_frame),
         "pictures": dict(made.pictures),
     }
+
+
+def _plain(number: float) -> float:
+    """A whole number without a point."""
+    return int(number) if number.is_integer() else number
 
 
 def _write_episode(

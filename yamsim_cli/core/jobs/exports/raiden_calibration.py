@@ -1,8 +1,8 @@
 """The cameras of a dataset as raiden calibrates them, in one file that its own code reads and its fork's at the lab.
 
 raiden reads a wrist camera's `hand_eye_calibration`, and the `extrinsics` of any other. The fork's scripts read the
-`extrinsics` of both: so a wrist camera has both. Neither reads `type`. Source: TRI-ML/raiden 2353b10, `converter.py` and
-`server.py`; cameronosmith/raiden_fork 434d7c6, `wrist_calibrate.py`, `exo_calibrate.py` and `wrist_verify_rerun.py`.
+`extrinsics` of both: so a wrist camera has both. Neither reads `type`. Source: TRI-ML/raiden 2353b10, `converter.py`
+and `server.py`; cameronosmith/raiden_fork 434d7c6, `wrist_calibrate.py`, `exo_calibrate.py`, `wrist_verify_rerun.py`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from .source import Source
 _ZERO_TIME = "1970-01-01T00:00:00.000000"
 _SIDES = ("left", "right")
 
-# A real right wrist camera hangs upside down. raiden's code turns its pictures, and its hand-eye pose, by half a turn about
-# the axis: so the pose that it turns is the upside-down one. Source: TRI-ML/raiden, `converter.py`, `server.py`.
+# A real right wrist camera hangs upside down. raiden's code turns its pictures by half a turn, and its hand-eye pose as
+# well: so the file has to hold the pose before that turn. Source: TRI-ML/raiden, `converter.py`, `server.py`.
 _UPSIDE_DOWN = (WRIST_CAMERAS[1],)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 

@@ -28,8 +28,8 @@ from .raiden_options import RaidenOptions
 from .resample import Resampled, nearest_frames, resample
 from .source import depth_cameras
 
-# A picture drawn anew at a recorded frame's time may differ from the recorded one by this in the mean, of 255. Another machine's
-# OpenGL stays far below; missing meshes, or another version's looks, do not.
+# A picture drawn anew at a recorded frame's time may differ from the recorded one by this in the mean, of 255. Another
+# machine's OpenGL stays below; missing meshes, or another version's looks, do not.
 _MOST_OTHER = 3.0
 
 
@@ -100,7 +100,7 @@ class EpisodeMaker:
         return MadeEpisode(made.times.tolist(), made.frames, told)
 
     def _copy(self, episode: StoredEpisode, folder: Path, frames: Sequence[int]) -> None:
-        """Recorded pictures, given by their frames: JPEGs byte for byte, PNGs with the very pixels that OpenCV reads."""
+        """Recorded pictures, given by their frames: JPEGs byte for byte, PNGs of the very pixels that OpenCV reads."""
         depths = depth_cameras(episode)
         for camera, name in self._names.items():
             before, data, depth = -1, b"", b""
@@ -139,9 +139,9 @@ class EpisodeMaker:
             apart = float(np.abs(drawn.astype(np.int16) - recorded).mean())
         if apart > _MOST_OTHER:
             raise DatasetError(
-                f"{episode.directory}: {camera} drawn anew is not what was recorded ({apart:.1f} of 255 off in the mean, "
-                f"at most {_MOST_OTHER:g}): run `yamsim assets fetch` if meshes are missing, or take recorded pictures with "
-                "--pictures nearest"
+                f"{episode.directory}: {camera} drawn anew is not what was recorded ({apart:.1f} of 255 off in the "
+                f"mean, at most {_MOST_OTHER:g}): run `yamsim assets fetch` if meshes are missing, or take the "
+                "recorded pictures with --pictures nearest"
             )
 
     def __enter__(self) -> EpisodeMaker:

@@ -1,7 +1,7 @@
 """The converted layout of the real stack, as data: every name, dtype, shape and key.
 
-Source: TRI-ML/raiden 2353b10: what `converter.py` writes, and `shardify.py`, `visualizer.py`, `robot/replay.py` and `server.py`
-read. Its documentation says otherwise in places, of pictures for one; the code is what reads.
+Source: TRI-ML/raiden 2353b10: what `converter.py` writes; what `shardify.py`, `visualizer.py`, `replay.py` and
+`server.py` read. Its documentation says otherwise in places, of pictures for one; the code is what reads.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ BETWEEN_ARMS = "T_left_from_right"
 def lowdim(width: int, recorded: int) -> Mapping[str, Form]:
     """Of a frame's dictionary, in order.
 
-    Arms are left, then right: joints (6) and gripper (1); or position (3), rotation row by row (9) and gripper (1) of the hand
-    in its arm's own base.
+    Arms are left, then right: joints (6) and gripper (1); or position (3), rotation row by row (9) and gripper (1) of
+    the hand in its arm's own base.
 
     Args:
         width: how many arms its arrays hold.

@@ -47,7 +47,8 @@ def frame_times(frames: int, period: float, fps: float) -> Array:
         frames: how many were recorded.
         period: from one to the next, s.
     """
-    return np.arange(math.floor(((frames - 1) * period + _ROUNDING_S) * fps) + 1) / fps
+    times: Array = np.arange(math.floor(((frames - 1) * period + _ROUNDING_S) * fps) + 1) / fps
+    return times
 
 
 def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
@@ -58,9 +59,9 @@ def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
 def resample(runner: EpisodeRunner, episode: StoredEpisode, fps: float) -> Resampled:
     """An episode at fps frames a second. Nothing is held: each state is the simulation's own at that time.
 
-    `action_joints` stays what it is in a recording: what the plan asks for one control tick ahead. It was recorded once a
-    frame; in between it is the arm's own motion, and by how much the plan leads it, which changes evenly from frame to
-    frame. An opening of the fingers changes evenly itself.
+    `action_joints` stays what it is in a recording: what the plan asks for one control tick ahead. It was recorded once
+    a frame. In between it is where the arm is one tick ahead, and on top by how much the plan leads it there, which
+    changes evenly from frame to frame. The opening of the fingers changes evenly itself.
 
     Args:
         runner: of the dataset's configuration; afterwards its scene is varied as the episode's.
@@ -73,14 +74,14 @@ def resample(runner: EpisodeRunner, episode: StoredEpisode, fps: float) -> Resam
     found = recorded_actions(recorded, scene.model.nq, scene.model.nu)
     if found is None:
         raise DatasetError(
-            f"{episode.directory} holds no sim_qpos, sim_ctrl and sim_magnet, so nothing between its frames can be made: "
-            "export it with --fps source"
+            f"{episode.directory} holds no sim_qpos, sim_ctrl and sim_magnet, so nothing between its frames can be "
+            "made: export it with --fps source"
         )
     start, actions = found
     period = record.frame_period_s
     tick = period / len(recorded[0]["sim_ctrl"])
     times = frame_times(len(recorded), period, fps)
-    stored = np.arange(len(recorded)) * period
+    stored = np.arange(float(len(recorded))) * period
     # Of a frame, and of what its command is for.
     moments, places = np.unique(
         np.round(np.concatenate([times, times + tick, stored, stored + tick]), 12), return_inverse=True
@@ -90,7 +91,7 @@ def resample(runner: EpisodeRunner, episode: StoredEpisode, fps: float) -> Resam
     runner.repeat(start, actions, 0.0, 0.0, planned=record.source == "record", see=see)
     here, ahead, then, commanded = np.split(see.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
     _require_same(episode, recorded, then)
-    asked = np.array([np.asarray(frame["action_joints"], dtype=float) for frame in recorded])
+    asked: Array = np.array([np.asarray(frame["action_joints"], dtype=float) for frame in recorded])
     lead = asked - _arms(scene, commanded)
     wanted = _arms(scene, ahead) + _between(times, stored, lead)
     fingers = slice(6, None, 7)
@@ -107,12 +108,14 @@ def resample(runner: EpisodeRunner, episode: StoredEpisode, fps: float) -> Resam
 def _arms(scene: CompiledScene, qpos: Array) -> Array:
     """Each arm's six joints and finger (n, 7 or 14), of MuJoCo's positions (n, nq)."""
     columns = [part for arm in scene.arms for part in (arm.joint_qpos, arm.gripper_qpos[:1])]
-    return qpos[:, np.concatenate(columns)]
+    joints: Array = qpos[:, np.concatenate(columns)]
+    return joints
 
 
 def _between(times: Array, nodes: Array, values: Array) -> Array:
     """Values (n, k) at some times, on straight lines between those (m, k) at the nodes (m,)."""
-    return np.column_stack([np.interp(times, nodes, column) for column in values.T])
+    found: Array = np.column_stack([np.interp(times, nodes, column) for column in values.T])
+    return found
 
 
 def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
@@ -125,7 +128,7 @@ def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]],
             f"{name} {was[name]} then, {now[name]} now" for name in now if was.get(name, now[name]) != now[name]
         )
         raise DatasetError(
-            f"{episode.directory}: its control ticks, repeated in physics, lead {apart[k]:.2g} m or rad away by frame {k}"
-            f"{f' ({changed})' if changed else ''}, so nothing between its frames can be made: export it with --fps source, "
-            "and see `yamsim verify`"
+            f"{episode.directory}: its control ticks, repeated in physics, lead {apart[k]:.2g} m or rad away by frame "
+            f"{k}{f' ({changed})' if changed else ''}, so nothing between its frames can be made: export it with "
+            "--fps source, and see `yamsim verify`"
         )
