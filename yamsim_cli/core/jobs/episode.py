@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
@@ -73,6 +72,11 @@ class EpisodeRunner:
         self._phases = self._kind.phases(config)
         self._replica = Replica(self._scene)
         self._renderer: SceneRenderer | None = None
+        self._labels: SceneLabels | None = None
+        if config.truth:
+            objects = (config.task.object, config.task.target, *config.randomization.extras)
+            names = [item.name for item in objects]
+            self._labels = scene_labels(self._scene.model, config.rig, names, boards=config.boards)
         self._variation = Variation(config, self._scene)
         bases = [arm.T_base_in_world for arm in self._scene.arms]
         self._T_right_base_in_left_base = inverse(bases[0]) @ bases[1] if len(bases) > 1 else None
@@ -222,9 +226,7 @@ class EpisodeRunner:
             ResourceError: no OpenGL context could be made.
         """
         files: dict[str, bytes] = {}
-        truth: EpisodeTruth | None = None
-        if self._config.truth:
-            truth = EpisodeTruth(self._labels, self._scene.cameras, self._scene.T_base_in_world)
+        truth = EpisodeTruth(self._labels, self._scene.cameras, self._scene.T_base_in_world) if self._labels else None
         for k, camera, image in self.pictures(positions):
             files[image_name(camera, k)] = encode_jpeg(image, self._config.image.jpeg_quality)
             if truth:
@@ -247,16 +249,11 @@ class EpisodeRunner:
                 yield k, camera, image
 
     def depth(self, qpos: Array, camera: str) -> NDArray[np.uint16]:
-        """A depth image (height, width) in mm at MuJoCo's positions (nq,). Raises as `images`."""
+        """A depth image (height, width) in mm at MuJoCo's positions (nq,), given `truth`. Raises as `images`."""
+        assert self._labels, "depth is part of truth"
         self._replica.show(qpos)
         # Of what has a label, as recorded truth is: the sky has none, and is at no distance.
         return whole_mm(self.renderer.label(self._replica.data, camera, self._labels.of_geom)[1])
-
-    @functools.cached_property
-    def _labels(self) -> SceneLabels:
-        config = self._config
-        names = [item.name for item in (config.task.object, config.task.target, *config.randomization.extras)]
-        return scene_labels(self._scene.model, config.rig, names, boards=config.boards)
 
     def draw(self, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
         """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,). Raises as `images`."""

@@ -68,6 +68,7 @@ class EpisodeMaker:
         self._names = names
         self._options = options
         self._quality = config.image.jpeg_quality
+        self._truth = config.truth
         self._runner = None if options.fps is None else EpisodeRunner(config, locations, meshes, draw=False)
 
     def run(self, job: tuple[Path, Path]) -> MadeEpisode:
@@ -119,6 +120,11 @@ class EpisodeMaker:
 
     def _draw(self, runner: EpisodeRunner, episode: StoredEpisode, folder: Path, made: Resampled) -> None:
         depths = depth_cameras(episode)
+        if depths and not self._truth:
+            raise DatasetError(
+                f"{episode.directory} has depth, and its dataset was recorded without --truth: how it was made is not "
+                "known; take the recorded pictures with --pictures nearest"
+            )
         for k, camera, image in runner.pictures(made.qpos):
             name = self._names[camera]
             if k == 0:
