@@ -17,6 +17,7 @@ class Row:
         opens: what it is given, and what it does with that.
         environment: where it runs.
         heavy: takes many minutes or gigabytes: `make test-clients-heavy` runs it, by hand.
+        checkout: the variable that holds its repository's path, where no registry has it; its version is the commit.
     """
 
     client: str
@@ -24,7 +25,17 @@ class Row:
     opens: str
     environment: Environment = field(default_factory=Environment)
     heavy: bool = False
+    checkout: str = ""
 
 
 # Key, as tests give it to the fixture `client` -> row.
-ROWS: dict[str, Row] = {}
+ROWS: dict[str, Row] = {
+    "raiden": Row(
+        client="TRI's raiden, of its repository",
+        distribution="raiden",
+        opens="`export raiden`: shards it, shows it, plays it by its own kinematics, and converts to the same frames",
+        environment=Environment("raiden", python="3.11"),
+        heavy=True,
+        checkout="YAMSIM_RAIDEN",
+    ),
+}

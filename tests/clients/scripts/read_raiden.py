@@ -1,7 +1,7 @@
 """What raiden's own code, unmodified, makes of an exported dataset: `read_raiden.py CHECKOUT EXPORT OUT ARMS`.
 
-ARMS is `bimanual`, or `single` for arrays of one arm, as `rd replay --arms` has it. Only what would open hardware or a window is
-replaced: the arms' controller, and rerun.
+ARMS is `bimanual`, or `single` for arrays of one arm, as `rd replay --arms` has it. Only what would open hardware or a
+window is replaced: the arms' controller, and rerun.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import tarfile
 import types
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from unittest import mock
 
 import cv2
@@ -45,7 +45,7 @@ class Arm:
 class Controller:
     """In place of raiden's, which opens CAN buses."""
 
-    made: list[Controller] = []
+    made: ClassVar[list[Controller]] = []
 
     def __init__(self, *, use_right_follower: bool, use_left_follower: bool, **_: Any) -> None:
         self.follower_l = Arm() if use_left_follower else None
@@ -76,7 +76,8 @@ def sharded(episodes: list[Path]) -> dict[str, Any]:
     config = shardify.ShardifyConfig(output_dir=OUT / "shards", resize_images_size=(384, 384), use_depth=depth)
     shardify.run_shardify(episodes, config)
     kinds: Counter[str] = Counter()
-    sizes, controls, said, anchors, widths = set(), set(), set(), Counter(), {}
+    anchors: Counter[str] = Counter()
+    sizes, controls, said = set(), set(), set()
     for tar in sorted((OUT / "shards" / "shards").glob("*.tar")):
         with tarfile.open(tar) as archive:
             for member in archive:
@@ -192,8 +193,6 @@ def visualized(episode: Path) -> dict[str, Any]:
     rerun.reset_mock()
     visualizer.visualize_recording(str(EXPORT), episode.name, image_scale=0.5)
     shown = [call.args for call in rerun.log.call_args_list]
-    ways = {id(call_args[1]): call_args[0] for call_args in shown}
-    assert ways
     lines = [np.asarray(call.args[0][0]) for call in rerun.LineStrips3D.call_args_list]
     return {
         "pictures": sum(name.endswith("/rgb") for name, *_ in shown),

@@ -7,7 +7,6 @@ import itertools
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -15,11 +14,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.core.jobs.drawn import SMALL, write_drawn_dataset
 from tests.core.jobs.exports.conftest import jpeg
 from tests.core.jobs.undrawn import change_frame, write_dataset
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.actions import recorded_actions
-from yamsim_cli.core.dataset.layout import image_name
 from yamsim_cli.core.dataset.lowdim import SIMULATION
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.errors import DatasetError
@@ -116,22 +115,10 @@ def test_physics_that_leads_elsewhere_is_told_and_nothing_is_made_up(
 def drawn_dataset(
     tmp_path_factory: pytest.TempPathFactory, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> Path:
-    """One episode, really drawn, with noise of its own and depth."""
-    changes = {("image", "size_px"): [24, 16], ("wrist",): True, ("truth",): True, ("randomization",): "default"}
-    config = make_config(changes)
-    with EpisodeRunner(config, locations, {}, draw=True) as made:
-        files = made.run(EpisodeJob(config.seed, 0)).files
-        randomized = made.randomized
+    """One episode, with noise of its own."""
     path = tmp_path_factory.mktemp("drawn") / "dataset"
-
-    def others(camera: str, episode: int, frame: int) -> dict[str, bytes]:
-        name = f"depth/{camera}/{frame:06d}.npz"
-        return {name: files[name]}
-
-    write_dataset(path, config, locations, 1, lambda camera, _, k: files[image_name(camera, k)], others)
-    record = json.loads((path / "ep_000000" / "episode.json").read_text())
-    record["randomized"] = asdict(randomized)
-    (path / "ep_000000" / "episode.json").write_text(json.dumps(record))
+    config = make_config(SMALL | {("wrist",): True, ("randomization",): "default"})
+    write_drawn_dataset(path, config, locations, 1)
     return path
 
 
