@@ -47,7 +47,8 @@ def raiden(
         ),
     ] = None,
     images: Annotated[
-        Literal["png", "jpg"], typer.Option(help="Files of pictures; raiden reads PNG alone. jpg is what was recorded.")
+        Literal["png", "jpg"],
+        typer.Option(help="Files of pictures; raiden reads PNG alone. jpg with --fps source is what was recorded."),
     ] = "png",
     single: Annotated[bool, typer.Option("--single", help="Arrays of one arm: 7 and 13 wide, not 14 and 26.")] = False,
     hand_frame: Annotated[

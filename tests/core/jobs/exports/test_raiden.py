@@ -191,8 +191,8 @@ def test_raidens_replay_keeps_to_the_motors_speeds_at_30_hz_alone(
 ) -> None:
     """It plays whatever it is given at 30 Hz: 1.92 times too fast what was recorded at 15.625 Hz.
 
-    As a share of the motors' no-load speeds: in the third episode one of joints 1 to 3 would have to turn at 7.0 rad/s, and
-    its motor does 5.5 at most.
+    As a share of the motors' no-load speeds: in the third episode one of joints 1 to 3 would have to turn at 7.0 rad/s,
+    and its motor does 5.5 at most.
     """
     motors = np.array([joint.motor_rad_s for joint in load_limits("i2rt_yam", locations).joints])
     before = [(played(frames_of(export / f"{k:04d}")) / motors).max() for k in range(EPISODES)]
