@@ -38,7 +38,9 @@ def read(client: Callable[[str], Interpreter], tmp_path: Path, locations: Locati
         source = open_source(dataset, None, locations)
         out = export_raiden(source, tmp_path / "out", locations, lambda *_: None, options, {}).path
         (tmp_path / "raiden").mkdir()
-        found = interpreter.run("read_raiden.py", checkout("YAMSIM_RAIDEN"), out, tmp_path / "raiden", arms)
+        found = interpreter.run(
+            "read_raiden.py", checkout("YAMSIM_RAIDEN"), out, tmp_path / "raiden", arms, timeout_s=900
+        )
         return found | {"frames": frames(out / "0000")}
 
     return run
