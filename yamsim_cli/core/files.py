@@ -170,9 +170,12 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Stage]
         overwrite: move what is at `final` aside, once the new directory is whole.
 
     Raises:
+        UsageError: `final` is to be moved aside, and this process is in it.
         FileExistsError: `final` exists, and not as an empty directory.
         OSError: the tree could not be written; nothing appeared under `final`.
     """
+    final = _named(final)
+    _require_elsewhere(final)
     stage = Stage(final.with_name(f".{final.name}.{uuid.uuid4().hex}.part"))
     stage.path.mkdir()
     try:
@@ -180,7 +183,7 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Stage]
         _fsync_tree(stage.path)
         if final.is_dir() and not any(final.iterdir()):
             final.rmdir()
-        if overwrite and final.exists():
+        if overwrite and os.path.lexists(final):
             stage.moved_aside = move_aside(final)
         # rename(2) refuses a non-empty target, and would silently replace a file.
         if final.exists():
@@ -234,6 +237,19 @@ def refusal(error: OSError, path: Path) -> str:
     return obstacle(path) or error.strerror or str(error)
 
 
+def _named(path: Path) -> Path:
+    """The same place by a path that has a name, which `.` and `..` have not."""
+    return path.resolve() if path.name in ("", "..") else path
+
+
+def _require_elsewhere(path: Path) -> None:
+    """Refuse to give another name to the directory that this process is in, or to one around it."""
+    if not path.is_symlink() and Path.cwd().is_relative_to(path.resolve()):
+        raise UsageError(
+            f"{path} cannot be moved aside, because you are in it: run from another directory, or write elsewhere"
+        )
+
+
 def move_aside(path: Path) -> Path:
     """Rename what is at `path` to the first free `<name>.old-<n>` beside it, and say where it went.
 
@@ -241,13 +257,8 @@ def move_aside(path: Path) -> Path:
         UsageError: it is the directory that this process is in, or one around that; whoever started it is in it too.
         OSError: it cannot be renamed.
     """
-    if not path.is_symlink():
-        # So that "." and ".." have a name.
-        path = path.resolve() if path.name in ("", "..") else path
-        if Path.cwd().is_relative_to(path.resolve()):
-            raise UsageError(
-                f"{path} cannot be moved aside, because you are in it: run from another directory, or write elsewhere"
-            )
+    path = _named(path)
+    _require_elsewhere(path)
     number = 1
     while (target := path.with_name(f"{path.name}.old-{number}")).exists():
         number += 1
