@@ -15,6 +15,7 @@ from yamsim_cli.core.files import (
     move_aside,
     obstacle,
     publish_directory,
+    refusal,
     sha256_bytes,
     sha256_file,
     write_file,
@@ -235,6 +236,13 @@ def test_what_keeps_a_directory_from_being_there(tmp_path, path, told):
     for name, target in {"link": "gone", "loop": "loop", "to_file": "file", "to_dataset": "dataset"}.items():
         (tmp_path / name).symlink_to(target)
     assert obstacle(tmp_path / path) == (told and told.format(here=tmp_path))
+
+
+def test_a_refusal_names_what_is_in_the_way_where_that_is_the_reason(tmp_path):
+    (tmp_path / "file").touch()
+    said = {number: refusal(OSError(number, os.strerror(number)), tmp_path / "file") for number in (17, 20, 28)}
+    assert said == {17: "it is a file", 20: "it is a file", 28: "No space left on device"}
+    assert refusal(OSError(20, "Not a directory"), tmp_path) == "Not a directory"
 
 
 def test_a_lock_keeps_another_process_out_until_it_is_let_go(tmp_path):

@@ -20,6 +20,9 @@ from pathlib import Path
 
 from .errors import UsageError
 
+# What the system says of a path that something is in the way of; of anything else, what it says is enough.
+_OF_PATHS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
+
 # Flushing waits for the disk, and does not hold the interpreter.
 _FLUSHERS = 16
 
@@ -234,7 +237,8 @@ def obstacle(path: Path) -> str | None:
 
 def refusal(error: OSError, path: Path) -> str:
     """Why a directory cannot be made or filled at `path`, as a clause."""
-    return obstacle(path) or error.strerror or str(error)
+    found = obstacle(path) if error.errno in _OF_PATHS else None
+    return found or error.strerror or str(error)
 
 
 def _named(path: Path) -> Path:
