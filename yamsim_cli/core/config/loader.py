@@ -14,7 +14,7 @@ from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
 from .base import Config, Reference
 from .camera import CameraConfig
-from .document import Document, KeyPath, load_yaml, parse_yaml
+from .document import Document, KeyPath, parse_yaml
 from .objects import ObjectConfig
 from .randomization import RandomizationConfig
 from .record import RecordConfig, RenderConfig
@@ -59,7 +59,7 @@ def load_config(
     Args:
         model: what it must be.
         kind: folder under `configs/`.
-        name: a config's name, or the path of a YAML file.
+        name: a config's name, or the path of a file, see `Locations.config_file`.
         overrides: key path -> (what set it, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
 
     Raises:
@@ -80,7 +80,7 @@ def load_config(
 
 
 def validate_file(model: type[C], path: Path, locations: Locations) -> C:
-    """Check a YAML file against a model. Raises as `load_config`."""
+    """Check a file against a model. Raises as `load_config`."""
     return _check(model, _read(model, path), locations)
 
 
@@ -90,10 +90,9 @@ def parse_config(model: type[C], text: str, source: str, locations: Locations) -
 
 
 def _read(model: type[Config], path: Path) -> Document:
-    document = load_yaml(path)
+    document = model.read(path)
     if "name" in model.model_fields:
         document.data.setdefault("name", path.stem)
-    model.adopt(document)
     return document
 
 

@@ -1,4 +1,4 @@
-"""Whether this process may draw. One that was forked from a process with an OpenGL of its own would hang in it for ever."""
+"""Whether this process may draw: one that was forked from a process that had used OpenGL would hang in it for ever."""
 
 from __future__ import annotations
 
