@@ -27,4 +27,12 @@ class Row:
 
 
 # Key, as tests give it to the fixture `client` -> row.
-ROWS: dict[str, Row] = {}
+_RRD = "`export rerun`: verified, and all its values read as they were recorded"
+_ENVS = "`yamsim/PickPlace-v0`: passes its checker, and runs in processes of its own, with images"
+
+ROWS: dict[str, Row] = {
+    "rerun-0.30": Row("rerun 0.30", "rerun-sdk", _RRD, Environment("rerun-0.30")),
+    "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
+    "gymnasium-1.0": Row("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
+    "gymnasium": Row("gymnasium", "gymnasium", _ENVS),
+}
