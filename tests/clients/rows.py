@@ -27,7 +27,7 @@ class Row:
 
 
 # Key, as tests give it to the fixture `client` -> row.
-_RRD = "`export rerun`: verified, and all its values read as they were recorded"
+_RRD = "`export rerun`: verified; joints, commands, pictures, cameras and poses read as they were recorded"
 _ENVS = "`yamsim/PickPlace-v0`: passes its checker, and runs in processes of its own, with images"
 
 ROWS: dict[str, Row] = {

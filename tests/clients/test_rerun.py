@@ -74,14 +74,12 @@ def test_rerun_reads_all_that_was_recorded(
         intrinsics = [np.ravel(frame["intrinsics"][camera], "F") for frame in frames]
         np.testing.assert_allclose(stored, intrinsics, rtol=1e-6)
         np.testing.assert_array_equal(column(place, "Pinhole:resolution"), [SIZE] * len(frames))
-        np.testing.assert_allclose(
-            column(place, "Transform3D:translation"),
-            [frame["extrinsics"][camera][:3, 3] for frame in frames],
-            atol=1e-6,
-        )
-    for entity, key in (("hand", "ee_pose"), ("banana", "banana_pose"), ("plate", "plate_pose")):
-        poses = np.array([frame[key] for frame in frames])
+    stands = {camera: [frame["extrinsics"][camera] for frame in frames] for camera in CAMERAS}
+    stands |= {thing: [frame[f"{thing}_pose"] for frame in frames] for thing in ("banana", "plate")}
+    for entity, given in (stands | {"hand": [frame["ee_pose"] for frame in frames]}).items():
+        poses = np.array(given)
         np.testing.assert_allclose(column(f"/base/{entity}", "Transform3D:translation"), poses[:, :3, 3], atol=1e-6)
         turned = column(f"/base/{entity}", "Transform3D:mat3x3").reshape(-1, 3, 3).transpose(0, 2, 1)
         np.testing.assert_allclose(turned, poses[:, :3, :3], atol=1e-6)
+    np.testing.assert_array_equal(column("/weld", "Scalars:scalars")[:, 0], [frame["magnet"] for frame in frames])
     assert str(frames[0]["language_prompt"]) in columns["/episode:TextDocument:text"][0][0]
