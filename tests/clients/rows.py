@@ -26,11 +26,22 @@ class Row:
     heavy: bool = False
 
 
-# Key, as tests give it to the fixture `client` -> row.
+_SCENES = "`compose-xml`: all rigs and tasks load and rest; recorded episodes move as in MuJoCo 4"
 _RRD = "`export rerun`: verified; joints, commands, pictures, cameras and poses read as they were recorded"
 _ENVS = "`yamsim/PickPlace-v0`: passes its checker, and runs in processes of its own, with images"
 
+# Key, as tests give it to the fixture `client` -> row.
 ROWS: dict[str, Row] = {
+    "mujoco-3.3": Row("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
+    "mujoco-3.11": Row("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11")),
+    "mujoco-3.17": Row("MuJoCo 3.17", "mujoco", _SCENES, Environment("mujoco-3.17")),
+    "mujoco-4": Row("MuJoCo 4", "mujoco", "`compose-xml`: the same; recorded episodes move as they were recorded"),
+    "dm_control": Row(
+        "dm_control",
+        "dm_control",
+        "`compose-xml`: parsed by `mjcf.from_path`, stepped (with MuJoCo 3.17); rigs without boards attached",
+        Environment("dm_control"),
+    ),
     "rerun-0.30": Row("rerun 0.30", "rerun-sdk", _RRD, Environment("rerun-0.30")),
     "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
     "gymnasium-1.0": Row("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
