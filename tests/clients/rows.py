@@ -17,6 +17,7 @@ class Row:
         opens: what it is given, and what it does with that.
         environment: where it runs.
         heavy: takes many minutes or gigabytes: `make test-clients-heavy` runs it, by hand.
+        checkout: the variable that holds its repository's path, where no registry has it; its version is the commit.
     """
 
     client: str
@@ -24,6 +25,7 @@ class Row:
     opens: str
     environment: Environment = field(default_factory=Environment)
     heavy: bool = False
+    checkout: str = ""
 
 
 _SCENES = "`compose-xml`: all rigs and tasks load and rest; recorded episodes move as in MuJoCo 4"
@@ -41,6 +43,14 @@ ROWS: dict[str, Row] = {
         "dm_control",
         "`compose-xml`: parsed by `mjcf.from_path`, stepped (with MuJoCo 3.17); rigs without boards attached",
         Environment("dm_control"),
+    ),
+    "raiden": Row(
+        client="TRI's raiden, of its repository",
+        distribution="raiden",
+        opens="`export raiden`: shards it, shows it, plays it by its own kinematics, and converts to the same frames",
+        environment=Environment("raiden", python="3.11"),
+        heavy=True,
+        checkout="YAMSIM_RAIDEN",
     ),
     "rerun-0.30": Row("rerun 0.30", "rerun-sdk", _RRD, Environment("rerun-0.30")),
     "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),

@@ -13,6 +13,7 @@ from yamsim_cli.core.config.camera import CameraConfig
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.jobs.exports.raiden import export_raiden
+from yamsim_cli.core.jobs.exports.raiden_options import RaidenOptions
 from yamsim_cli.core.jobs.exports.source import open_source
 from yamsim_cli.core.resources import Locations
 
@@ -22,8 +23,9 @@ def test_its_cameras_are_those_that_were_recorded(
 ) -> None:
     dataset = tmp_path / "dataset"
     write_dataset(dataset, make_config({("wrist",): True, ("image", "size_px"): list(SIZE)}), locations, 1, jpeg)
-    export_raiden(open_source(dataset, "0", locations), tmp_path / "out", locations, lambda *_: None)
-    frame = next(open_source(dataset, "0", locations).episodes()).frames()[0]
+    source = open_source(dataset, "0", locations)
+    export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(fps=None))
+    frame = next(source.episodes()).frames()[0]
     file = tmp_path / "out" / "calibration_results.json"
     # A lone arm is the left one there.
     names = {"right_wrist_camera": "left_wrist_camera"}
