@@ -104,6 +104,7 @@ def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
         "seed": result.job.seed,
         "ended": result.ended.value,
         "error": result.error or None,
+        "traceback": result.traceback or None,
         "simulated_s": round(result.ticks * tick, 6),
         "policy_s": spread(result.seconds),
         "outcome": plain(result.outcome),
