@@ -39,9 +39,11 @@ class Ended(StrEnum):
     LOST = "policy_lost"
 
 
-_NO_FAULT = Fault("")
-
 FAULTS = (Ended.RAISED, Ended.INVALID, Ended.SLOW, Ended.LOST)
+# The policy had its say to the end.
+MEASURED = (Ended.DONE, Ended.TIME_LIMIT)
+
+_NO_FAULT = Fault("")
 
 
 @dataclass(frozen=True)
