@@ -40,6 +40,7 @@ FLOORS: dict[str, int] = {
     "commands": 7,
     "api": 8,
     "gym_env": 8,
+    "kinematics": 8,
     "main": 8,
     "__main__": 9,
 }
