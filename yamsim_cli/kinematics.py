@@ -34,7 +34,8 @@ Site = Literal["pinch_site", "grasp_site"]
 # How often a pose is tried from other joints before it counts as out of reach. Of 500 poses of joints drawn evenly from
 # their ranges, every one was found within 24.
 _RESTARTS = 50
-# Of a rad, where a metre costs 10: a pose is wanted whole, and about the hand's length makes one of the other.
+# Of a rad, where a metre costs 10: a pose is wanted whole, and about the hand's length makes one of the other. Where the
+# arm does not reach it so, the position decides.
 _ROTATION_COSTS = (1.0, 1.0, 1.0)
 # Farther than this from the identity, R^T R is no rotation's.
 _ORTHONORMAL = 1e-4
@@ -74,10 +75,11 @@ class Kinematics:
         self._range: Array = model.jnt_range.copy()
         self._T_base_in_world = config.T_base_in_world(number)
         self._forward = ArmKinematics(model)
-        self._ik = IkSolver(model, np.eye(4), _ROTATION_COSTS)
+        self._solvers = (IkSolver(model, np.eye(4), _ROTATION_COSTS), IkSolver(model, np.eye(4)))
         home = np.array(HOME)
         T_pinch_in_base, T_site_in_base = (self._forward.T_site_in_base(home, name) for name in ("pinch_site", site))
-        self._ik.hold(inverse(T_pinch_in_base) @ T_site_in_base)
+        for solver in self._solvers:
+            solver.hold(inverse(T_pinch_in_base) @ T_site_in_base)
 
     @property
     def T_base_in_world(self) -> Array:
@@ -112,7 +114,8 @@ class Kinematics:
 
         Args:
             start: joints (6,) to search from; home unless given.
-            position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad.
+            position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad. With more of the
+                latter, the hand leans where the arm is too short for the pose as it is, and the position stays.
 
         Raises:
             UsageError: the pose is none, or `start` is not six finite numbers.
@@ -123,7 +126,7 @@ class Kinematics:
             raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
         first = np.array(HOME) if start is None else _numbers(start, (6,), "start")
         tolerance = Tolerance(position_tolerance, rotation_tolerance)
-        return reach(self._ik, T, self._starts(first), tolerance).joints
+        return reach(self._solvers, T, self._starts(first), tolerance).joints
 
     def _starts(self, first: Array) -> Iterator[Array]:
         """Where to search from: first within the range, then anywhere in it, the same places every time."""

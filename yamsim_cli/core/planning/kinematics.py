@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -74,17 +74,26 @@ class Tolerance:
         return solution.position_error <= self.position and turned <= self.rotation
 
 
-def reach(ik: IkSolver, T_tool_in_world: Array, starts: Iterable[Array], tolerance: Tolerance) -> IkSolution:
+def reach(
+    solvers: Sequence[IkSolver], T_tool_in_world: Array, starts: Iterable[Array], tolerance: Tolerance
+) -> IkSolution:
     """The first solution near enough, searched for from one start (6,) after the other.
+
+    Args:
+        solvers: each goes on from where the one before ended.
 
     Raises:
         OutOfReachError: none is; it has the nearest.
     """
     found: list[IkSolution] = []
     for start in starts:
-        found.append(ik.solve(T_tool_in_world, start, _ITERATIONS))
-        if tolerance.admits(found[-1]):
-            return found[-1]
+        joints = start
+        for solver in solvers:
+            solution = solver.solve(T_tool_in_world, joints, _ITERATIONS)
+            if tolerance.admits(solution):
+                return solution
+            joints = solution.joints
+        found.append(solution)
     raise OutOfReachError(min(found, key=_miss), tolerance)
 
 
