@@ -11,6 +11,7 @@ Needs no OpenGL, no meshes and no scene.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator
 from typing import Literal, get_args
@@ -23,7 +24,7 @@ from .core.config.rig import RigConfig
 from .core.errors import UsageError, suggest
 from .core.geometry.se3 import Array, inverse
 from .core.planning.ik import IkSolver
-from .core.planning.kinematics import ArmKinematics, OutOfReachError, Tolerance, reach
+from .core.planning.kinematics import ArmKinematics, OutOfReachError, reach
 from .core.resources import Locations
 from .core.scene.robot import HOME, bare_arm
 
@@ -34,9 +35,11 @@ Site = Literal["pinch_site", "grasp_site"]
 # How often a pose is tried from other joints before it counts as out of reach. Of 500 poses of joints drawn evenly from
 # their ranges, every one was found within 24.
 _RESTARTS = 50
-# Of a rad, where a metre costs 10: a pose is wanted whole, and about the hand's length makes one of the other. Where the
-# arm does not reach it so, the position decides.
+# Of a rad, where a metre costs 10: a pose is wanted whole, and about the hand's length makes one of the other. Where
+# the arm does not reach it so, the position decides.
 _ROTATION_COSTS = (1.0, 1.0, 1.0)
+# A real arm reports, and a simulated one reaches, joints a little beyond their stops, rad.
+_SLACK = 0.1
 # Farther than this from the identity, R^T R is no rotation's.
 _ORTHONORMAL = 1e-4
 
@@ -95,9 +98,9 @@ class Kinematics:
         """The pose (4, 4) of the site in the arm's base.
 
         Raises:
-            UsageError: `joints` are not six finite numbers.
+            UsageError: `joints` are not six numbers, or lie beyond the joints' stops.
         """
-        return self._forward.T_site_in_base(_numbers(joints, (6,), "joints"), self._site)
+        return self._forward.T_site_in_base(self._joints(joints, "joints"), self._site)
 
     def ik(
         self,
@@ -118,15 +121,26 @@ class Kinematics:
                 latter, the hand leans where the arm is too short for the pose as it is, and the position stays.
 
         Raises:
-            UsageError: the pose is none, or `start` is not six finite numbers.
-            OutOfReachError: no such joints were found; the error says by how much the nearest miss.
+            UsageError: the pose is none, or `start` are no joints.
+            OutOfReachError: no such joints were found; its `nearest` has those that come nearest, and what they lack.
         """
         T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
         if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(T[:3, :3]) < 0:
             raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
-        first = np.array(HOME) if start is None else _numbers(start, (6,), "start")
-        tolerance = Tolerance(position_tolerance, rotation_tolerance)
-        return reach(self._solvers, T, self._starts(first), tolerance).joints
+        first = np.array(HOME) if start is None else self._joints(start, "start")
+        return reach(self._solvers, T, self._starts(first), position_tolerance, rotation_tolerance).joints
+
+    def _joints(self, values: ArrayLike, name: str) -> Array:
+        joints = _numbers(values, (6,), name)
+        low, high = self._range.T
+        worst = int(np.maximum(low - joints, joints - high).argmax())
+        if not low[worst] - _SLACK <= joints[worst] <= high[worst] + _SLACK:
+            degrees = "; is it in degrees?" if abs(joints[worst]) > 2 * math.pi else ""
+            raise UsageError(
+                f"{name}: joint{worst + 1}: {joints[worst]:.4g} rad lies outside {low[worst]:.4g}..{high[worst]:.4g}"
+                f"{degrees}"
+            )
+        return joints
 
     def _starts(self, first: Array) -> Iterator[Array]:
         """Where to search from: first within the range, then anywhere in it, the same places every time."""

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SimulationError
-from ..geometry.se3 import Array, pose
-from .ik import IkSolution, IkSolver
+from ..geometry.se3 import Array, pose, rotation_vector
+from .ik import IkSolver
 
 # From a cold start the iteration may have to cross the workspace.
 _ITERATIONS = 100
@@ -44,6 +44,20 @@ class ArmKinematics:
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
 
+@dataclass(frozen=True)
+class Reached:
+    """Where the search for a pose ended: joints (6,) in rad, and how far from the pose that is, m and rad."""
+
+    joints: Array
+    position_error: float
+    rotation_error: float
+
+    @property
+    def miss(self) -> float:
+        """How far off it is in all, m: the hand's length makes a distance of an angle."""
+        return self.position_error + _HAND * self.rotation_error
+
+
 class OutOfReachError(SimulationError):
     """A pose that the arm does not reach.
 
@@ -51,52 +65,45 @@ class OutOfReachError(SimulationError):
         nearest: the joints that come nearest, and what they lack.
     """
 
-    def __init__(self, nearest: IkSolution, tolerance: Tolerance) -> None:
-        turned = math.degrees(max(nearest.tilt_error, nearest.heading_error))
+    def __init__(self, nearest: Reached, position_tolerance: float, rotation_tolerance: float) -> None:
         super().__init__(
-            f"out of the arm's reach: the nearest it gets is {nearest.position_error * 1000:.1f} mm and {turned:.1f} "
-            f"deg away (at most {tolerance.position * 1000:g} mm and {math.degrees(tolerance.rotation):g} deg), with "
-            f"the joints {np.array2string(nearest.joints, precision=3, suppress_small=True)}"
+            f"out of the arm's reach: the nearest it gets is {nearest.position_error * 1000:.1f} mm and "
+            f"{math.degrees(nearest.rotation_error):.1f} deg away (at most {position_tolerance * 1000:g} mm and "
+            f"{math.degrees(rotation_tolerance):.3g} deg), with the joints "
+            f"{np.array2string(nearest.joints, precision=3, suppress_small=True, separator=', ')}"
         )
         self.nearest = nearest
 
 
-@dataclass(frozen=True)
-class Tolerance:
-    """By how much a pose may be missed, m and rad, the latter in tilt and in heading each."""
-
-    position: float
-    rotation: float
-
-    def admits(self, solution: IkSolution) -> bool:
-        """Whether a solution is near enough."""
-        turned = max(solution.tilt_error, solution.heading_error)
-        return solution.position_error <= self.position and turned <= self.rotation
-
-
 def reach(
-    solvers: Sequence[IkSolver], T_tool_in_world: Array, starts: Iterable[Array], tolerance: Tolerance
-) -> IkSolution:
-    """The first solution near enough, searched for from one start (6,) after the other.
+    solvers: Sequence[IkSolver],
+    T_tool_in_world: Array,
+    starts: Iterable[Array],
+    position_tolerance: float,
+    rotation_tolerance: float,
+) -> Reached:
+    """The first joints near enough to a pose (4, 4), searched for from one start (6,) after the other.
 
     Args:
         solvers: each goes on from where the one before ended.
+        position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad.
 
     Raises:
-        OutOfReachError: none is; it has the nearest.
+        OutOfReachError: none are; it has the nearest.
     """
-    found: list[IkSolution] = []
+    nearest: Reached | None = None
     for start in starts:
         joints = start
         for solver in solvers:
-            solution = solver.solve(T_tool_in_world, joints, _ITERATIONS)
-            if tolerance.admits(solution):
-                return solution
-            joints = solution.joints
-        found.append(solution)
-    raise OutOfReachError(min(found, key=_miss), tolerance)
-
-
-def _miss(solution: IkSolution) -> float:
-    """How far a solution is off, the hand's length turning an angle into a distance."""
-    return solution.position_error + _HAND * (solution.tilt_error + solution.heading_error)
+            joints = solver.solve(T_tool_in_world, joints, _ITERATIONS).joints
+            T = solver.pose_of(joints)
+            found = Reached(
+                joints,
+                float(np.linalg.norm(T[:3, 3] - T_tool_in_world[:3, 3])),
+                float(np.linalg.norm(rotation_vector(T[:3, :3].T @ T_tool_in_world[:3, :3]))),
+            )
+            if found.position_error <= position_tolerance and found.rotation_error <= rotation_tolerance:
+                return found
+        nearest = found if nearest is None or found.miss < nearest.miss else nearest
+    assert nearest is not None  # there is a start
+    raise OutOfReachError(nearest, position_tolerance, rotation_tolerance)

@@ -91,7 +91,8 @@ def _pack_array(value: Any) -> Any:
     except Exception as error:
         raise TypeError(f"{type(value).__name__} cannot be sent: {error}") from error
     if array.dtype.kind not in _KINDS:
-        raise TypeError(f"{type(value).__name__} cannot be sent: only numbers, text, plain containers and arrays can")
+        what = f"an array of dtype {array.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise TypeError(f"{what} cannot be sent: only numbers, text, plain containers and arrays can")
     content = np.ascontiguousarray(array).tobytes()
     return msgpack.ExtType(_ARRAY, msgpack.packb([array.dtype.str, list(array.shape), content]))
 
