@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, FiniteFloat
 
 from ..resources import Locations
-from .base import Config, Name, Positive, Range
+from .base import Config, Name, ordered
 from .loader import validate_file
+from .units import JointAngle, Offset, Within
+
+Stops = Annotated[tuple[JointAngle, JointAngle], AfterValidator(ordered)]
 
 
 class JointLimits(Config):
@@ -22,9 +25,9 @@ class JointLimits(Config):
     """
 
     name: Name
-    range: Range
-    motor_rpm: Positive
-    reported_rad_s: Positive
+    range: Stops
+    motor_rpm: Annotated[FiniteFloat, Within("rpm", 1, 10_000)]
+    reported_rad_s: Annotated[FiniteFloat, Within("rad/s", 0.1, 1000)]
 
     @property
     def motor_rad_s(self) -> float:
@@ -41,8 +44,8 @@ class ArmLimits(Config):
     """
 
     joints: Annotated[tuple[JointLimits, ...], Field(min_length=1)]
-    fingers: dict[Name, Range]
-    ranges: dict[Name, dict[Name, Range]] = Field(default_factory=dict)
+    fingers: dict[Name, Annotated[tuple[Offset, Offset], AfterValidator(ordered)]]
+    ranges: dict[Name, dict[Name, Stops]] = Field(default_factory=dict)
 
     def joints_with(self, gripper: str | None) -> tuple[JointLimits, ...]:
         """The joints with a gripper; with None, which stands for an unknown one, as far as they go with any."""

@@ -7,16 +7,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .base import Config, Positive, Rgba, Vector
+from .base import Config, Rgba
+from .units import Extent, Heading, Offset, OffsetPoint
 
 
 class Capsule(Config):
     """A capsule between two points of the object's frame."""
 
     type: Literal["capsule"]
-    start: Vector
-    end: Vector
-    radius: Positive
+    start: OffsetPoint
+    end: OffsetPoint
+    radius: Extent
     rgba: Rgba | None = None
 
 
@@ -24,9 +25,9 @@ class Cylinder(Config):
     """An upright cylinder: centre, radius and half its height."""
 
     type: Literal["cylinder"]
-    centre: Vector
-    radius: Positive
-    half_height: Positive
+    centre: OffsetPoint
+    radius: Extent
+    half_height: Extent
     rgba: Rgba | None = None
 
 
@@ -34,8 +35,8 @@ class Sphere(Config):
     """A ball: centre and radius."""
 
     type: Literal["sphere"]
-    centre: Vector
-    radius: Positive
+    centre: OffsetPoint
+    radius: Extent
     rgba: Rgba | None = None
 
 
@@ -43,9 +44,9 @@ class Box(Config):
     """A block that stands upright: centre, half its size along its own axes, and how far these are turned about z."""
 
     type: Literal["box"]
-    centre: Vector
-    half_size: tuple[Positive, Positive, Positive]
-    yaw_deg: float = 0.0
+    centre: OffsetPoint
+    half_size: tuple[Extent, Extent, Extent]
+    yaw_deg: Heading = 0.0
     rgba: Rgba | None = None
 
     @property
@@ -71,9 +72,9 @@ class Ring(Config):
     """
 
     type: Literal["ring"]
-    inner: tuple[Positive, float]
-    outer: tuple[Positive, float]
-    thickness: Positive
+    inner: tuple[Extent, Offset]
+    outer: tuple[Extent, Offset]
+    thickness: Extent
     segments: int = Field(ge=3, le=128)
     rgba: Rgba | None = None
 
