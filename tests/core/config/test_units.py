@@ -56,12 +56,12 @@ SLIPS = [
     ("objects/011_banana", "1.568e-5", "15680", ("diagonal[0]: 15680", "in g mm2? Then give 1.568e-05")),
     ("objects/011_banana", "opening: 0.0165", "opening: 16.5", ("grasp.opening: 16.5", "in mm? Then give 0.0165")),
     ("objects/011_banana", "clearance: 0.010", "clearance: 10", ("grasp.clearance: 10", "in mm? Then give 0.01")),
-    ("objects/011_banana", "radius: 0.0181", "radius: 18.1", ("collision[0].radius: 18.1", "in mm? Then give 0.0181")),
+    ("objects/011_banana", "radius: 0.0181", "radius: 18.1", ("collision[0].radius: 18.1", "give 0.0181")),
     ("objects/011_banana", "[-0.0099, 0.0041, 0.0171]", "[-9.9, 4.1, 17.1]", ("mesh.origin[2]: 17.1", "give 0.0171")),
-    ("objects/011_banana", "rest_height: 0.0175", "rest_height: 17.5", ("rest_height: 17.5", "in mm? Then give 0.0175")),
+    ("objects/011_banana", "rest_height: 0.0175", "rest_height: 17.5", ("rest_height: 17.5", "give 0.0175")),
     ("objects/011_banana", "force: 15", "force: 15000", ("friction.force: 15000", "0.05..500 N")),
     ("randomization/default", "position: 0.03", "position: 30", ("camera.position: 30", "in mm? Then give 0.03")),
-    ("randomization/default", "clearance: 0.03", "clearance: 30", ("distractors.clearance: 30", "in mm? Then give 0.03")),
+    ("randomization/default", "clearance: 0.03", "clearance: 30", ("distractors.clearance: 30", "give 0.03")),
     ("randomization/default", "x: [0.20, 0.70]", "x: [200, 700]", ("distractors.x[0]: 200", "in mm? Then give 0.2")),
     ("randomization/default", "lens_deg: [-3, 3]", "lens_deg: [-300, 300]", ("lens_deg[0]: -300", "-60..60 degrees")),
     ("randomization/default", "[-0.03, 0.03]", "[-8, 8]", ("brightness[0]: -8", "values of 255? Then give -0.03137")),
@@ -140,8 +140,10 @@ def _inside(annotation: Any) -> Iterator[Any]:
 
 # Numbers without a unit, or whose bounds are given in another way.
 PLAIN = {
-    "rgba", "quat", "x_axis", "y_axis", "direction", "diffuse", "specular", "shininess", "reflectance", "ambient", "sky",
-    "floor_rgba", "friction", "intensity", "tint", "tilt_deg", "rotation_deg", "hue_deg", "saturation", "value", "contrast",
+    "rgba", "quat", "x_axis", "y_axis", "direction", "diffuse", "specular", "shininess", "reflectance", "ambient",
+    "sky",
+    "floor_rgba", "friction", "intensity", "tint", "tilt_deg", "rotation_deg", "hue_deg", "saturation", "value",
+    "contrast",
     "salt_pepper", "textures", "mass", "K", "distortion", "focal_sigma", "supersampling",
 }  # fmt: skip
 

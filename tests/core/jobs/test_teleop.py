@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Callable
 from concurrent.futures import wait
 from pathlib import Path
 from typing import Any, ClassVar
@@ -67,8 +68,13 @@ def run(session: TeleopSession, seconds: float) -> None:
         session.tick()
 
 
+def player_of(session: TeleopSession, lines: list[dict[str, Any]], folder: Path) -> Player:
+    stream = write_stream(folder / "stream.jsonl", lines)
+    return Player(read_stream(stream, session._config, Locations.find({})))
+
+
 def play(session: TeleopSession, lines: list[dict[str, Any]], folder: Path) -> None:
-    player = Player(read_stream(write_stream(folder / "stream.jsonl", lines), session.sides))
+    player = player_of(session, lines, folder)
     while not player.done:
         player.act(session, session.time)
         session.tick()
@@ -209,7 +215,7 @@ def test_what_is_recorded_repeats_bit_for_bit(
     """The demonstration is judged by its actions alone: they have to lead where the arm was driven."""
     driven: list[Array] = []
     lines = planned_lines(config, locations, 0)
-    player = Player(read_stream(write_stream(tmp_path / "stream.jsonl", lines[:-1]), session.sides))
+    player = player_of(session, lines[:-1], tmp_path)
     while not player.done:
         player.act(session, session.time)
         driven.append(session.data.qpos.copy())
@@ -258,12 +264,47 @@ def grasp_place(session: TeleopSession) -> Array:
         ([{"t": 0, "joints": [0] * 7}], "7 numbers; give six of one arm, or 14 of two"),
         ([{"t": 0, "joints": [0] * 14}], "14 numbers are of two arms, and there is one"),
         ([{"t": 0, "arm": "left"}], "stream.jsonl:1: arm: there is only a right one"),
+        (
+            [{"t": 0}, {"t": 1, "joints": [0, 106, 109, -78, 0, 0]}],
+            r"stream.jsonl:2: joints: arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees\? Then give 1.85",
+        ),
+        ([{"t": 0, "joints": [0, 4.6, 1, 0, 0, 0]}], r"arm1.joint2: 4.6 rad lies outside 0..3.665$"),
+        ([{"t": 0, "gripper": 37.5}], r"stream.jsonl:1: gripper: must lie in 0..0.1 m; is it in mm\? Then give 0.0375"),
+        (
+            [{"t": 0, "ee": {"position": [400, 0, 200], "quaternion": [1, 0, 0, 0]}}],
+            r"stream.jsonl:1: ee.position.0: must lie in -10..10 m; is it in mm\? Then give 0.4",
+        ),
+        ([{"t": 1.7e12}], "stream.jsonl:1: t: must lie in 0..86400 s"),
         ([], "is empty"),
     ],
 )
-def test_a_faulty_stream_is_named_by_line(lines: list[dict[str, Any]], message: str, tmp_path: Path) -> None:
+def test_a_faulty_stream_is_named_by_line(
+    lines: list[dict[str, Any]], message: str, tmp_path: Path, config: RecordConfig, locations: Locations
+) -> None:
     with pytest.raises(ConfigError, match=message):
-        read_stream(write_stream(tmp_path / "stream.jsonl", lines), ("right",))
+        read_stream(write_stream(tmp_path / "stream.jsonl", lines), config, locations)
+
+
+def test_a_leader_that_turns_a_little_farther_is_believed(
+    tmp_path: Path, config: RecordConfig, locations: Locations
+) -> None:
+    lines = [{"t": 0, "joints": [0, -0.4, 1, 0, 0, 0]}]
+    assert read_stream(write_stream(tmp_path / "stream.jsonl", lines), config, locations)
+
+
+def test_both_arms_of_a_row_are_looked_at(
+    tmp_path: Path, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    russet = make_config({("rig",): "russet"})
+    still = [0, 1, 1, 0, 0, 0]
+    for row, fault in (
+        ([*still, 0.03, *np.rad2deg(still), 0.03], r"joints: arm1.joint2: 57.3 rad .*degrees"),
+        ([*np.rad2deg(still), 0.03, *still, 0.03], r"joints: arm2.joint2: 57.3 rad .*degrees"),
+        ([*still, 0.03, *still, 37.5], r"joints: must lie in -0.02..0.1 m; is it in mm\? Then give 0.0375"),
+    ):
+        stream = write_stream(tmp_path / "stream.jsonl", [{"t": 0, "joints": list(map(float, row))}])
+        with pytest.raises(ConfigError, match=fault):
+            read_stream(stream, russet, locations)
 
 
 def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
@@ -435,7 +476,7 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
     out = tmp_path / "d"
     stream = str(write_stream(tmp_path / "s.jsonl", [{"t": 0}]))
     left = yamsim("teleop", "--arm", "left", "--input", stream, "--out", str(out))
-    assert (left.code, "rig 'single' has only a right one" in left.message) == (3, True)
+    assert (left.code, "--arm: arm 'left': rig 'single' has only a right one" in left.message) == (2, True)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

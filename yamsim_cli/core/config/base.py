@@ -33,7 +33,7 @@ class Reference:
     kind: str
 
 
-class Blame(ValueError):
+class ConflictError(ValueError):
     """What is wrong with several values together, and which: the first of them that was given by a flag is named.
 
     Attributes:

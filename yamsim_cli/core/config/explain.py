@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ..errors import counted, suggest
-from .base import Blame, Config, ordered
+from .base import Config, ConflictError, ordered
 from .document import Document, KeyPath
 
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
@@ -39,7 +39,7 @@ def explain(
         path = path[:-1]
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     fault = first.get("ctx", {}).get("error")
-    if isinstance(fault, Blame):
+    if isinstance(fault, ConflictError):
         path, place = _culprit(document, [(*path, *part) for part in fault.paths], flags)
     else:
         place = document.place(path)
@@ -84,7 +84,7 @@ def _culprit(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, s
 
 def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:
     value = detail["input"]
-    if isinstance(detail.get("ctx", {}).get("error"), Blame):
+    if isinstance(detail.get("ctx", {}).get("error"), ConflictError):
         return detail["msg"].removeprefix("Value error, ")
     match detail["type"]:
         case "extra_forbidden":

@@ -10,7 +10,7 @@ from pydantic import Field, FiniteFloat
 from ..geometry.se3 import Array, pose, rotation_z
 from .base import Config, Name, NonNegative, Quaternion, Rgba
 from .primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
-from .units import Distance, Heading, Offset, OffsetPoint, Opening, PlacePoint, Within
+from .units import Distance, Heading, OffsetPoint, Opening, PlacePoint, Within
 
 _Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
 _Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 10)]

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from .base import Blame, Config, Name, Reference
+from .base import Config, ConflictError, Name, Reference
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
@@ -96,14 +96,14 @@ class RecordConfig(Config):
     def _complete(self) -> RecordConfig:
         for part in ("table", "scene_camera"):
             if getattr(self.scene, part) is None:
-                raise Blame(
+                raise ConflictError(
                     f"scene {self.scene.name!r} has no {part}, which task {self.task.name!r} needs",
                     ("scene",),
                     ("task",),
                 )
         names = [self.task.object.name, self.task.target.name, *(item.name for item in self.randomization.extras)]
         if len(set(names)) < len(names):
-            raise Blame(
+            raise ConflictError(
                 f"distractors and the task's objects must all differ: {', '.join(names)}",
                 ("randomization", "distractors"),
                 ("task", "object"),
@@ -115,8 +115,10 @@ class RecordConfig(Config):
     @model_validator(mode="after")
     def _has_the_arm(self) -> RecordConfig:
         if self.arm != "right" and self.arm not in (sides := [arm.side for arm in self.rig.arms]):
-            raise Blame(
-                f"arm {self.arm!r}: rig {self.rig.name!r} has only a {sides[0]} one; leave `arm` out", ("arm",), ("rig",)
+            raise ConflictError(
+                f"arm {self.arm!r}: rig {self.rig.name!r} has only a {sides[0]} one; leave `arm` out",
+                ("arm",),
+                ("rig",),
             )
         return self
 
@@ -125,13 +127,13 @@ class RecordConfig(Config):
         if self.task.exchange is None:
             return self
         if len(self.rig.arms) < 2:
-            raise Blame(
+            raise ConflictError(
                 f"task {self.task.name!r} needs two arms, and rig {self.rig.name!r} has one; use --rig bimanual",
                 ("rig",),
                 ("task",),
             )
         if self.arm != "right" or self.grasp != "weld":
-            raise Blame(
+            raise ConflictError(
                 f"task {self.task.name!r}: the right arm gives to the left one and both hold by the weld; leave out "
                 f"arm {self.arm!r} and grasp {self.grasp!r}",
                 ("arm",) if self.arm != "right" else ("grasp",),
@@ -145,7 +147,7 @@ class RecordConfig(Config):
         assert item.grasp is not None  # checked by the task
         for arm in self.acting_arms:
             if item.grasp.opening > _OPENS[arm.gripper]:
-                raise Blame(
+                raise ConflictError(
                     f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
                     f"gripper {arm.gripper} of rig {self.rig.name!r} opens {2000 * _OPENS[arm.gripper]:.0f} mm; "
                     "it can still be a target or a distractor",
@@ -161,7 +163,7 @@ class RecordConfig(Config):
             return self
         for arm in self.acting_arms:
             if arm.gripper not in _PADS:
-                raise Blame(
+                raise ConflictError(
                     f"grasp 'contact' needs a gripper with pads ({', '.join(_PADS)}), and {arm.name} of rig "
                     f"{self.rig.name!r} has {arm.gripper}; use --rig single_linear, or grasp: weld",
                     ("grasp",),
@@ -169,7 +171,7 @@ class RecordConfig(Config):
                 )
         grasp = self.task.object.grasp
         if grasp is None or grasp.friction is None:
-            raise Blame(
+            raise ConflictError(
                 f"grasp 'contact' needs grasp.friction of object {self.task.object.name!r}, which has none; add it, or "
                 "use grasp: weld",
                 ("grasp",),

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, StringConstraints, Vali
 
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
-from .base import Blame, Config, Name, Quaternion, Vector
+from .base import Config, ConflictError, Name, Quaternion, Vector
 from .units import FieldOfView, Heading, OffsetPoint, PlacePoint, Within, as_recorded
 
 # The base mesh's frame in body `arm`. Board and mount positions are given in it. Source: MuJoCo Menagerie i2rt_yam.
@@ -198,7 +198,7 @@ class RigConfig(Config):
                     f"{min(shared)}..{max(shared)}; give each board ids of its own"
                 )
         if len(self.arms) > 1 and self.margin <= 0:
-            raise Blame(
+            raise ConflictError(
                 f"margin {self.margin} is not valid: {len(self.arms)} arms need a distance above 0 m", ("margin",)
             )
         return self

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from .base import Blame, Config, Name, Reference
+from .base import Config, ConflictError, Name, Reference
 from .objects import GraspPoint, ObjectConfig
 from .units import Distance, HeadingRange, JointAngle, ReachRange, Within
 
@@ -147,19 +147,19 @@ class TaskConfig(Config):
     @model_validator(mode="after")
     def _graspable(self) -> TaskConfig:
         if self.object.grasp is None:
-            raise Blame(f"object {self.object.name!r} has no `grasp`, so it cannot be picked up", ("object",))
+            raise ConflictError(f"object {self.object.name!r} has no `grasp`, so it cannot be picked up", ("object",))
         if self.object.name == self.target.name:
-            raise Blame(f"object and target are both {self.object.name!r}", ("object",), ("target",))
+            raise ConflictError(f"object and target are both {self.object.name!r}", ("object",), ("target",))
         if not self.target.carries:
-            raise Blame(
+            raise ConflictError(
                 f"target {self.target.name!r} has neither a floor nor a flat top to put something on", ("target",)
             )
         if (self.kind == "handover") != (self.exchange is not None):
-            raise Blame(
+            raise ConflictError(
                 f"kind {self.kind!r} and `exchange`: a handover needs one, and no other task may have one", ("kind",)
             )
         if self.exchange is not None and self.exchange.object != self.object.name:
-            raise Blame(
+            raise ConflictError(
                 f"`exchange` says where two hands may hold the {self.exchange.object}, not the {self.object.name}; "
                 "hand over that, or give the points in a task config of your own",
                 ("object",),

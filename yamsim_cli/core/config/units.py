@@ -79,8 +79,10 @@ def _more_than_a_hair(value: tuple[float, float], info: ValidationInfo) -> tuple
     ends = [abs(end) for end in value if end]
     if not ends or as_recorded(info) or not all(min(abs(end - turn) for turn in turns) < 0.004 for end in ends):
         return value
-    low, high = (f"{round(math.degrees(end), 0):.0f}" for end in value)
-    raise ValueError(f"{value[0]:g}..{value[1]:g} degrees is hardly a turn; is it in radians? Then give [{low}, {high}]")
+    low, high = (round(math.degrees(end)) for end in value)
+    raise ValueError(
+        f"{value[0]:g}..{value[1]:g} degrees is hardly a turn; is it in radians? Then give [{low}, {high}]"
+    )
 
 
 # Where something is in a station, m; how large it is; and the same of things on a table, in their own frames.
