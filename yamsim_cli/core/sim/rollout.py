@@ -117,6 +117,7 @@ def simulate(
         for _ in range(steps):
             mujoco.mj_step(model, data)
             watch.step(data)
+        watch.end_tick(data)
     mujoco.mj_kinematics(model, data)
     dof = scene.object_dof[carried]
     return Rollout(

@@ -122,7 +122,8 @@ def judge(
     dx, dy, dz = (float(d) for d in poses.T_object_at_end[:3, 3] - poses.T_target_at_end[:3, 3])
     dxy = math.hypot(dx, dy)
     cause, detail = (
-        _before_the_grasp(poses)
+        ((Cause.UNSTABLE, motion.breakdown) if motion.breakdown else None)
+        or _before_the_grasp(poses)
         or (_on_the_way(grasp, motion) if planned else None)
         or _at_the_end(task, dxy, dz, speed)
         or (None, "")
