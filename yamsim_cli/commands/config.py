@@ -45,7 +45,7 @@ def list_configs(json: Json = False) -> None:
 @app.command()
 def show(
     kind: Kind,
-    name: Annotated[str, typer.Argument(help="A config's name or a YAML file.", show_default=False)],
+    name: Annotated[str | None, typer.Argument(help="A config's name or a YAML file.", show_default=False)] = None,
     json: Json = False,
 ) -> None:
     """Show a config as it is used: references resolved, defaults filled in.
@@ -55,7 +55,13 @@ def show(
     from yamsim_cli.core.config.document import dump_yaml
     from yamsim_cli.core.config.loader import load_config, model_of
 
-    data: dict[str, Any] = load_config(model_of(kind), kind, name, locations()).model_dump(mode="json")
+    model, where = model_of(kind), locations()
+    if name is None:
+        names = where.config_names(kind)
+        raise UsageError(
+            f"yamsim config show {kind} needs a name, such as {names[0]}; valid: {', '.join(names)}, or a YAML file"
+        )
+    data: dict[str, Any] = load_config(model, kind, name, where).model_dump(mode="json")
     if json:
         print_json(data)
     else:

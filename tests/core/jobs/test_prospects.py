@@ -145,7 +145,7 @@ BOX = ("task", "sampling", "x")
     ("changes", "cause", "wanted"),
     [
         ({BOX: [0.80, 1.05]}, Cause.UNREACHABLE, True),
-        # A sixth of it is in reach for the object, and so is about one start in thirty for both.
+        # Of its starts, one in six has both in reach.
         ({BOX: [0.55, 1.00]}, Cause.UNREACHABLE, False),
         ({}, Cause.UNREACHABLE, False),
         ({("rig",): "bimanual", ("arm",): "left", BOX: [0.80, 1.05]}, Cause.UNREACHABLE, True),

@@ -54,7 +54,8 @@ def kind_instead(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[s
         kinds: kind -> its model.
     """
     keys = set(data) - {"name"}
-    if keys & set(kinds[wanted].model_fields):
+    # Some keys are several kinds' own.
+    if 2 * len(keys & set(kinds[wanted].model_fields)) >= len(keys):
         return None
     return next((kind for kind, model in kinds.items() if keys and keys <= set(model.model_fields)), None)
 

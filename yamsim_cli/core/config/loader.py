@@ -67,6 +67,8 @@ def load_config(
         UsageError: the value at fault came by an override whose place begins with `--`.
     """
     document = _read(model, locations.config_file(kind, name))
+    if instead := _other_kind(model, document):
+        raise ConfigError(instead)
     # References are resolved between the two passes, so that a flag may reach inside a config named by another flag.
     changes = overrides or {}
     for path, (place, value) in changes.items():
@@ -99,11 +101,16 @@ def _read(model: type[Config], path: Path) -> Document:
     if "name" in model.model_fields:
         document.data.setdefault("name", path.stem)
     model.adopt(document)
-    kind = next(kind for kind, known in KINDS.items() if known is model) if model in KINDS.values() else None
-    if kind and (instead := kind_instead(KINDS, kind, document.data)):
-        keys = ", ".join(sorted(set(document.data) - {"name"})[:3])
-        raise ConfigError(f"{path}: is of the kind {instead!r}, to judge by its keys {keys}; give one of {kind!r}")
     return document
+
+
+def _other_kind(model: type[Config], document: Document) -> str | None:
+    """What to tell of a file that is of another kind of config, going by its keys; None if it is none."""
+    kind = next((kind for kind, known in KINDS.items() if known is model), None)
+    if kind is None or (instead := kind_instead(KINDS, kind, document.data)) is None:
+        return None
+    keys = ", ".join(sorted(set(document.data) - {"name"})[:3])
+    return f"{document.source}: is of the kind {instead!r}, to judge by its keys {keys}; give one of {kind!r}"
 
 
 def _check(
@@ -114,6 +121,8 @@ def _check(
     *,
     as_recorded: bool = False,
 ) -> C:
+    if instead := _other_kind(model, document):
+        raise ConfigError(instead)
     _resolve_references(model, document, (), locations)
     try:
         return model.model_validate(document.data, context=AS_RECORDED if as_recorded else None)
@@ -159,4 +168,7 @@ def _put_in(
         file = locations.config_file(kind, name)
     except ConfigError as error:
         raise ConfigError(f"{document.place(path)}: {dotted(path)}: {error}") from error
-    document.graft(path, _read(target, file))
+    other = _read(target, file)
+    if instead := _other_kind(target, other):
+        raise ConfigError(f"{document.place(path)}: {dotted(path)}: {instead}")
+    document.graft(path, other)

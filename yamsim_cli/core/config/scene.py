@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from .base import Config, Name, Rgb, Rgba, Vector
+from .base import Config, ConflictError, Name, Rgb, Rgba, Vector
 from .objects import Contact
 from .units import FieldOfView, Place, PlacePoint, Size
 
@@ -91,7 +91,11 @@ class SceneConfig(Config):
     @model_validator(mode="after")
     def _plane_below_table(self) -> SceneConfig:
         if self.table and self.safety_plane >= self.table.top:
-            raise ValueError(f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top} m")
+            raise ConflictError(
+                f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top} m",
+                ("safety_plane",),
+                ("table",),
+            )
         return self
 
     def for_span(self, span: float) -> SceneConfig:
