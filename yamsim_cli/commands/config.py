@@ -42,10 +42,23 @@ def list_configs(json: Json = False) -> None:
         print_line(f"They are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
 
 
+def _named(context: typer.Context, name: str) -> str:
+    """A config's name, which has to be given; asked for here, where it can be told which ones there are."""
+    kind = context.params.get("kind", "")
+    if name or context.resilient_parsing:
+        return name
+    from yamsim_cli.core.config.loader import model_of
+
+    model_of(kind)
+    raise typer.BadParameter(f"say which one; valid: {', '.join(locations().config_names(kind)) or 'none'}")
+
+
 @app.command()
 def show(
     kind: Kind,
-    name: Annotated[str | None, typer.Argument(help="A config's name or a YAML file.", show_default=False)] = None,
+    name: Annotated[
+        str, typer.Argument(help="A config's name or a YAML file.", show_default=False, callback=_named)
+    ] = "",
     json: Json = False,
 ) -> None:
     """Show a config as it is used: references resolved, defaults filled in.
@@ -55,13 +68,7 @@ def show(
     from yamsim_cli.core.config.document import dump_yaml
     from yamsim_cli.core.config.loader import load_config, model_of
 
-    model, where = model_of(kind), locations()
-    if name is None:
-        names = where.config_names(kind)
-        raise UsageError(
-            f"yamsim config show {kind} needs a name, such as {names[0]}; valid: {', '.join(names)}, or a YAML file"
-        )
-    data: dict[str, Any] = load_config(model, kind, name, where).model_dump(mode="json")
+    data: dict[str, Any] = load_config(model_of(kind), kind, name, locations()).model_dump(mode="json")
     if json:
         print_json(data)
     else:

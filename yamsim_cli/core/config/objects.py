@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
 from ..geometry.se3 import Array, pose, rotation_z
-from .base import Config, Name, NonNegative, Quaternion, Rgba
+from .base import Config, ConflictError, Name, NonNegative, Quaternion, Rgba
 from .primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
-from .units import Distance, Heading, OffsetPoint, Opening, PlacePoint, Within
+from .units import Distance, Heading, OffsetPoint, PlacePoint, Within
 
 _Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
-_Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 10)]
+_Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 100)]
+# Of its parts; fits, which look for them, try larger ones on their way.
+_PART = Within("m", -1, 1)
 
 
 class Contact(Config):
@@ -63,7 +65,7 @@ class GraspPoint(Config):
 
     position: OffsetPoint
     axis_deg: Heading
-    opening: Opening
+    opening: Annotated[FiniteFloat, Within("m", 0, 1)]
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
         """The pinch frame (4, 4) in the object's: z down into it, y along the closing axis, either way round."""
@@ -123,6 +125,22 @@ class ObjectConfig(Config):
     rest_height: Distance
     preposition: Literal["on", "in"] = "on"
     grasp: Grasp | None = None
+
+    @model_validator(mode="after")
+    def _of_a_things_size(self, info: ValidationInfo) -> ObjectConfig:
+        for path, part in (
+            *((("collision", k), part) for k, part in enumerate(self.collision)),
+            *((("look", k), part) for k, part in enumerate(self.look)),
+        ):
+            for name, value in part:
+                if name in ("type", "yaw_deg", "segments", "rgba"):
+                    continue
+                for number in value if isinstance(value, tuple) else (value,):
+                    try:
+                        _PART.check(number, info)
+                    except ValueError as error:
+                        raise ConflictError(f"{number:g} is not valid: {error}", (*path, name)) from None
+        return self
 
     @property
     def footprint(self) -> tuple[tuple[float, float, float], ...]:

@@ -7,17 +7,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .base import Config, Rgba
-from .units import Extent, Heading, Offset, OffsetPoint
+from .base import Config, Positive, Rgba, Vector
 
 
 class Capsule(Config):
     """A capsule between two points of the object's frame."""
 
     type: Literal["capsule"]
-    start: OffsetPoint
-    end: OffsetPoint
-    radius: Extent
+    start: Vector
+    end: Vector
+    radius: Positive
     rgba: Rgba | None = None
 
 
@@ -25,9 +24,9 @@ class Cylinder(Config):
     """An upright cylinder: centre, radius and half its height."""
 
     type: Literal["cylinder"]
-    centre: OffsetPoint
-    radius: Extent
-    half_height: Extent
+    centre: Vector
+    radius: Positive
+    half_height: Positive
     rgba: Rgba | None = None
 
 
@@ -35,8 +34,8 @@ class Sphere(Config):
     """A ball: centre and radius."""
 
     type: Literal["sphere"]
-    centre: OffsetPoint
-    radius: Extent
+    centre: Vector
+    radius: Positive
     rgba: Rgba | None = None
 
 
@@ -44,9 +43,9 @@ class Box(Config):
     """A block that stands upright: centre, half its size along its own axes, and how far these are turned about z."""
 
     type: Literal["box"]
-    centre: OffsetPoint
-    half_size: tuple[Extent, Extent, Extent]
-    yaw_deg: Heading = 0.0
+    centre: Vector
+    half_size: tuple[Positive, Positive, Positive]
+    yaw_deg: float = 0.0
     rgba: Rgba | None = None
 
     @property
@@ -72,9 +71,9 @@ class Ring(Config):
     """
 
     type: Literal["ring"]
-    inner: tuple[Extent, Offset]
-    outer: tuple[Extent, Offset]
-    thickness: Extent
+    inner: tuple[Positive, float]
+    outer: tuple[Positive, float]
+    thickness: Positive
     segments: int = Field(ge=3, le=128)
     rgba: Rgba | None = None
 

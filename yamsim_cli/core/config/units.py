@@ -85,15 +85,12 @@ def _more_than_a_hair(value: tuple[float, float], info: ValidationInfo) -> tuple
     )
 
 
-# Where something is in a station, m; how large it is; and the same of things on a table, in their own frames.
+# Where something is in a station, m, and how large it is; and a place in the frame of a thing on a table.
 Place = Annotated[FiniteFloat, Within("m", -10, 10)]
 Size = Annotated[FiniteFloat, Within("m", 1e-3, 10)]
 Offset = Annotated[FiniteFloat, Within("m", -1, 1)]
-Extent = Annotated[FiniteFloat, Within("m", 1e-5, 1)]
 # A gap, or a height over something, m.
 Distance = Annotated[FiniteFloat, Within("m", 0, 1)]
-# Of one finger, m.
-Opening = Annotated[FiniteFloat, Within("m", 0, 0.1)]
 Heading = Annotated[FiniteFloat, Within("degrees", -360, 360)]
 # From a picture's top to its bottom. Whatever is given in radians lies below.
 FieldOfView = Annotated[FiniteFloat, Within("degrees", 4, 179)]

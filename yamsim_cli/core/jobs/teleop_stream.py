@@ -13,7 +13,7 @@ from pydantic import FiniteFloat, ValidationError, field_validator, model_valida
 from ..config.base import Config, Quaternion
 from ..config.limits import Stops
 from ..config.record import RecordConfig, Side
-from ..config.units import Opening, Place, PlacePoint, Within
+from ..config.units import Place, PlacePoint, Within
 from ..errors import ConfigError
 from ..geometry.se3 import Array, pose_from_quat
 from ..resources import Locations
@@ -59,7 +59,7 @@ class Command(Config):
     arm: Side | None = None
     joints: tuple[FiniteFloat, ...] | None = None
     ee: tuple[Row, Row, Row, Row] | PoseTarget | None = None
-    gripper: Opening | None = None
+    gripper: Annotated[FiniteFloat, Within("m", 0, 0.1)] | None = None
     magnet: bool | None = None
     event: Literal["start", "stop", "discard"] | None = None
 
