@@ -220,7 +220,19 @@ def test_an_episode_is_drawn_with_its_own_rig(tmp_path: Path) -> None:
     """Without --rig: two arms, as they were recorded, and not the one of the default."""
     out = tmp_path / "two"
     run = yamsim(
-        "record", "--n", "1", "--workers", "1", "--rig", "russet", "--size", "96x72", "--quality", "fast", "--out", out
+        "record",
+        "--n",
+        "1",
+        "--workers",
+        "1",
+        "--rig",
+        "russet",
+        "--size",
+        "192x144",
+        "--quality",
+        "fast",
+        "--out",
+        out,
     )
     assert run.code == 0, run.err
     episode = out / "ep_000000"
@@ -231,6 +243,7 @@ def test_an_episode_is_drawn_with_its_own_rig(tmp_path: Path) -> None:
     assert drawn.code == 0, drawn.err
     (image,) = drawn.json["images"]
     assert [arm["name"] for arm in image["arms"]] == ["arm1", "arm2"]
+    assert [arm["status"] for arm in image["arms"]] == ["recorded", "recorded"]
     assert all(arm["edge_residual_px"] < 1.0 for arm in image["arms"])
     # What is asked for is done.
     other = yamsim("overlay", "--episode", episode, "--rig", "single", "--out", tmp_path / "s", "--json")

@@ -145,7 +145,7 @@ BOX = ("task", "sampling", "x")
     ("changes", "cause", "wanted"),
     [
         ({BOX: [0.80, 1.05]}, Cause.UNREACHABLE, True),
-        # Of its starts, one in six has both in reach.
+        # Of its starts, not quite one in five has both in reach.
         ({BOX: [0.55, 1.00]}, Cause.UNREACHABLE, False),
         ({}, Cause.UNREACHABLE, False),
         ({("rig",): "bimanual", ("arm",): "left", BOX: [0.80, 1.05]}, Cause.UNREACHABLE, True),

@@ -148,33 +148,26 @@ class Reach:
             IkSolver(bare_arm(config.rig.arms[k], locations), config.rig.T_base_in_world(k))
             for k in (config.acting[0], config.acting[-1])
         )
-        points = np.array([point.position for point in grasp_points(task, config.grasp)])
-        self._point = points[0]
-        # How far the others lie from the first one, and how far that may lie beside the target, which way is open.
-        self._others = float(np.linalg.norm(points - points[0], axis=1).max())
-        self._beside = float(np.hypot(*self._point[:2]))
+        # The hand is so near to the object's origin, however the two are turned.
+        self._slack = max(float(np.linalg.norm(point.position)) for point in grasp_points(task, config.grasp))
 
     def holds(self, layout: Layout | None) -> bool:
         """Whether both are in reach in a layout."""
         if layout is None:
             return False
         task = self._task
-        T_object, T_target = (layout.T_in_world[item.name] for item in (task.object, task.target))
-        taken = T_object[:3, :3] @ self._point + T_object[:3, 3]
-        over = task.target.support_height + task.object.rest_height + task.heights.release + self._point[2]
-        put = T_target[:3, 3] + (0.0, 0.0, over)
-        return self._reaches(self._picking, taken, self._others) and self._reaches(
-            self._placing, put, self._others + self._beside
-        )
+        taken, target = (layout.T_in_world[item.name][:3, 3] for item in (task.object, task.target))
+        put = target + (0.0, 0.0, task.target.support_height + task.object.rest_height + task.heights.release)
+        return self._reaches(self._picking, taken) and self._reaches(self._placing, put)
 
-    def _reaches(self, ik: IkSolver, place: Array, slack: float) -> bool:
+    def _reaches(self, ik: IkSolver, place: Array) -> bool:
         ik.hold(np.eye(4))
         for start in self._starts:
             joints, rotation = start, np.diag([1.0, -1.0, -1.0])
             # Each time the hand is asked to be turned as it came to be: in the end, its place alone decides.
             for _ in range(3):
                 solution = ik.solve(pose(place, rotation), joints, _ITERATIONS)
-                if solution.position_error <= _REACH_TOLERANCE + slack:
+                if solution.position_error <= _REACH_TOLERANCE + self._slack:
                     return True
                 joints = solution.joints
                 rotation = ik.pose_of(joints)[:3, :3]
