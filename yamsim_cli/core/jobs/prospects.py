@@ -157,7 +157,8 @@ class Reach:
             return False
         task = self._task
         taken, target = (layout.T_in_world[item.name][:3, 3] for item in (task.object, task.target))
-        put = target + (0.0, 0.0, task.target.support_height + task.object.rest_height + task.heights.release)
+        over = task.target.support_height + task.object.rest_height + task.heights.release
+        put = target + np.array([0.0, 0.0, over])
         return self._reaches(self._picking, taken) and self._reaches(self._placing, put)
 
     def _reaches(self, ik: IkSolver, place: Array) -> bool:
