@@ -126,12 +126,9 @@ def simulate(
         for _ in range(steps):
             mujoco.mj_step(model, data)
             watch.step(data)
-<<<<<<< HEAD
-        watch.end_tick(data)
-=======
             if see:
                 see(data)
->>>>>>> main
+        watch.end_tick(data)
     mujoco.mj_kinematics(model, data)
     dof = scene.object_dof[carried]
     return Rollout(
