@@ -227,3 +227,39 @@ def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path
         assert arm["T_board_in_cam"] is None
         assert np.array(arm["T_base_in_cam"]).shape == (4, 4)
         assert arm["edge_residual_px"] < 0.6
+
+
+def test_an_episode_is_drawn_with_its_own_rig(tmp_path: Path) -> None:
+    """Without --rig: two arms, as they were recorded, and not the one of the default."""
+    out = tmp_path / "two"
+    run = yamsim(
+        "record",
+        "--n",
+        "1",
+        "--workers",
+        "1",
+        "--rig",
+        "russet",
+        "--size",
+        "192x144",
+        "--quality",
+        "fast",
+        "--out",
+        out,
+    )
+    assert run.code == 0, run.err
+    episode = out / "ep_000000"
+    for file in [*episode.glob("rgb/*/*.jpg"), *episode.glob("lowdim/*.pkl")]:
+        if int(file.stem):
+            file.unlink()
+    drawn = yamsim("overlay", "--episode", episode, "--out", tmp_path / "o", "--json")
+    assert drawn.code == 0, drawn.err
+    (image,) = drawn.json["images"]
+    assert [arm["name"] for arm in image["arms"]] == ["arm1", "arm2"]
+    assert [arm["status"] for arm in image["arms"]] == ["recorded", "recorded"]
+    assert all(arm["edge_residual_px"] < 1.0 for arm in image["arms"])
+    # What is asked for is done.
+    other = yamsim("overlay", "--episode", episode, "--rig", "single", "--out", tmp_path / "s", "--json")
+    assert (other.code, "rig 'single'" in other.err) in ((3, True), (0, False))
+    moved = yamsim("overlay", "--episode", episode, "--margin", "0.6", "--out", tmp_path / "m")
+    assert (moved.code, "an episode's arms stand as they were recorded" in moved.message) == (2, True)

@@ -42,10 +42,23 @@ def list_configs(json: Json = False) -> None:
         print_line(f"They are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
 
 
+def _named(context: typer.Context, name: str) -> str:
+    """A config's name, which has to be given; asked for here, where it can be told which ones there are."""
+    kind = context.params.get("kind", "")
+    if name or context.resilient_parsing:
+        return name
+    from yamsim_cli.core.config.loader import model_of
+
+    model_of(kind)
+    raise typer.BadParameter(f"say which one; valid: {', '.join(locations().config_names(kind)) or 'none'}")
+
+
 @app.command()
 def show(
     kind: Kind,
-    name: Annotated[str, typer.Argument(help="A config's name or a YAML file.", show_default=False)],
+    name: Annotated[
+        str, typer.Argument(help="A config's name or a YAML file.", show_default=False, callback=_named)
+    ] = "",
     json: Json = False,
 ) -> None:
     """Show a config as it is used: references resolved, defaults filled in.

@@ -39,7 +39,20 @@ class Reference:
     kind: str
 
 
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+class ConflictError(ValueError):
+    """What is wrong with several values together, and which: the first of them that was given by a flag is named.
+
+    Attributes:
+        paths: where the values stand, from the model that finds the fault; the likeliest culprit first.
+    """
+
+    def __init__(self, message: str, *paths: tuple[str | int, ...]) -> None:
+        super().__init__(message)
+        self.paths = paths
+
+
+def ordered(value: tuple[float, float]) -> tuple[float, float]:
+    """A range itself, if its ends are in order."""
     if value[0] > value[1]:
         raise ValueError(f"a range is [low, high], so {value[0]} must not be above {value[1]}")
     return value
@@ -59,7 +72,7 @@ def _rotation(value: tuple[float, float, float, float]) -> tuple[float, float, f
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Quaternion = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_rotation)]
-Range = Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_ordered)]
+Range = Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(ordered)]
 Rgba = Annotated[tuple[float, float, float, float], AfterValidator(_unit_fractions)]
 Rgb = Annotated[tuple[float, float, float], AfterValidator(_unit_fractions)]
 Positive = Annotated[FiniteFloat, Field(gt=0)]
