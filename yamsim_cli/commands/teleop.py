@@ -81,8 +81,7 @@ def teleop(
     from yamsim_cli.core.jobs.teleop_run import check_page, open_seat, run_page, run_stream
     from yamsim_cli.core.jobs.teleop_stream import read_stream
 
-    sides = [arm.side for arm in settings.rig.arms]
-    commands = None if stream is None else read_stream(stream, sides)
+    commands = None if stream is None else read_stream(stream, settings, where)
     page = None if commands else page_address(port, host)
     if page is not None:
         check_page(page)

@@ -55,7 +55,7 @@ class DemonstrationRunner:
 
     def run(self, demonstration: Demonstration) -> EpisodePayload:
         """The attempt's payload; there was no plan whose errors could be told."""
-        outcome, rollout = self._runner.repeat(demonstration.start, demonstration.actions, 0.0, 0.0, planned=False)
+        outcome, rollout = self._runner.demonstrate(demonstration.job, demonstration.start, demonstration.actions)
         outcome = replace(outcome, position_error=None, tilt=None)
         return self._runner.payload(demonstration.job, demonstration.layout, outcome, rollout)
 

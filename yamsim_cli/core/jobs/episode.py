@@ -194,6 +194,18 @@ class EpisodeRunner:
         T_at_start = object_pose(self._replica.data, task.object.name)
         return self._judge(rollout, T_at_start, plan_error, tilt, planned=planned), rollout
 
+    def demonstrate(self, job: EpisodeJob, start: Array, actions: Actions) -> tuple[Outcome, Rollout]:
+        """Let the actions of a person or a leader arm act again, the scene varied as an attempt's numbers say.
+
+        Args:
+            start: MuJoCo's positions (nq,) at the beginning.
+        """
+        self._variation.begin(job)
+        outcome, rollout = self.repeat(start, actions, 0.0, 0.0, planned=False)
+        if outcome.success:
+            self._variation.place(job, [state.qpos for state in rollout.states])
+        return outcome, rollout
+
     def _judge(
         self, rollout: Rollout, T_at_start: Array, plan_error: float, tilt: float, *, planned: bool = True
     ) -> Outcome:

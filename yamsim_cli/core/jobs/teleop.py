@@ -17,13 +17,13 @@ from ..scene.build import build_scene
 from ..scene.compose import Meshes
 from ..sim.closed_loop import ClosedLoop
 from ..tasks.kinds import draw_layout
-from ..tasks.pickplace import OPEN
 from ..types import EpisodeJob, Layout
 from ..viewers.driven import DriveStatus
 from .demonstrations import Demonstration, Inbox
 from .driven_arm import DrivenArm
 from .episode import start_poses
 from .teleop_journal import Journal, Opening, Tick, Unfinished
+from .variation import Variation
 
 # The longest recording unless another is asked for, s.
 TIME_LIMIT = 600.0
@@ -59,6 +59,7 @@ class TeleopSession:
         self.title = f"{config.task.name} teleop"
         self._scene = build_scene(config, locations, meshes)
         self.model = self._scene.model
+        self._variation = Variation(config, self._scene)
         self._arms = tuple(DrivenArm(config, self._scene, k, locations) for k in range(len(self._scene.arms)))
         self.sides = tuple(arm.side for arm in self._arms)
         self.driven = config.acting_scene_arms[0]
@@ -110,7 +111,7 @@ class TeleopSession:
                 apart=arm.apart,
                 at_limit=arm.at_limit,
                 blocked=arm.blocked,
-                gripper_open=arm.opening == OPEN,
+                gripper_open=arm.is_open,
                 magnet=arm.magnet,
                 holds=self._loop.held[self.driven],
                 message=self.message,
@@ -159,10 +160,10 @@ class TeleopSession:
                 self._arm.set_gripper(opening)
 
     def toggle_gripper(self) -> None:
-        """Open the gripper, or close it to what the object needs."""
-        grasp = self._config.task.object.grasp
-        assert grasp is not None  # checked when the config was loaded
-        self.set_gripper(grasp.opening if self._arm.opening == OPEN else OPEN)
+        """Open the gripper wide, or close it to what the object needs."""
+        with self.lock:
+            if not self._settling:
+                self._arm.toggle_gripper()
 
     def set_magnet(self, on: bool) -> None:
         """Switch the magnet, which holds the object where the hand is at it."""
@@ -286,6 +287,8 @@ class TeleopSession:
         """Put the scene at MuJoCo's positions (nq,), at rest, for an attempt."""
         task = self._config.task
         self._job, self._start = job, start
+        # Distractors are put where nothing came near once the attempt is over.
+        self._variation.begin(job)
         self._loop = ClosedLoop(self._scene, start, task.object.name, task.timing)
         self.data = self._loop.data
         for arm, stand in zip(self._arms, self._stand, strict=True):

@@ -15,6 +15,7 @@ from ..config.scene import SceneConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
+from .breakdown import keep_warnings_quiet
 from .fiducials import add_base_board
 from .objects import add_object
 from .robot import HOME, JOINTS, arm_spec, gripper
@@ -118,6 +119,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
     Raises:
         SimulationError: MuJoCo refused it.
     """
+    keep_warnings_quiet()
     try:
         return spec.compile()
     except ValueError as error:

@@ -128,6 +128,7 @@ def simulate(
             watch.step(data)
             if see:
                 see(data)
+        watch.end_tick(data)
     mujoco.mj_kinematics(model, data)
     dof = scene.object_dof[carried]
     return Rollout(
