@@ -14,6 +14,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "yamsim_cli"
 FLOORS: dict[str, int] = {
     "core.errors": 1,
     "core.files": 2,
+    "core.forks": 2,
     "core.mounts": 2,
     "core.machine": 2,
     "core.resources": 2,
@@ -39,6 +40,7 @@ FLOORS: dict[str, int] = {
     "commands": 7,
     "api": 8,
     "gym_env": 8,
+    "kinematics": 8,
     "main": 8,
     "__main__": 9,
 }

@@ -20,6 +20,16 @@ from yamsim_cli.core.resources import Locations
 pytestmark = pytest.mark.render
 
 CAMERA = "width: 640\nheight: 480\nK: [[600, 0, 319.5], [0, 600, 239.5], [0, 0, 1]]\n"
+# The same camera as raiden saves it, beside another.
+RAIDEN = {
+    "cameras": {
+        name: {"intrinsics": {"camera_matrix": K, "distortion_coeffs": [0.0] * 5, "image_size": [640, 480]}}
+        for name, K in {
+            "left_wrist_camera": [[450.0, 0, 320.0], [0, 450.0, 240.0], [0, 0, 1]],
+            "scene_camera": [[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]],
+        }.items()
+    }
+}
 JOINTS = "arm1: [0.9, 1.3, 1.1, -0.2, 0.1, 0.3, 0.03]\n"
 
 
@@ -44,6 +54,7 @@ def folder(tmp_path: Path, boards_photo: Path) -> Path:
     path.mkdir()
     (path / "photo.png").write_bytes(boards_photo.read_bytes())
     (path / "camera.yaml").write_text(CAMERA)
+    (path / "calibration_results.json").write_text(json.dumps(RAIDEN))
     (path / "joints.yaml").write_text(JOINTS)
     return path
 
@@ -53,7 +64,8 @@ def no_complaints(run: Run) -> bool:
     return all(line.startswith(("The meshes of ", "overlays: ")) for line in run.err.splitlines())
 
 
-def test_as_the_readme_has_it(folder: Path) -> None:
+@pytest.mark.parametrize("camera", ["camera.yaml", "calibration_results.json:scene_camera"])
+def test_as_the_readme_has_it(folder: Path, camera: str) -> None:
     run = yamsim(
         "overlay",
         "--img",
@@ -61,7 +73,7 @@ def test_as_the_readme_has_it(folder: Path) -> None:
         "--rig",
         "russet",
         "--camera",
-        "camera.yaml",
+        camera,
         "--joints",
         "joints.yaml",
         cwd=folder,
@@ -157,6 +169,7 @@ def test_limits_end_with_4(folder: Path) -> None:
         (["--img", "photo.png", "--opacity", "2"], 2, "--opacity"),
         (["--img", "photo.png", "--rig", "nothing"], 3, "unknown rig 'nothing'"),
         (["--img", "photo.png", "--camera", "none.yaml"], 3, "camera config file none.yaml does not exist"),
+        (["--img", "photo.png", "--camera", "calibration_results.json"], 3, "2 cameras are in it: name one, as in"),
         (["--img", "photo.png", "--camera", "no"], 3, "unknown camera 'no'; valid: example_640x480"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,

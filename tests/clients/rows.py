@@ -29,6 +29,8 @@ class Row:
 
 
 _SCENES = "`compose-xml`: all rigs and tasks load and rest; recorded episodes move as in MuJoCo 4"
+_RRD = "`export rerun`: verified; joints, commands, pictures, cameras and poses read as they were recorded"
+_ENVS = "`yamsim/PickPlace-v0`: passes its checker, and runs in processes of its own, with images"
 
 # Key, as tests give it to the fixture `client` -> row.
 ROWS: dict[str, Row] = {
@@ -50,4 +52,8 @@ ROWS: dict[str, Row] = {
         heavy=True,
         checkout="YAMSIM_RAIDEN",
     ),
+    "rerun-0.30": Row("rerun 0.30", "rerun-sdk", _RRD, Environment("rerun-0.30")),
+    "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
+    "gymnasium-1.0": Row("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
+    "gymnasium": Row("gymnasium", "gymnasium", _ENVS),
 }

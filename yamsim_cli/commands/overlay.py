@@ -26,7 +26,10 @@ def overlay(
     ] = None,
     camera: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help="Calibration: ours, OpenCV's or ROS's YAML; else estimated."),
+        typer.Option(
+            metavar="NAME|FILE[:CAMERA]",
+            help="Calibration: ours, or a file of OpenCV, ROS, Kalibr or raiden; else estimated.",
+        ),
     ] = None,
     joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
     episode: Annotated[

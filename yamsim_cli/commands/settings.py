@@ -55,6 +55,12 @@ Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pix
 Quality = Annotated[
     str | None, typer.Option(help="fast, balanced, high, auto (by what draws), or a YAML file.  [default: auto]")
 ]
+MinSuccess = Annotated[
+    float | None,
+    typer.Option(
+        "--min-success", min=0, max=1, metavar="SHARE", help="Exit 5 if a smaller share of the trials succeeds."
+    ),
+]
 ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
 
 # What each flag sets. A task comes before its parts.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
-if TYPE_CHECKING:
-    from .document import Document
+from .document import Document, load_yaml
 
 
 class Config(BaseModel):
@@ -18,8 +18,14 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
 
     @classmethod
-    def adopt(cls, document: Document) -> None:
-        """Rewrite the keys of other programs' files as this config's own, in place; as a rule there are none."""
+    def read(cls, path: Path) -> Document:
+        """A file of this kind, under this config's own keys. Raises as `load_yaml`."""
+        return load_yaml(path)
+
+    @classmethod
+    def within(cls, path: Path) -> tuple[Path, ...]:
+        """What `read` takes for each config in a file: as a rule it is one, and the file's own path."""
+        return (path,)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
 from .base import Config, Reference
 from .camera import CameraConfig
-from .document import Document, KeyPath, load_yaml, parse_yaml
+from .document import Document, KeyPath, parse_yaml
 from .explain import dotted, explain, kind_instead, models_in
 from .objects import ObjectConfig
 from .randomization import RandomizationConfig
@@ -59,7 +59,7 @@ def load_config(
     Args:
         model: what it must be.
         kind: folder under `configs/`.
-        name: a config's name, or the path of a YAML file.
+        name: a config's name, or the path of a file, see `Locations.config_file`.
         overrides: key path -> (what set it, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
 
     Raises:
@@ -83,7 +83,7 @@ def load_config(
 
 
 def validate_file(model: type[C], path: Path, locations: Locations, *, as_recorded: bool = False) -> C:
-    """Check a YAML file against a model; for `as_recorded` see `parse_config`. Raises as `load_config`."""
+    """Check a file against a model; for `as_recorded` see `parse_config`. Raises as `load_config`."""
     return _check(model, _read(model, path), locations, as_recorded=as_recorded)
 
 
@@ -97,10 +97,9 @@ def parse_config(model: type[C], text: str, source: str, locations: Locations, *
 
 
 def _read(model: type[Config], path: Path) -> Document:
-    document = load_yaml(path)
+    document = model.read(path)
     if "name" in model.model_fields:
         document.data.setdefault("name", path.stem)
-    model.adopt(document)
     return document
 
 
