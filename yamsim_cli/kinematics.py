@@ -32,8 +32,8 @@ __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
 Site = Literal["pinch_site", "grasp_site"]
 
-# How often a pose is tried from other joints before it counts as out of reach. Of 500 poses of joints drawn evenly from
-# their ranges, every one was found within 24.
+# How often a pose is tried from other joints before it counts as out of reach. Of 1,000 poses of joints drawn evenly
+# from their ranges every one was found, from 29 starts at most.
 _RESTARTS = 50
 # Of a rad, where a metre costs 10: a pose is wanted whole, and about the hand's length makes one of the other. Where
 # the arm does not reach it so, the position decides.
