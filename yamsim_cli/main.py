@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import platform
+import re
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.exceptions import TyperException
@@ -100,13 +101,23 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
         _fail(str(error), error.exit_code)
     except TyperException as error:
         if message := error.format_message():
-            _fail(f"{message.rstrip('.')}; see yamsim --help", error.exit_code)
+            _fail(f"{message.rstrip('.')}{_decimal_point(error)}; see yamsim --help", error.exit_code)
         sys.exit(error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         if len(sys.argv) > 1 and sys.argv[1] in _ENDED_BY_SIGNAL:
             sys.exit(0)
         _fail("interrupted", _INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _decimal_point(error: TyperException) -> str:
+    """What to tell of a number that was given with a decimal comma; empty if it was not."""
+    # What Typer checks a value by.
+    checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
+    given = str(checked[0].get("input")) if checked else ""
+    if not re.fullmatch(r"[-+]?[0-9]+,[0-9]+", given):
+        return ""
+    return f": {given!r} has a decimal comma; write {given.replace(',', '.')}"
 
 
 def _fail(message: str, code: int) -> NoReturn:

@@ -34,8 +34,28 @@ USAGE, CONFIG, MISSING = 2, 3, 4
         (["summarize", "nowhere"], MISSING, ["nowhere", "yamsim record"]),
         (["summarize", "."], MISSING, ["no episodes", "yamsim record"]),
         (["summarize", ".", "--threshold", "0"], USAGE, ["--threshold", "0"]),
+        (["export", "raiden", "x", "out", "--fps", "0"], USAGE, ["--fps", "'0'", "1..500", "such as 30, or source"]),
+        (["export", "raiden", "x", "out", "--fps", "fast"], USAGE, ["--fps", "'fast'", "or source"]),
+        (
+            ["export", "raiden", "x", "out", "--fps", "source", "--pictures", "draw"],
+            USAGE,
+            ["--pictures draw", "--fps"],
+        ),
+        (["export", "raiden", "x", "out", "--images", "bmp"], USAGE, ["--images", "'bmp'", "'png', 'jpg'"]),
+        (["export", "raiden", "x", "out", "--hand-frame", "tcp"], USAGE, ["--hand-frame", "'tcp'", "'yamsim', 'i2rt'"]),
+        (["export", "raiden", "x", "out", "--pictures", "nearest"], MISSING, ["x is not a directory"]),
         (["config", "show", "rigs", "nothing"], CONFIG, ["'nothing'", "valid:", "single"]),
         (["config", "show", "nonsense", "x"], CONFIG, ["'nonsense'", "valid:", "rigs"]),
+        (["config", "show", "record"], USAGE, ["say which one; valid: default"]),
+        (["config", "show", "rigs"], USAGE, ["say which one; valid: bimanual, russet, single, single_linear"]),
+        (
+            ["record", "--rig", "russet", "--task", "handover", "--grasp", "contact"],
+            USAGE,
+            ["--grasp: task 'handover'"],
+        ),
+        (["pickplace", "batch", "--threshold", "0,05"], USAGE, ["--threshold", "'0,05'", "write 0.05"]),
+        (["pickplace", "batch", "--threshold", "50"], USAGE, ["--threshold: 50.0", "in mm? Then give 0.05"]),
+        (["compose-xml", "--rig", "bimanual", "--margin", "591"], USAGE, ["--margin: 591.0", "in mm? Then give 0.591"]),
         (["assets", "fetch", "nonsense"], USAGE, ["'nonsense'", "valid:", "ycb"]),
         (["nonsense"], USAGE, ["nonsense"]),
     ],
@@ -91,6 +111,12 @@ def test_no_gl_backend_is_said_before_anything_is_made(tmp_path: Path) -> None:
     assert "no OpenGL backend" in run.message
     assert "apt-get install" in run.message
     assert not (tmp_path / "d").exists()
+
+
+def test_without_opengl_an_export_says_what_needs_none(tmp_path: Path) -> None:
+    run = yamsim("export", "raiden", tmp_path, tmp_path / "out", env={"MUJOCO_GL": "glfw", "DISPLAY": ""})
+    assert run.code == MISSING
+    assert run.message.endswith("or draw nothing, with --pictures nearest or --fps source")
 
 
 def test_help_needs_nothing_heavy(tmp_path: Path) -> None:

@@ -96,6 +96,7 @@ def task_config(name: str, where: Locations, **given: Any) -> RecordConfig:
     Raises:
         ConfigError, UsageError: a value is not valid; what cannot be demonstrated is told before anything is made.
     """
+    from yamsim_cli.core.config.limits import check_start
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.record import RecordConfig
     from yamsim_cli.core.tasks.kinds import kind_of
@@ -112,6 +113,7 @@ def task_config(name: str, where: Locations, **given: Any) -> RecordConfig:
     }
     config = load_config(RecordConfig, "record", name, where, overrides)
     kind_of(config.task)
+    check_start(config, where)
     return config
 
 

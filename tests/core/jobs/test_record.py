@@ -171,11 +171,6 @@ def test_workers_that_draw_differently_are_mentioned(recording: Recording) -> No
     assert any("Workers draw with different OpenGL (driver" in warning for warning in recording.warnings)
 
 
-def test_a_task_that_always_fails_is_given_up(recording: Recording) -> None:
-    with pytest.raises(PartialJobError, match="gave up after 100 attempts, the last one failed as dropped: x"):
-        recording.run(Inline(lambda job: EpisodePayload(job, Outcome(False, Cause.DROPPED, "x"), {})))
-
-
 def test_a_disk_without_room_is_refused_before_anything_is_made(recording: Recording, monkeypatch: Any) -> None:
     monkeypatch.setattr("os.statvfs", lambda place: SimpleNamespace(f_frsize=4096, f_bavail=9, f_files=0))
     with pytest.raises(ResourceError, match=r"5 episodes take .* 0 fit"):

@@ -25,6 +25,8 @@ TRUTH_LABELS = "truth/labels.json"
 # Below which ground truth lies.
 TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")
 STAGING = ".staging"
+# Recordings by hand that are going on, or that a killed session left.
+RECORDINGS = ".recordings"
 LOCK = ".lock"
 DAMAGED = ".damaged"
 

@@ -139,6 +139,6 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
             f"{file} cannot be read ({reason}): without it nothing of the dataset can be simulated again"
         ) from error
     try:
-        return parse_config(RecordConfig, text, str(file), locations)
+        return parse_config(RecordConfig, text, str(file), locations, as_recorded=True)
     except ConfigError as error:
         raise DatasetError(f"{error}; was it recorded by another version of yamsim?") from error

@@ -22,10 +22,9 @@ from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
 from ..types import Cause, EpisodeJob, EpisodePayload, Outcome
 from .executor import Executor, LostJobError
+from .prospects import Hopeless, Patience
 from .stop import Stop
 
-# A task that fails this often will not be finished by trying on.
-_MAX_ATTEMPTS_PER_EPISODE = 20
 # How far attempts may run ahead of the oldest unfinished one, per worker: bounds the episodes held in memory.
 _LOOKAHEAD = 4
 # When this many attempts in a row lose their workers, it is the machine.
@@ -72,10 +71,15 @@ class Watch:
 
 
 class Collector:
-    """Hands out attempts and takes their results until the dataset is complete."""
+    """Hands out attempts and takes their results until the dataset is complete.
 
-    def __init__(self, config: RecordConfig, sink: Sink, watch: Watch, stop: Stop) -> None:
+    Args:
+        hopeless: see `prospects.hopeless`.
+    """
+
+    def __init__(self, config: RecordConfig, sink: Sink, watch: Watch, stop: Stop, hopeless: Hopeless) -> None:
         self._config = config
+        self._patience = Patience(config, hopeless)
         self._sink = sink
         self._watch = watch
         self._stop = stop
@@ -104,6 +108,7 @@ class Collector:
             InterruptedJobError: the user wants to stop; attempts in hand were waited for, within bounds.
             DatasetError: an episode that was lost cannot be made again here.
             PartialJobError: the task fails too often, or workers do not last.
+            SimulationError: the task cannot work, see `check_prospects`.
             OSError: the disk refused something.
         """
         self._report()
@@ -145,6 +150,8 @@ class Collector:
         """Never more attempts than could still be needed, were they all to succeed."""
         if self._queue:
             return True
+        if self._next >= self._patience.most_attempts and not self._doubtful:
+            return False
         promised = executor.in_flight + sum(payload.outcome.success for payload in self._finished.values())
         ahead = self._next - len(self._sink.attempts)
         # A doubtful attempt holds the rest back until another one has come back.
@@ -154,11 +161,6 @@ class Collector:
     def _take(self) -> int:
         if self._queue:
             return self._queue.pop()
-        if self._next >= _MAX_ATTEMPTS_PER_EPISODE * self._config.episodes:
-            last = self._sink.attempts[-1].outcome
-            raise PartialJobError(
-                f"gave up after {self._next} attempts, the last one failed as {last.cause}: {last.detail}"
-            )
         self._next += 1
         return self._next - 1
 
@@ -180,6 +182,19 @@ class Collector:
         if episode is not None:
             self._publish(payload, episode)
         self._sink.log(attempt_record(payload, episode))
+        self.check_prospects()
+
+    def check_prospects(self) -> None:
+        """Go on only if the attempts so far leave hope for the episodes that are wanted still.
+
+        Raises:
+            GaveUpError: the task works too rarely.
+            SimulationError: it cannot work.
+        """
+        if self.outstanding > len(self._gone) and (
+            error := self._patience.ended_by(self._sink.attempts, self._sink.episodes)
+        ):
+            raise error
 
     def _restore(self, payload: EpisodePayload) -> None:
         """Publish a lost episode again, under its old number."""

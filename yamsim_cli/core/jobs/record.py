@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from ..resources import Locations
 from .collect import Collector, Watch
 from .destination import Destination, Output, open_destination
 from .executors import Executors
+from .prospects import GaveUpError, hopeless
 from .stop import Stop
 
 
@@ -44,12 +46,15 @@ def record(
         UsageError, ConfigError, DatasetError, ResourceError: the output cannot be used, see `open_destination`.
         InterruptedJobError: stopped by the user.
         PartialJobError: the disk refused something, workers do not last, or the task fails too often.
+        SimulationError: the task cannot work as it is.
     """
     began = time.monotonic()
     with open_destination(config, output, watch) as destination:
-        collector = Collector(config, destination.sink, watch, stop)
+        collector = Collector(config, destination.sink, watch, stop, functools.partial(hopeless, config, locations))
         with _telling_what_is_left(config, collector, destination):
             if collector.outstanding:
+                # A resumed recording may be one that gave up.
+                collector.check_prospects()
                 workers = min(config.workers, collector.outstanding)
                 with executors.open(config, locations, meshes, workers) as executor:
                     collector.run(executor)
@@ -63,11 +68,11 @@ def _telling_what_is_left(config: RecordConfig, collector: Collector, destinatio
     """Whatever ends a recording early, the manifest is written, and the user told what there is and how to go on."""
     place = destination.writer.path
 
+    def whole() -> str:
+        return f"{collector.done} of {config.episodes} episodes are whole in {place}{destination.rest}"
+
     def state() -> str:
-        return (
-            f"{collector.done} of {config.episodes} episodes are whole in {place}{destination.rest}, "
-            f"{collector.outstanding} are left; continue with --resume"
-        )
+        return f"{whole()}, {collector.outstanding} are left; continue with --resume"
 
     try:
         try:
@@ -79,5 +84,7 @@ def _telling_what_is_left(config: RecordConfig, collector: Collector, destinatio
         raise InterruptedJobError(f"interrupted: {state()}") from None
     except OSError as error:
         raise PartialJobError(f"{explain(error, place)}: {state()}") from error
+    except GaveUpError as error:
+        raise GaveUpError(f"{error}; {whole()}") from error
     except PartialJobError as error:
         raise PartialJobError(f"{error}: {state()}") from error

@@ -39,24 +39,35 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     contents = Contents(boards=config.boards, objects=(task.object, task.target))
     spec = compose(config.rig, scene, contents, locations, meshes)
     spec.modelname = f"{config.rig.name}_{config.scene.name}_{task.name}"
-    spec.option.timestep = task.timing.timestep
+    prepare_randomization(spec, config.randomization, meshes)
+    apply_quality(spec, config.render, config.image.size_px)
+    add_task_physics(spec, config)
+
+    cameras = [SCENE_CAMERA]
+    add_scene_camera(spec, config)
+    for arm in config.wrist_arms:
+        add_wrist_camera(spec, arm)
+        cameras.append(arm.wrist_camera_name)
+    return _addresses(compile_spec(spec), config, tuple(cameras), locations)
+
+
+def add_task_physics(spec: mujoco.MjSpec, config: RecordConfig) -> None:
+    """What a recording steps with: its time step, contacts that hold where nothing else does, and the welds."""
+    spec.option.timestep = config.task.timing.timestep
     if config.grasp == "contact":
         # MuJoCo's friction creeps, and with its defaults an object turns by a few degrees a second in the hand. Source:
         # MuJoCo's documentation of `impratio`, which asks for elliptic cones with it.
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10
-    prepare_randomization(spec, config.randomization, meshes)
-    apply_quality(spec, config.render, config.image.size_px)
     for arm in config.rig.arms:
-        add_grasp_weld(spec, task.object.name, arm.prefix)
+        add_grasp_weld(spec, config.task.object.name, arm.prefix)
 
-    cameras = [SCENE_CAMERA]
-    assert scene.scene_camera is not None  # checked when the config was loaded
-    add_fixed_camera(spec, SCENE_CAMERA, scene.scene_camera)
-    for arm in config.wrist_arms:
-        add_wrist_camera(spec, arm)
-        cameras.append(arm.wrist_camera_name)
-    return _addresses(compile_spec(spec), config, tuple(cameras), locations)
+
+def add_scene_camera(spec: mujoco.MjSpec, config: RecordConfig) -> None:
+    """Add the camera of a recording's surroundings."""
+    camera = config.surroundings.scene_camera
+    assert camera is not None  # checked when the config was loaded
+    add_fixed_camera(spec, SCENE_CAMERA, camera)
 
 
 def add_grasp_weld(spec: mujoco.MjSpec, item: str, prefix: str = "") -> None:

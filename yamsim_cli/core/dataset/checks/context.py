@@ -112,7 +112,7 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         problems.add("config.missing")
     elif recorded:
         try:
-            parsed = validate_file(RecordConfig, dataset / CONFIG, locations)
+            parsed = validate_file(RecordConfig, dataset / CONFIG, locations, as_recorded=True)
         except ConfigError as error:
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
     if parsed is None:

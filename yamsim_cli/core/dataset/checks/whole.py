@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ..layout import STAGING, episode_name
+from ..layout import RECORDINGS, STAGING, episode_name
 from ..records import AttemptRecord
 from .context import looks_like_episode
 from .facts import EpisodeFacts
@@ -118,9 +118,9 @@ def _differ(what: str, values: Iterable[str], problems: Problems) -> None:
 
 def _leftovers(dataset: Path, known: set[str], problems: Problems) -> None:
     for path in sorted(dataset.iterdir()):
-        if path.name == STAGING:
+        if path.name in (STAGING, RECORDINGS):
             for staged in sorted(path.glob("*")):
-                problems.add("leftover.staging", f"{STAGING}/{staged.name}")
+                problems.add("leftover.staging", f"{path.name}/{staged.name}")
         elif _PART.fullmatch(path.name):
             problems.add("leftover.staging", path.name)
         elif path.name not in known and looks_like_episode(path):
