@@ -21,6 +21,7 @@ FLOORS: dict[str, int] = {
     "core.gl": 2,
     "core.geometry": 2,
     "core.randomized": 2,
+    "core.drawn": 2,
     "core.types": 3,
     "core.config": 3,
     "core.assets": 3,

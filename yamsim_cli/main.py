@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import platform
 import re
 import sys
@@ -28,7 +29,7 @@ from .commands.summarize import summarize
 from .commands.teleop import teleop
 from .commands.verify import verify
 from .commands.view import view
-from .core.errors import YamsimError
+from .core.errors import ResourceError, YamsimError
 
 app = typer.Typer(
     name="yamsim",
@@ -99,6 +100,13 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
             raise KeyboardInterrupt
     except YamsimError as error:
         _fail(str(error), error.exit_code)
+    except OSError as error:
+        # Raised by merely asking whether a file is there, so wherever a path of the user's is looked at first.
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        _fail(
+            f"{error.filename} is no path: a name may have 255 bytes, and a whole path 4,095", ResourceError.exit_code
+        )
     except TyperException as error:
         if message := error.format_message():
             _fail(f"{message.rstrip('.')}{_decimal_point(error)}; see yamsim --help", error.exit_code)

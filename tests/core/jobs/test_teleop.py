@@ -20,17 +20,21 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
+from tests.core.dataset.making import failed_attempt, made
 from tests.core.jobs.demonstrated import TICK, planned_lines, write_stream
 from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
+from yamsim_cli.core.dataset.ledger import Ledger
+from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json
+from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.jobs.demonstrations import Demonstration, DemonstrationRunner, Desk
 from yamsim_cli.core.jobs.episode import EpisodeRunner
 from yamsim_cli.core.jobs.teleop import TeleopSession
-from yamsim_cli.core.jobs.teleop_run import Jitter, Pace
+from yamsim_cli.core.jobs.teleop_run import Jitter, Pace, open_seat
 from yamsim_cli.core.jobs.teleop_stream import Player, read_stream
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.types import Actions, Cause, EpisodeJob, EpisodePayload, Outcome
 
 
@@ -483,6 +487,28 @@ def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config:
 
 
 @pytest.mark.render
+def test_what_a_broken_line_said_is_lost_and_nothing_else(
+    config: RecordConfig, locations: Locations, tmp_path: Path
+) -> None:
+    """A demonstration cannot be made again; its line says so from then on."""
+    out = tmp_path / "out"
+    with DatasetWriter(out, noting_meshes(config, locations, {}).data_config(), OpenMode.NEW) as writer:
+        for k in range(3):
+            writer.log(failed_attempt(k))
+    lines = (out / "attempts.jsonl").read_bytes().splitlines(keepends=True)
+    (out / "attempts.jsonl").write_bytes(b"{\n" + b"".join(lines[1:]) + to_json(made(0, 3).attempt))
+    said: list[str] = []
+    for _ in range(2):
+        with open_seat(config, locations, {}, out, OpenMode.RESUME, said.append) as seat:
+            assert seat.desk.next_attempt == 4
+    assert said[0].startswith("attempts.jsonl is damaged (line 1: ")
+    assert said[1:] == [
+        "what attempts.jsonl said of attempt 0 is lost",
+        *["ep_000000 is gone, and a demonstration cannot be made again."] * 2,
+    ]
+    assert [attempt.outcome.cause for attempt in Ledger(out).known.values()] == ["line_lost", *["off_target"] * 2, None]
+
+
 def test_a_stream_makes_a_dataset_that_summarize_and_verify_accept(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, model_validator
 
+from ..drawn import PATTERN
 from .base import Config, ConflictError, Name, Reference
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
@@ -85,6 +86,8 @@ class RecordConfig(Config):
         boards: also show the base boards and their mounts, as they are on a real arm.
         randomization: what differs between episodes beside where things start.
         truth: also record ground truth for every image, see `core.dataset.truth`.
+        meshes: asset set -> what is drawn of it, see `core.drawn`. The recorder notes it, whatever a file says; None in
+            datasets from before it did.
     """
 
     rig: Annotated[RigConfig, Reference("rigs")]
@@ -102,6 +105,9 @@ class RecordConfig(Config):
     image: ImageConfig
     render: Annotated[RenderConfig, Reference("quality")]
     randomization: Annotated[RandomizationConfig, Reference("randomization")] = RandomizationConfig()
+    meshes: Annotated[
+        Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None, Field(exclude_if=lambda meshes: meshes is None)
+    ] = None
 
     @model_validator(mode="after")
     def _complete(self) -> RecordConfig:

@@ -12,12 +12,13 @@ nothing of it is in the dataset: `--resume` tries those attempts again.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 from ..config.record import RecordConfig
 from ..dataset.layout import episode_name
+from ..dataset.ledger import vacant_episode
 from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file_hashes
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
 from ..types import Cause, EpisodeJob, EpisodePayload, Outcome
@@ -42,6 +43,9 @@ class Sink(Protocol):
     path: Path
     attempts: list[AttemptRecord]
     episodes: int
+
+    # Attempts whose line in the ledger is lost: they are made and logged again.
+    untold: set[int]
 
     @property
     def missing(self) -> list[AttemptRecord]:
@@ -83,9 +87,9 @@ class Collector:
         self._sink = sink
         self._watch = watch
         self._stop = stop
-        # Attempts whose episode is gone are made again first, under their old numbers.
+        # Attempts whose episode or line is gone are made again first, under their old numbers.
         self._gone = {attempt.attempt: attempt for attempt in sink.missing}
-        self._queue = sorted(self._gone, reverse=True)
+        self._queue = sorted(self._gone.keys() | sink.untold, reverse=True)
         self._next = len(sink.attempts)
         self._finished: dict[int, EpisodePayload] = {}
         self._doubtful: set[int] = set()
@@ -95,6 +99,11 @@ class Collector:
     def outstanding(self) -> int:
         """Episodes that still have to be made."""
         return max(0, self._config.episodes - self._sink.episodes) + len(self._gone)
+
+    @property
+    def work(self) -> int:
+        """Attempts that have to be made at least."""
+        return self.outstanding + len(self._sink.untold)
 
     @property
     def done(self) -> int:
@@ -112,7 +121,7 @@ class Collector:
             OSError: the disk refused something.
         """
         self._report()
-        while self.outstanding:
+        while self.work:
             while not self._stop.asked and executor.idle and self._may_start(executor):
                 executor.submit(EpisodeJob(self._config.seed, self._take()))
             # Only now, so that the workers are busy while the disk is.
@@ -139,12 +148,20 @@ class Collector:
         before = len(self._finished)
         for attempt in self._gone.keys() & self._finished.keys():
             self._restore(self._finished.pop(attempt))
-        while (attempt := len(self._sink.attempts)) in self._finished and attempt not in self._doubtful:
-            self._commit(self._finished.pop(attempt))
+        while (untold := min(self._sink.untold, default=-1)) in self._finished:
+            self._tell_again(self._finished.pop(untold))
+        # Episodes are counted on only when it is known what came before.
+        while not self._sink.untold and self._next_is_finished:
+            self._commit(self._finished.pop(len(self._sink.attempts)))
         if len(self._finished) == before:
             return False
         self._report()
         return True
+
+    @property
+    def _next_is_finished(self) -> bool:
+        attempt = len(self._sink.attempts)
+        return attempt in self._finished and attempt not in self._doubtful
 
     def _may_start(self, executor: EpisodeExecutor) -> bool:
         """Never more attempts than could still be needed, were they all to succeed."""
@@ -170,6 +187,9 @@ class Collector:
         if job.attempt in self._gone:
             number = self._gone[job.attempt].episode
             raise PartialJobError(f"{episode_name(number or 0)} cannot be made again: {error}") from error
+        if job.attempt in self._sink.untold:
+            self._lose_again(job, error)
+            return
         self._doubtful.add(job.attempt)
         if len(self._doubtful) >= _MAX_LOST_IN_A_ROW:
             raise PartialJobError(f"{len(self._doubtful)} attempts in a row lost their workers, the last one: {error}")
@@ -191,6 +211,9 @@ class Collector:
             GaveUpError: the task works too rarely.
             SimulationError: it cannot work.
         """
+        if self._sink.untold:
+            # What those attempts came to may be what hope there is.
+            return
         if self.outstanding > len(self._gone) and (
             error := self._patience.ended_by(self._sink.attempts, self._sink.episodes)
         ):
@@ -200,12 +223,38 @@ class Collector:
         """Publish a lost episode again, under its old number."""
         lost = self._gone[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
-            raise DatasetError(
-                f"{self._sink.path}: attempt {lost.attempt} gave {episode_name(lost.episode or 0)} once and fails now "
-                f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
-            )
+            raise self._otherwise(payload, lost.episode or 0)
         self._publish(payload, lost.episode)
         del self._gone[lost.attempt]
+
+    def _otherwise(self, payload: EpisodePayload, episode: int) -> DatasetError:
+        return DatasetError(
+            f"{self._sink.path}: attempt {payload.job.attempt} gave {episode_name(episode)} once and fails now "
+            f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
+        )
+
+    def _tell_again(self, payload: EpisodePayload) -> None:
+        """Log an attempt whose line was lost. One that succeeds now, and gave no episode then, had lost its workers."""
+        number = vacant_episode(self._sink.attempts, payload.job.attempt)
+        if payload.outcome.success and number is None:
+            detail = (
+                "its line in the ledger was lost; made again it succeeds, and the episodes after it do not count it"
+            )
+            payload = replace(payload, outcome=Outcome(False, Cause.WORKER_LOST, detail), files={})
+        episode = number if payload.outcome.success else None
+        if episode is not None:
+            self._publish(payload, episode)
+        elif number is not None and number < self._sink.episodes and len(self._sink.untold) == 1:
+            # There are later ones, and no other attempt that it could have come from.
+            raise self._otherwise(payload, number)
+        self._sink.log(attempt_record(payload, episode))
+        self.check_prospects()
+
+    def _lose_again(self, job: EpisodeJob, error: LostJobError) -> None:
+        if vacant_episode(self._sink.attempts, job.attempt) is not None:
+            raise PartialJobError(f"attempt {job.attempt} cannot be made again: {error}") from error
+        detail = f"ended its worker {error.tries} times; the last one {error.reason}"
+        self._finished[job.attempt] = EpisodePayload(job, Outcome(False, Cause.WORKER_LOST, detail), {})
 
     def _publish(self, payload: EpisodePayload, episode: int) -> None:
         self._sink.publish(episode_record(self._config, payload, episode), dict(payload.files))
@@ -248,6 +297,7 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
         randomized=attempt.randomized,
         versions=dict(payload.versions),
         renderer=payload.renderer,
+        meshes=None if config.meshes is None else dict(config.meshes),
         content_sha256=payload.content_sha256,
         files=file_hashes(payload.files),
     )

@@ -12,7 +12,7 @@ from ..config.record import RecordConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ResourceError, SimulationError, UsageError
-from ..files import move_aside, publish_file, staged_directory, write_file
+from ..files import move_aside, publish_file, refusal, staged_directory, write_file
 from ..resources import Locations
 from ..scene.build import add_scene_camera, add_task_physics
 from ..scene.compose import Contents, Meshes, add_home_key, compose
@@ -83,12 +83,12 @@ def write_scene(
         # An empty directory is as good as none.
         if out.is_dir() and not any(out.iterdir()):
             out.rmdir()
-        if out.exists() and not overwrite:
+        if (out.exists() or out.is_symlink()) and not overwrite:
             raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another --out")
         out.parent.mkdir(parents=True, exist_ok=True)
         moved = _write_zip(files, out) if as_zip else _write_folder(files, out)
     except OSError as error:
-        raise ResourceError(f"{out} cannot be written: {error.strerror}; choose another --out") from error
+        raise ResourceError(f"{out} cannot be written: {refusal(error, out)}; choose another --out") from error
     bodies = tuple(model.body(k).name for k in range(1, model.nbody))
     return ComposeReport(out, tuple(files), model.nq, model.nu, bodies, moved)
 
@@ -106,7 +106,7 @@ def _write_zip(files: dict[str, bytes], out: Path) -> Path | None:
     part = out.with_name(f".{out.name}.part")
     try:
         write_file(part, zip_bytes(files, out.stem))
-        moved = move_aside(out) if out.exists() else None
+        moved = move_aside(out) if out.exists() or out.is_symlink() else None
         publish_file(part, out)
     finally:
         part.unlink(missing_ok=True)

@@ -18,6 +18,8 @@ from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..dataset.records import Pose2D
+from ..drawn import differences
+from ..errors import ResourceError
 from ..geometry.se3 import Array, inverse, yaw
 from ..planning.demonstration import start_stand
 from ..planning.planners import make_planner
@@ -39,6 +41,9 @@ from ..vision.truth import whole_mm
 from .truth import EpisodeTruth
 from .variation import Variation
 
+# Where meshes are drawn, when a worker's are not the recorder's.
+_PLACES = ("for the recorder", "there")
+
 # A plan that misses a waypoint by more than this is out of the arm's reach.
 _REACH_TOLERANCE = 0.005
 
@@ -59,6 +64,9 @@ class EpisodeRunner:
         locations: where robot models are.
         meshes: asset set -> folder of its files, or None for primitives.
         draw: whether successes are rendered; without, a payload has no files.
+
+    Raises:
+        ResourceError: it would draw other meshes than the config says.
     """
 
     def __init__(
@@ -68,6 +76,11 @@ class EpisodeRunner:
         self._kind = kind_of(config.task)
         self._draw = draw
         self._scene = build_scene(config, locations, meshes)
+        if draw and config.meshes is not None and (others := differences(config.meshes, self._scene.drawn, _PLACES)):
+            raise ResourceError(
+                f"a worker on {platform.node()} would draw other meshes than the recorder: {'; '.join(others)}; they "
+                "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"
+            )
         self._planner = make_planner(config, self._scene, locations)
         self._phases = self._kind.phases(config)
         self._replica = Replica(self._scene)

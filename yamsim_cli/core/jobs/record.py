@@ -13,6 +13,7 @@ from ..config.record import RecordConfig
 from ..dataset.faults import explain
 from ..errors import InterruptedJobError, PartialJobError
 from ..resources import Locations
+from ..scene.build import noting_meshes
 from .collect import Collector, Watch
 from .destination import Destination, Output, open_destination
 from .executors import Executors
@@ -49,13 +50,15 @@ def record(
         SimulationError: the task cannot work as it is.
     """
     began = time.monotonic()
+    config = noting_meshes(config, locations, meshes)
     with open_destination(config, output, watch) as destination:
-        collector = Collector(config, destination.sink, watch, stop, functools.partial(hopeless, config, locations))
+        prospects = functools.partial(hopeless, config, locations)
+        collector = Collector(destination.config, destination.sink, watch, stop, prospects)
         with _telling_what_is_left(config, collector, destination):
-            if collector.outstanding:
+            if collector.work:
                 # A resumed recording may be one that gave up.
                 collector.check_prospects()
-                workers = min(config.workers, collector.outstanding)
+                workers = min(config.workers, collector.work)
                 with executors.open(config, locations, meshes, workers) as executor:
                     collector.run(executor)
             destination.finish(watch, stop)

@@ -17,9 +17,11 @@ from ..dataset.records import AttemptRecord
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import PartialJobError
 from ..resources import Locations
+from ..scene.build import noting_meshes
 from ..scene.compose import Meshes
 from ..viewers.address import PageAddress
 from .demonstrations import Desk, open_worker
+from .destination import as_said
 from .stop import Stop
 from .teleop import TIME_LIMIT, TeleopSession
 from .teleop_journal import Journal
@@ -165,18 +167,22 @@ def open_seat(
         UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
         PartialJobError: the disk refused something.
     """
+    config = noting_meshes(config, locations, meshes)
     with DatasetWriter(out, config.data_config(), mode) as writer:
         if writer.moved_aside:
             warn(f"What was in {out} is now in {writer.moved_aside}.")
         for repair in writer.repairs:
             warn(repair.removesuffix(", and made again"))
+        for number in sorted(writer.untold):
+            # A demonstration cannot be made again; this says so in the ledger too.
+            writer.log(writer.attempts[number])
         for lost in writer.missing:
             warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
         try:
             journal = Journal(writer.path)
             with (
                 open_worker(config, locations, meshes) as worker,
-                Desk(config, writer, worker, journal.drop) as desk,
+                Desk(as_said(config, writer), writer, worker, journal.drop) as desk,
             ):
                 session = TeleopSession(config, locations, meshes, desk, journal, time_limit)
                 _take_up(session, desk, journal, warn)

@@ -106,9 +106,9 @@ def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: 
 
 
 def _share_files(spec: mujoco.MjSpec) -> None:
-    """Let arms with the same meshes use the same files: attaching renames each arm's own copy."""
-    first: dict[bytes, str] = {}
-    shared = {name: first.setdefault(data, name) for name, data in spec.assets.items()}
+    """Let arms with the same meshes use the same files of a set: attaching renames each arm's own copy."""
+    first: dict[tuple[str, bytes], str] = {}
+    shared = {name: first.setdefault((name.rpartition("/")[0], data), name) for name, data in spec.assets.items()}
     for mesh in spec.meshes:
         mesh.file = shared.get(mesh.file, mesh.file)
 

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from ...drawn import shown
 from ..layout import RECORDINGS, STAGING, episode_name
 from ..records import AttemptRecord
 from .context import looks_like_episode
@@ -106,6 +107,9 @@ def _mixed(episodes: Sequence[EpisodeFacts], problems: Problems) -> None:
     records = [episode.record for episode in episodes if episode.record]
     for key in ("source", "rig", "scene", "task", "grasp", "frame_period_s", "renderer"):
         _differ(key, (str(getattr(record, key)) for record in records), problems)
+    drawn = [record.meshes for record in records]
+    for name in sorted({name for meshes in drawn if meshes for name in meshes}):
+        _differ(f"meshes {name}", ("not told" if m is None else shown(m.get(name)) for m in drawn), problems)
     for package in sorted({package for record in records for package in record.versions}):
         _differ(package, (record.versions.get(package, "none") for record in records), problems)
 
