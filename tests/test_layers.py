@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "yamsim_cli"
 FLOORS: dict[str, int] = {
     "core.errors": 1,
     "core.files": 2,
-    "core.forks": 2,
+    "core.stray_forks": 2,
     "core.mounts": 2,
     "core.machine": 2,
     "core.resources": 2,

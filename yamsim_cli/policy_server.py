@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from .core.errors import ResourceError
-from .core.forks import forks_end_here
 from .core.policies.faults import fault_of
 from .core.policies.loading import check_policy, reset_policy, wanted_images, wanted_state
 from .core.policies.wire import PROTOCOL, UnsendableError, WireError, pack, require_msgpack, sendable, unpack
+from .core.stray_forks import forks_end_here
 
 LOOPBACK = "127.0.0.1"
 

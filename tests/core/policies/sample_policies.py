@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import time
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -106,8 +107,9 @@ class Forker(Still):
 
     def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
         self.calls += 1
-        if self.calls == 2:
-            os.fork()
+        if self.calls == 2 and os.fork() == 0:
+            # Should it live on all the same, not for ever.
+            signal.alarm(20)
         return {"ctrl": HOME, "done": self.calls == 3}
 
 

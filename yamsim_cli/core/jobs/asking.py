@@ -11,10 +11,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
 
-from ..forks import forks_end_here
 from ..policies.base import InvalidActionError
 from ..policies.faults import Fault, fault_of
 from ..policies.remote import RemoteError
+from ..stray_forks import forks_end_here
 
 T = TypeVar("T")
 

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from ..errors import YamsimError
-from ..forks import forks_end_here
+from ..stray_forks import forks_end_here
 from .executor import Factory, Runner
 from .pool import Answer, Bug, Event, Failed, Ready
 

@@ -11,13 +11,13 @@ from types import TracebackType
 
 from ..config.record import RecordConfig
 from ..dataset.records import OutcomeRecord
-from ..forks import forks_end_here
 from ..geometry.se3 import Array
 from ..policies.base import Action, InvalidActionError, Observation, read_action
 from ..policies.faults import Fault
 from ..policies.loading import reset_policy, wanted_images, wanted_state
 from ..resources import Locations
 from ..sim.closed_loop import ClosedLoop
+from ..stray_forks import forks_end_here
 from ..tasks.kinds import kind_of
 from ..types import Actions, EpisodeJob, Outcome
 from ..vision.renderer import Image
