@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.gl import choose_backend
 from yamsim_cli.core.resources import Locations

@@ -13,7 +13,7 @@ from .commands.settings import drawn_config, undrawn_config
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisodes
-    from .core.jobs.record import RecordReport
+    from .core.record.recorder import RecordReport
 
 
 def record(
@@ -63,12 +63,12 @@ def record(
     )
 
     from .core.dataset.opening import OpenMode
-    from .core.jobs.collect import Watch
-    from .core.jobs.destination import Output
-    from .core.jobs.executors import LocalProcesses
-    from .core.jobs.inline import ThisProcess
-    from .core.jobs.record import record as run
-    from .core.jobs.stop import Stop
+    from .core.record.collect import Watch
+    from .core.record.destination import Output
+    from .core.record.executors import LocalProcesses
+    from .core.workers.inline import ThisProcess
+    from .core.record.recorder import record as run
+    from .core.workers.stop import Stop
 
     output = Output(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
     watch = Watch(lambda *_: None, lambda text: None)
@@ -115,9 +115,9 @@ def evaluate(
     settings, where = make(config, n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True)
 
     from .core.dataset.statistics import THRESHOLDS
-    from .core.jobs.evaluate import evaluate as run
-    from .core.jobs.evaluate import summary
-    from .core.jobs.trials import PolicyChoice
+    from .core.evaluate.evaluation import evaluate as run
+    from .core.evaluate.evaluation import summary
+    from .core.evaluate.policy_trial import PolicyChoice
 
     choice = PolicyChoice(policy, Path.cwd())
     found = run(settings, where, scene_meshes(settings, where), choice, lambda done, total: None)

@@ -78,8 +78,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             where = locations()
             self._config = task_config(config, where, **given)
 
-        from .core.jobs.episode import EpisodeRunner
-        from .core.jobs.observation import policy_cameras
+        from .core.attempt.runner import EpisodeRunner
+        from .core.evaluate.observation import policy_cameras
         from .core.policies.base import SCENE, WRIST
         from .core.sim.replica import Replica
         from .core.tasks.kinds import kind_of

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from yamsim_cli.core.assets import AssetStore, find_reduced, load_lock
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.gl import find_backend
 from yamsim_cli.core.resources import Locations
 

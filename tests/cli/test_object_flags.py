@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.objects.test_fits import block
+from tests.core.things.test_fits import block
 
 
 def test_an_apple_goes_into_a_bowl() -> None:

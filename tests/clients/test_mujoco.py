@@ -10,11 +10,11 @@ import pytest
 
 from tests.clients.environments import Interpreter
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.jobs.compose import rig_spec, task_spec, write_scene
-from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compose import Contents
 from yamsim_cli.core.types import EpisodeJob

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter, checkout
-from tests.core.jobs.drawn import SMALL, write_drawn_dataset
-from tests.core.jobs.undrawn import write_dataset
+from tests.core.drawn import SMALL, write_drawn_dataset
+from tests.core.undrawn import write_dataset
 from yamsim_cli.core.config.limits import load_limits
-from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.jobs.exports.raiden import export_raiden
-from yamsim_cli.core.jobs.exports.raiden_options import RaidenOptions
-from yamsim_cli.core.jobs.exports.source import open_source
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.export.raiden import export_raiden
+from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations
 
 pytestmark = [pytest.mark.client_heavy, pytest.mark.render]

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import REPOSITORY, Interpreter
-from tests.core.jobs.exports.conftest import CAMERAS, jpeg
-from tests.core.jobs.undrawn import SIZE, write_dataset
-from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.jobs.exports.source import Source, open_source
+from tests.core.export.conftest import CAMERAS, jpeg
+from tests.core.undrawn import SIZE, write_dataset
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.export.source import Source, open_source
 from yamsim_cli.core.resources import Locations
 
 pytestmark = pytest.mark.client
@@ -31,7 +31,7 @@ def source(
 
 @pytest.fixture(scope="module")
 def file(source: Source, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from yamsim_cli.core.jobs.exports.rrd import export_rerun
+    from yamsim_cli.core.export.rrd import export_rerun
 
     out = tmp_path_factory.mktemp("rrd") / "out"
     export_rerun(source, out, lambda done, total: None)

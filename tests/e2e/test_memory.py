@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.jobs.toy_runners import Toy
+from tests.core.workers.toy_runners import Toy
 from tests.e2e.recorder import workers_of
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writer import OpenMode
-from yamsim_cli.core.jobs.collect import Watch
-from yamsim_cli.core.jobs.destination import Output
-from yamsim_cli.core.jobs.executors import LocalProcesses
-from yamsim_cli.core.jobs.record import record
-from yamsim_cli.core.jobs.stop import Stop
-from yamsim_cli.core.jobs.workers import WorkerPool
+from yamsim_cli.core.record.collect import Watch
+from yamsim_cli.core.record.destination import Output
+from yamsim_cli.core.record.executors import LocalProcesses
+from yamsim_cli.core.record.recorder import record
+from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.core.workers.processes import WorkerPool
 from yamsim_cli.core.resources import Locations
 
 # What 2,000 episodes may add to any one process.

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.core.objects.test_fits import block
+from tests.core.things.test_fits import block
 from tests.e2e.readme_lines import prepared, reason_not_to_run, serves
 from tests.readme import Block, blocks, shell_blocks, snippet
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking

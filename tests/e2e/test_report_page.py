@@ -12,7 +12,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.checks.sample import Sample, episode
 from tests.e2e.browser import Browser
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 
 pytestmark = pytest.mark.slow
 

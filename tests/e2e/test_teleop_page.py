@@ -18,13 +18,13 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.e2e.browser import Browser, wait_until
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.opening import OpenMode
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.jobs.stop import Stop
-from yamsim_cli.core.jobs.teleop import TeleopSession
-from yamsim_cli.core.jobs.teleop_run import open_seat, run_page
-from yamsim_cli.core.jobs.view import task_viewpoint
+from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.core.teleop.session import TeleopSession
+from yamsim_cli.core.teleop.loop import open_seat, run_page
+from yamsim_cli.core.show.view import task_viewpoint
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator

@@ -12,7 +12,7 @@ import pytest
 from tests.golden.shots import RIGS, VIEWS, centre_faults, faults, save_failure, take
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.jobs.views import set_stage
+from yamsim_cli.core.show.views import set_stage
 from yamsim_cli.core.resources import Locations
 
 pytestmark = pytest.mark.render
@@ -88,7 +88,7 @@ def test_a_margin_2_cm_off_is_seen_in_the_centres_alone(locations: Locations) ->
 
 @pytest.mark.parametrize("name", RIGS)
 def test_every_marker_is_found_from_above(name: str, locations: Locations) -> None:
-    from yamsim_cli.core.config.record import RenderConfig
+    from yamsim_cli.core.config.recording import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     rig, size = _rig(name, locations), (1280, 960)

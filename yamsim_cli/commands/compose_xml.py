@@ -45,7 +45,7 @@ def compose_xml(
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.jobs.compose import rig_spec, task_spec, write_scene
+    from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
     from yamsim_cli.core.scene.compose import Contents, mesh_sets
 
     if task is None:

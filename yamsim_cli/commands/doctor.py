@@ -15,7 +15,7 @@ from .console import print_json, print_line, print_text
 from .session import Json, locations
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.jobs.doctor import Check
+    from yamsim_cli.core.doctor import Check
 
 _STYLES = {"ok": "green", "warning": "yellow", "fault": "bold red"}
 
@@ -30,7 +30,7 @@ def doctor(
 
     Example: yamsim doctor --out /data/episodes
     """
-    from yamsim_cli.core.jobs.doctor import examine, faults
+    from yamsim_cli.core.doctor import examine, faults
 
     checks = examine(os.environ, locations(), out, (lambda check: None) if json else _show)
     wrong = faults(checks)

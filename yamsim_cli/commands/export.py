@@ -13,7 +13,7 @@ from .console import note, print_json, print_line, progress_bar
 from .session import Json, locations, scene_meshes, skip_gl, use_gl
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.jobs.exports.source import Exported, Source
+    from yamsim_cli.core.export.source import Exported, Source
     from yamsim_cli.core.resources import Locations
 
 # As many as there are physics steps.
@@ -64,7 +64,7 @@ def raiden(
 
     Example: yamsim export raiden dataset/ real_layout/
     """
-    from yamsim_cli.core.jobs.exports.raiden_options import RaidenOptions
+    from yamsim_cli.core.export.raiden_options import RaidenOptions
 
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} is for other times than the recorded ones: leave out --fps source")
@@ -75,8 +75,8 @@ def raiden(
     else:
         skip_gl()
 
-    from yamsim_cli.core.jobs.exports.raiden import export_raiden
-    from yamsim_cli.core.jobs.exports.source import open_source
+    from yamsim_cli.core.export.raiden import export_raiden
+    from yamsim_cli.core.export.source import open_source
 
     source = open_source(dataset, episodes, where)
     meshes = scene_meshes(source.config, where) if options.draws else {}
@@ -99,7 +99,7 @@ def lerobot(
     """
     source, _ = _source(dataset, episodes)
 
-    from yamsim_cli.core.jobs.exports.lerobot import export_lerobot
+    from yamsim_cli.core.export.lerobot import export_lerobot
 
     with progress_bar("exporting", "episodes") as advance:
         done = export_lerobot(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
@@ -127,7 +127,7 @@ def mp4(
     """
     source, _ = _source(dataset, episodes)
 
-    from yamsim_cli.core.jobs.exports.films import export_mp4, export_sheet
+    from yamsim_cli.core.export.films import export_mp4, export_sheet
 
     with progress_bar("exporting", "episodes") as advance:
 
@@ -151,7 +151,7 @@ def rerun(
     """
     source, _ = _source(dataset, episodes)
 
-    from yamsim_cli.core.jobs.exports.rrd import export_rerun
+    from yamsim_cli.core.export.rrd import export_rerun
 
     with progress_bar("exporting", "episodes") as advance:
         done = export_rerun(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
@@ -183,7 +183,7 @@ def _source(dataset: Path, episodes: str | None) -> tuple[Source, Locations]:
     """The chosen episodes; nothing is drawn for an export."""
     skip_gl()
 
-    from yamsim_cli.core.jobs.exports.source import open_source
+    from yamsim_cli.core.export.source import open_source
 
     where = locations()
     return open_source(dataset, episodes, where), where

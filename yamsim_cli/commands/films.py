@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 from .console import note, progress_bar
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.config.record import RecordConfig
-    from yamsim_cli.core.jobs.films import FilmedTrial, Progress, TrialFilms
+    from yamsim_cli.core.config.recording import RecordConfig
+    from yamsim_cli.core.trials.films import FilmedTrial, Progress, TrialFilms
 
 
 def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
     """Where a job's films go; what is wrong with it is told before any trial runs."""
-    from yamsim_cli.core.jobs.films import TrialFilms
+    from yamsim_cli.core.trials.films import TrialFilms
 
     timing = settings.task.timing
     return TrialFilms(path, timing.tick * timing.ticks_per_frame, overwrite=overwrite)

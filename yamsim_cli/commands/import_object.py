@@ -31,7 +31,7 @@ def import_object(
 
     Example: yamsim assets import mug.stl --name my_mug --mass 0.3 --out my_mug.yaml
     """
-    from yamsim_cli.core.jobs.import_object import import_stl, import_ycb
+    from yamsim_cli.core.import_thing import import_stl, import_ycb
 
     where = locations()
     mass_g = None if mass is None else mass * 1000

@@ -14,7 +14,7 @@ from .session import Json, Margin, locations, resolve_meshes, rig_config, use_gl
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
-    from yamsim_cli.core.jobs.overlay_report import OverlayReport
+    from yamsim_cli.core.overlay.report import OverlayReport
     from yamsim_cli.core.resources import Locations
 
 
@@ -66,7 +66,7 @@ def overlay(
 
     from yamsim_cli.core.config.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.record import RenderConfig
+    from yamsim_cli.core.config.recording import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
@@ -74,10 +74,10 @@ def overlay(
     quality = load_config(RenderConfig, "quality", "fast", where)
     use_gl(where)
 
-    from yamsim_cli.core.jobs.joint_files import load_joints
-    from yamsim_cli.core.jobs.overlay import OverlayOptions
-    from yamsim_cli.core.jobs.overlay_run import OverlayRequest, run_overlays
-    from yamsim_cli.core.jobs.photos import Photo, episode_photos, find_photos
+    from yamsim_cli.core.overlay.joint_files import load_joints
+    from yamsim_cli.core.overlay.overlayer import OverlayOptions
+    from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
+    from yamsim_cli.core.overlay.photos import Photo, episode_photos, find_photos
     from yamsim_cli.core.scene.compose import mesh_sets
 
     photos = (
@@ -123,7 +123,7 @@ def _rig(name: str | None, episode: Path | None, margin: float | None, where: Lo
 
 
 def _tell(report: OverlayReport) -> None:
-    from yamsim_cli.core.jobs.overlay import captions
+    from yamsim_cli.core.overlay.overlayer import captions
 
     for result in report.results:
         for caption in captions(result):

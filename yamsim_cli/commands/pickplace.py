@@ -89,9 +89,9 @@ def batch(
     )
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
-    from yamsim_cli.core.jobs.batch import run_batch, write_report
-    from yamsim_cli.core.jobs.films import film_trials
-    from yamsim_cli.core.jobs.tally import require_success
+    from yamsim_cli.core.trials.batch import run_batch, write_report
+    from yamsim_cli.core.trials.films import film_trials
+    from yamsim_cli.core.trials.tally import require_success
 
     films = films_at(video, settings, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
@@ -105,7 +105,7 @@ def batch(
         write_report(report, out)
         note(f"Written to {out}.")
     if html:
-        from yamsim_cli.core.jobs.report import write_trials_page
+        from yamsim_cli.core.summarize.report import write_trials_page
 
         write_trials_page(report, settings.sampled, html)
         report["html"] = str(html)

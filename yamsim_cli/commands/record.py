@@ -32,8 +32,8 @@ from .signals import stoppable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.dataset.opening import OpenMode
-    from yamsim_cli.core.jobs.executors import Executors
-    from yamsim_cli.core.jobs.record import RecordReport
+    from yamsim_cli.core.record.executors import Executors
+    from yamsim_cli.core.record.recorder import RecordReport
 
 _STOPPING = "Stopping: what is in hand is finished first. Once more stops at once; nothing is lost either way."
 
@@ -100,9 +100,9 @@ def record(
         quality=quality,
     )
 
-    from yamsim_cli.core.jobs.collect import Watch
-    from yamsim_cli.core.jobs.destination import Output
-    from yamsim_cli.core.jobs.record import record as run
+    from yamsim_cli.core.record.collect import Watch
+    from yamsim_cli.core.record.destination import Output
+    from yamsim_cli.core.record.recorder import record as run
 
     meshes = scene_meshes(settings, where)
     executors = _executors(executor, address, attempt_timeout)
@@ -122,7 +122,7 @@ def mode_of(*, resume: bool, overwrite: bool) -> OpenMode:
 
 
 def _executors(kind: str, address: str | None, attempt_timeout: float) -> Executors:
-    from yamsim_cli.core.jobs.executors import LocalProcesses, RayCluster
+    from yamsim_cli.core.record.executors import LocalProcesses, RayCluster
 
     if kind == "process":
         if address is not None:

@@ -29,7 +29,7 @@ def render_views(
     pixels = parse_size(size)
 
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.record import RenderConfig
+    from yamsim_cli.core.config.recording import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     scene = load_config(SceneConfig, "scenes", "studio", where)
@@ -37,8 +37,8 @@ def render_views(
     load_config(RenderConfig, "quality", quality or "auto", where)
     spending = load_config(RenderConfig, "quality", quality or "auto", use_gl(where))
 
-    from yamsim_cli.core.jobs.views import render_views as run
-    from yamsim_cli.core.jobs.views import set_stage, write_views
+    from yamsim_cli.core.show.views import render_views as run
+    from yamsim_cli.core.show.views import set_stage, write_views
     from yamsim_cli.core.scene.compose import mesh_sets
 
     stage = set_stage(

@@ -17,9 +17,9 @@ from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.dataset.reader import StoredEpisode
-    from yamsim_cli.core.jobs.replay import Film
+    from yamsim_cli.core.show.replay import Film
     from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.viewers.address import PageAddress
 
@@ -93,12 +93,12 @@ def _film(
         skip_gl()
     period = stored.record.frame_period_s / speed
 
-    from yamsim_cli.core.jobs.replay import film_recorded, film_rendered, scene_config
+    from yamsim_cli.core.show.replay import film_recorded, film_rendered, scene_config
 
     if not render:
         return film_recorded(stored, cameras, video, period, overwrite=overwrite)
 
-    from yamsim_cli.core.jobs.episode import EpisodeRunner
+    from yamsim_cli.core.attempt.runner import EpisodeRunner
 
     config = scene_config(_config(stored, where), size)
     with EpisodeRunner(config, where, scene_meshes(config, where), draw=False) as runner:
@@ -109,7 +109,7 @@ def watch(stored: StoredEpisode, where: Locations, speed: float, page: PageAddre
     """Play an episode in a page, or in MuJoCo's window, until a signal ends it."""
     prepare_viewer(page)
 
-    from yamsim_cli.core.jobs.replay import play
+    from yamsim_cli.core.show.replay import play
 
     def ready(url: str | None) -> None:
         _say({"episode": str(stored.directory), "url": url} | found, json)
@@ -132,7 +132,7 @@ def _config(stored: StoredEpisode, where: Locations) -> RecordConfig:
 
 def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:
     """How far the episode's actions lead from what it holds; null where it cannot be told."""
-    from yamsim_cli.core.jobs.replay import repeat
+    from yamsim_cli.core.show.replay import repeat
 
     try:
         found = repeat(stored, _config(stored, where), where)

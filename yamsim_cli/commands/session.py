@@ -17,7 +17,7 @@ from .console import note
 if TYPE_CHECKING:
     from yamsim_cli.core.assets import AssetLock, AssetStore
     from yamsim_cli.core.config.document import KeyPath
-    from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.resources import Locations
 

@@ -11,7 +11,7 @@ from .session import locations, parse_size, skip_gl, use_gl
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.document import KeyPath
-    from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.resources import Locations
 
 ConfigOption = Annotated[
@@ -98,7 +98,7 @@ def task_config(name: str, where: Locations, **given: Any) -> RecordConfig:
     """
     from yamsim_cli.core.config.limits import check_start
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.record import RecordConfig
+    from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.tasks.kinds import kind_of
 
     if isinstance(size := given.get("size"), str):

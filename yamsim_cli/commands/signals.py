@@ -10,7 +10,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.jobs.stop import Stop
+    from yamsim_cli.core.workers.stop import Stop
 
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 _STDERR = 2
@@ -41,7 +41,7 @@ def stoppable(message: str) -> Iterator[Stop]:
     Args:
         message: shown on the first signal.
     """
-    from yamsim_cli.core.jobs.stop import Stop
+    from yamsim_cli.core.workers.stop import Stop
 
     stop = Stop()
 

@@ -41,7 +41,7 @@ def summarize(
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.dataset.summary import summarize as count
-    from yamsim_cli.core.jobs.summarize import survey_dataset
+    from yamsim_cli.core.summarize.surveying import survey_dataset
     from yamsim_cli.core.machine import usable_cores
 
     thresholds = sorted(set(threshold or THRESHOLDS))
@@ -51,7 +51,7 @@ def summarize(
         )
     report = count(survey, thresholds)
     if html:
-        from yamsim_cli.core.jobs.report import write_report
+        from yamsim_cli.core.summarize.report import write_report
 
         write_report(survey, report, html)
         report["html"] = str(html)

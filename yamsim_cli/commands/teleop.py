@@ -19,7 +19,7 @@ from .signals import stoppable
 from .viewing import Host, Port, page_address, quiet_page
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.jobs.teleop_run import TeleopReport
+    from yamsim_cli.core.teleop.loop import TeleopReport
 
 _ENDING = "Ending: what was recorded is judged and drawn first. Once more ends at once; whole episodes are safe."
 
@@ -78,8 +78,8 @@ def teleop(
     )
     quiet_page()
 
-    from yamsim_cli.core.jobs.teleop_run import check_page, open_seat, run_page, run_stream
-    from yamsim_cli.core.jobs.teleop_stream import read_stream
+    from yamsim_cli.core.teleop.loop import check_page, open_seat, run_page, run_stream
+    from yamsim_cli.core.teleop.stream import read_stream
 
     commands = None if stream is None else read_stream(stream, settings, where)
     page = None if commands else page_address(port, host)

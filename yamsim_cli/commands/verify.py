@@ -49,7 +49,7 @@ def verify(
         raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
 
     from yamsim_cli.core.dataset.reader import dataset_config
-    from yamsim_cli.core.jobs.verify import select_episodes
+    from yamsim_cli.core.verify.verifier import select_episodes
 
     where = locations()
     chosen = select_episodes(dataset, episodes, sample)
@@ -59,8 +59,8 @@ def verify(
     else:
         skip_gl()
 
-    from yamsim_cli.core.jobs.remake import Limits
-    from yamsim_cli.core.jobs.verify import verify as run
+    from yamsim_cli.core.verify.remake import Limits
+    from yamsim_cli.core.verify.verifier import verify as run
 
     # Without images nobody looks.
     meshes = scene_meshes(config, where) if images else {}

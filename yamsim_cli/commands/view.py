@@ -17,7 +17,7 @@ from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.config.record import RecordConfig, RenderConfig
+    from yamsim_cli.core.config.recording import RecordConfig, RenderConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.viewers.live import LiveRig
@@ -68,7 +68,7 @@ def view(
     pictures = page is not None and _can_draw(where)
     prepare_viewer(page)
 
-    from yamsim_cli.core.jobs.view import view_in_browser, view_in_window
+    from yamsim_cli.core.show.view import view_in_browser, view_in_window
 
     def ready(url: str | None) -> None:
         if json:
@@ -100,10 +100,10 @@ def _live(
     settings: RigConfig | RecordConfig, where: Locations, *, boards: bool, pictures: bool
 ) -> tuple[LiveRig, Viewpoint | None]:
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.record import RecordConfig, RenderConfig
+    from yamsim_cli.core.config.recording import RecordConfig, RenderConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.jobs.view import live_rig, live_task, task_viewpoint
+    from yamsim_cli.core.show.view import live_rig, live_task, task_viewpoint
     from yamsim_cli.core.scene.compose import Contents, mesh_sets
 
     contents = Contents(boards=boards)

@@ -16,7 +16,7 @@ from yamsim_cli.core.config.document import dump_yaml
 from yamsim_cli.core.config.limits import ArmLimits
 from yamsim_cli.core.config.loader import KINDS, load_config, parse_config, validate_file
 from yamsim_cli.core.config.primitives import Box, Capsule, Cylinder, Ring, Sphere
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.units import Within
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.resources import Locations

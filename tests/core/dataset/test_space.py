@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.core.dataset.making import made
-from yamsim_cli.core.config.record import ImageConfig
+from yamsim_cli.core.config.recording import ImageConfig
 from yamsim_cli.core.dataset.faults import explain, reason
 from yamsim_cli.core.dataset.records import Manifest, from_json
 from yamsim_cli.core.dataset.space import EpisodeSize, check_space, files_per_episode

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.core.dataset.checks.sample import CAMERA, FRAMES, OUTCOME, Sample, episode, look
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.statistics import wilson95
 from yamsim_cli.core.dataset.summary import summarize
 from yamsim_cli.core.resources import Locations

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_z
 from yamsim_cli.core.planning.clearance import Clearance
 from yamsim_cli.core.planning.ik import IkSolution, IkSolver

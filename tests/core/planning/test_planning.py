@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_vector, rotation_z
 from yamsim_cli.core.planning.choice import PathChooser
 from yamsim_cli.core.planning.dynamics import ArmDynamics

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import SCENE_CAMERA, WELD, build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene

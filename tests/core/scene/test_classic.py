@@ -11,11 +11,11 @@ import pytest
 
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.jobs.compose import rig_spec, task_spec
+from yamsim_cli.core.show.compose import rig_spec, task_spec
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.classic import classic_xml
 from yamsim_cli.core.scene.compose import Contents

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.loader import load_config, parse_config
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
-from yamsim_cli.core.jobs.compose import rig_spec, task_spec, write_scene
+from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compose import Contents

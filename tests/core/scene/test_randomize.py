@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
 from yamsim_cli.core.randomized import DrawnSurface, Randomized
 from yamsim_cli.core.resources import Locations

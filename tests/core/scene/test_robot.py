@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.assets import AssetStore, load_lock, make_reduced
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.robot import ACTUATORS, JOINTS, arm_spec, bare_arm
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.breakdown import breakdown, keep_warnings_quiet
 from yamsim_cli.core.types import Cause, EpisodeJob
@@ -19,8 +19,8 @@ from yamsim_cli.core.types import Cause, EpisodeJob
 # Joints in degrees, past the check that refuses them: the arm starts many turns beyond its stops.
 ABSURD = """
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
 where = Locations.find({})

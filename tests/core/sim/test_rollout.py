@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.planning.choice import PathChooser
 from yamsim_cli.core.planning.dynamics import ArmDynamics
@@ -15,7 +15,7 @@ from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 from yamsim_cli.core.sim.replica import Replica
 from yamsim_cli.core.sim.rollout import Rollout, attach, drive_command, roll_out, simulate
-from yamsim_cli.core.sim.watch import object_pose
+from yamsim_cli.core.sim.monitor import object_pose
 from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
 from yamsim_cli.core.tasks.plans import phases
 from yamsim_cli.core.types import Actions, JointPath, Layout, StepState

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z, yaw
 from yamsim_cli.core.tasks.handover import (
     exchange,

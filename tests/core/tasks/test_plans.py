@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.record import GraspKind, RecordConfig
+from yamsim_cli.core.config.recording import GraspKind, RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z, tilt
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan, phases, phases_of, ticks

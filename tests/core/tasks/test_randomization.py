@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.randomization import RandomizationConfig, SurfaceRanges
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, OutcomeRecord, from_json, to_json
 from yamsim_cli.core.randomized import Randomized
 from yamsim_cli.core.tasks import randomization

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.assets import AssetStore, load_lock
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
 from yamsim_cli.core.geometry.se3 import inverse
@@ -20,7 +20,7 @@ from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.replica import Replica
 from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
-from yamsim_cli.core.vision.jpeg import decode_jpeg, encode_jpeg
+from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
 from yamsim_cli.core.vision.renderer import SceneRenderer
 
 pytestmark = pytest.mark.render

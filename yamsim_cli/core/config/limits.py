@@ -13,7 +13,7 @@ from ..geometry.se3 import Array
 from ..resources import Locations
 from .base import Config, Name, ordered
 from .loader import validate_file
-from .record import RecordConfig
+from .recording import RecordConfig
 from .rig import ArmConfig
 from .units import JointAngle, Offset, Within
 

@@ -14,9 +14,9 @@ from .base import Config, Reference
 from .camera import CameraConfig
 from .document import Document, KeyPath, parse_yaml
 from .explain import dotted, explain, kind_instead, models_in
-from .objects import ObjectConfig
+from .things import ObjectConfig
 from .randomization import RandomizationConfig
-from .record import RecordConfig, RenderConfig
+from .recording import RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import SceneConfig
 from .task import TaskConfig

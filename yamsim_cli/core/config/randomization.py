@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, FiniteFloat
 
 from .base import Config, Name, Positive, Range, Reference, ordered
-from .objects import ObjectConfig
+from .things import ObjectConfig
 from .units import ReachRange, Within
 
 

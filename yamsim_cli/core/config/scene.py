@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from .base import Config, ConflictError, Name, Rgb, Rgba, Vector
-from .objects import Contact
+from .things import Contact
 from .units import FieldOfView, Place, PlacePoint, Size
 
 

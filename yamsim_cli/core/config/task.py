@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from .base import Config, ConflictError, Name, Reference
-from .objects import GraspPoint, ObjectConfig
+from .things import GraspPoint, ObjectConfig
 from .units import Distance, HeadingRange, JointAngle, ReachRange, Within
 
 # A height or a distance that cannot be nothing, m.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, SupportsIndex, overload
 
 from ..config.loader import parse_config
-from ..config.record import RecordConfig
+from ..config.recording import RecordConfig
 from ..errors import ConfigError, DatasetError, UsageError, counted
 from ..files import sha256_bytes
 from ..resources import Locations

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..drawn import Drawn, differences, remedy, shown
+from ..shown_meshes import Drawn, differences, remedy, shown
 from ..errors import ConfigError
 from .layout import CONFIG
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..config.objects import GraspPoint
-from ..config.record import GraspKind
+from ..config.things import GraspPoint
+from ..config.recording import GraspKind
 from ..config.task import TaskConfig
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..config.record import RecordConfig
+from ..config.recording import RecordConfig
 from ..geometry.se3 import Array
 from ..resources import Locations
 from ..scene.compiled import CompiledScene

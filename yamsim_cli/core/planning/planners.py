@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from ..config.record import RecordConfig
+from ..config.recording import RecordConfig
 from ..resources import Locations
 from ..scene.compiled import CompiledScene
 from .demonstration import ArmTools, OneArmPlanner, Planner, arm_tools

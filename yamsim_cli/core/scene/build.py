@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 
 from ..config.limits import load_limits
-from ..config.record import RecordConfig
+from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig
 from ..config.scene import FixedCamera
-from ..drawn import Drawn
+from ..shown_meshes import Drawn
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
 from .compiled import CompiledScene, Ids, Kind, SceneArm
 from .compose import Contents, compile_spec, compose
-from .drawn import drawn_meshes
+from .shown_meshes import drawn_meshes
 from .quality import apply_quality
 from .randomize import prepare_randomization
 from .robot import ACTUATORS, FINGERS, JOINTS, Meshes, fingers

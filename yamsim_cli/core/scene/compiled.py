@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drawn import Drawn
+from ..shown_meshes import Drawn
 from ..geometry.se3 import Array, quat_from_rotation
 from ..types import Layout
 

@@ -16,7 +16,7 @@ from ..errors import ConfigError
 from ..geometry.mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import stl_bytes
-from .objects import SEEN_GROUP
+from .things import SEEN_GROUP
 
 BOARD_BODY = "base_board"
 MOUNT_BODY = "base_mount"

@@ -15,7 +15,7 @@ from ..config.randomization import RandomizationConfig, SurfaceRanges
 from ..config.scene import SceneConfig
 from ..geometry.se3 import Array, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
 from ..randomized import DrawnLight, DrawnSurface, Randomized
-from .objects import HIDDEN_GROUP, add_object
+from .things import HIDDEN_GROUP, add_object
 from .textures import SIZE, pattern
 
 # Absent distractors are drawn by nothing, touch nothing, and lie out of everything's reach.

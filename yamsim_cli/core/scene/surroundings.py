@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
 from ..geometry.stl import stl_bytes
-from .objects import SEEN_GROUP
+from .things import SEEN_GROUP
 
 # Half the floor's edge, and a tile's edge, m.
 _FLOOR = 5.0

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from ..config.objects import ObjectConfig
+from ..config.things import ObjectConfig
 from ..config.randomization import Distractors
 from ..config.scene import Table
 from ..geometry.se3 import Array

@@ -12,7 +12,7 @@ from ..config.task import Timing
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
 from ..types import Actions, Holds, JointPath, Layout, Motion, Phases, StepState
-from .watch import Watch, object_pose
+from .monitor import Watch, object_pose
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.objects import GraspPoint
+from ..config.things import GraspPoint
 from ..config.task import Exchange, TaskConfig
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_z, yaw
 from ..types import Layout, Phases, Plan, Waypoint

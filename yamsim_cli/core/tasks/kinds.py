@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ..config.objects import GraspPoint
-from ..config.record import GraspKind, RecordConfig
+from ..config.things import GraspPoint
+from ..config.recording import GraspKind, RecordConfig
 from ..config.scene import Table
 from ..config.task import Sampling, TaskConfig
 from ..errors import ConfigError, suggest

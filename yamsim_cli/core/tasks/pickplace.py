@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.objects import ObjectConfig
-from ..config.record import GraspKind
+from ..config.things import ObjectConfig
+from ..config.recording import GraspKind
 from ..config.scene import Table
 from ..config.task import Sampling, TaskConfig
 from ..geometry.se3 import Array, pose, rotation_z

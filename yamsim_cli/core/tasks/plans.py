@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.objects import GraspPoint
-from ..config.record import GraspKind
+from ..config.things import GraspPoint
+from ..config.recording import GraspKind
 from ..config.task import TaskConfig, Timing
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..types import Holds, Layout, Phases, Plan, Waypoint

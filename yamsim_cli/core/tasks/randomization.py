@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..config.objects import ObjectConfig
+from ..config.things import ObjectConfig
 from ..config.randomization import LightRanges, LookRanges, RandomizationConfig, SurfaceRanges, Texture
 from ..randomized import DrawnLight, DrawnLook, DrawnSurface, Randomized
 from ..types import EpisodeJob

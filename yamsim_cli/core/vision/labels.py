@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.rig import ArmConfig, RigConfig
-from ..dataset.truth import BACKGROUND, KeypointRecord, LabelRecord, TruthLabels
+from ..dataset.truth_files import BACKGROUND, KeypointRecord, LabelRecord, TruthLabels
 from ..geometry.se3 import Array
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
 from ..scene.robot import JOINTS

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
-from .forks import enter_opengl
+from .gl_owner import enter_opengl
 
 Image = NDArray[np.uint8]
 GeomIds = NDArray[np.int32]

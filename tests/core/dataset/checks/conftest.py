@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from tests.core.dataset.checks.sample import Sample, episode, look
-from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.survey import Survey
 from yamsim_cli.core.resources import Locations
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...config.limits import JointLimits, load_limits
 from ...config.loader import validate_file
-from ...config.record import RecordConfig
+from ...config.recording import RecordConfig
 from ...config.task import Sampling
 from ...errors import ConfigError, DatasetError
 from ...geometry.se3 import Array, pose

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...errors import DatasetError
 from ..layout import TRUTH_LABELS, truth_name
 from ..records import from_json
-from ..truth import TruthLabels, array_faults, load_depth, load_truth
+from ..truth_files import TruthLabels, array_faults, load_depth, load_truth
 from .images import ImageReader
 from .problem import Problems
 

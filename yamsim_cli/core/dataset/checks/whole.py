@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ...drawn import shown
+from ...shown_meshes import shown
 from ..layout import RECORDINGS, STAGING, episode_name
 from ..records import AttemptRecord
 from .context import looks_like_episode

@@ -1,0 +1,220 @@
+"""Attempts in which friction alone holds the object: that it does, what is told when not, and that they repeat."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.run_cli import yamsim
+from tests.core.undrawn import SIZE, read_frame, write_dataset
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.dataset.reader import dataset_config
+from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.sim.rollout import path_actions
+from yamsim_cli.core.tasks.pickplace import SLIP_DISTANCE
+from yamsim_cli.core.types import Actions, Cause, EpisodeJob, JointPath
+
+FRICTION = {("rig",): "single_linear", ("grasp",): "contact", ("image", "size_px"): SIZE, ("seed",): 5}
+
+
+@pytest.fixture(scope="module")
+def friction(make_config: Callable[..., RecordConfig]) -> RecordConfig:
+    return make_config(FRICTION)
+
+
+@pytest.fixture(scope="module")
+def runner(friction: RecordConfig, locations: Locations) -> EpisodeRunner:
+    return EpisodeRunner(friction, locations, {}, draw=False)
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory, friction: RecordConfig, locations: Locations) -> Path:
+    path = tmp_path_factory.mktemp("contact") / "dataset"
+    write_dataset(path, friction, locations, 2)
+    return path
+
+
+@pytest.fixture(scope="module")
+def actions(runner: EpisodeRunner) -> tuple[np.ndarray, Actions]:
+    """Start and actions of an attempt that succeeds."""
+    _, outcome, rollout = runner.simulate(EpisodeJob(5, 0))
+    assert outcome.success
+    assert rollout
+    acting = [state.actions for state in rollout.states]
+    joined = Actions(
+        np.concatenate([act.ctrl for act in acting]),
+        tuple(magnet for act in acting for magnet in act.magnet),
+        np.concatenate([act.joints for act in acting]),
+    )
+    return rollout.states[0].qpos, joined
+
+
+def test_friction_alone_holds_the_object(runner: EpisodeRunner) -> None:
+    for attempt in range(6):
+        _, outcome, rollout = runner.simulate(EpisodeJob(11, attempt))
+        assert outcome.success, outcome
+        assert outcome.dxy < 0.01
+        assert rollout
+        assert not any(magnet for state in rollout.states for magnet in state.actions.magnet)
+        assert rollout.motion.lost is None
+        margins = outcome.margins
+        assert margins is not None
+        assert 0 < margins.slip < SLIP_DISTANCE / 2
+        # Level while it is carried.
+        assert np.degrees(margins.tilt) < 3
+        assert margins.velocity < 1
+        assert margins.torque < 0.8
+        assert margins.joint > 0.1
+
+
+def test_no_two_frames_are_the_same(original: Path) -> None:
+    """65 frames, and from each to the next something moves: arm, fingers or object."""
+    frames = [read_frame(original / "ep_000000", k) for k in range(65)]
+    positions = np.array([frame["sim_qpos"] for frame in frames])
+    arm_and_fingers = np.abs(np.diff(positions[:, :8], axis=0)).max(axis=1)
+    commands = np.abs(np.diff([frame["ctrl"] for frame in frames], axis=0)).max(axis=1)
+    assert arm_and_fingers.min() > 1e-5
+    assert np.maximum(arm_and_fingers, commands).min() > 1e-4
+    # Speeds of the joints change steadily: never by as much between two frames as a motor's whole speed.
+    speeds = np.diff(positions[:, :6], axis=0) / 0.064
+    assert (np.abs(np.diff(speeds, axis=0)).max(axis=0) < (5, 5, 5, 10, 10, 10)).all()
+
+
+def _rerun(runner: EpisodeRunner, start: np.ndarray, actions: Actions) -> tuple[Cause | None, str]:
+    outcome, _ = runner.repeat(start, actions, 0.0, 0.0)
+    return outcome.cause, outcome.detail
+
+
+def test_fingers_that_open_on_the_way_drop_it(runner: EpisodeRunner, actions: tuple[np.ndarray, Actions]) -> None:
+    start, acting = actions
+    ctrl = acting.ctrl.copy()
+    ctrl[50:60, 6] = 0.04
+    cause, detail = _rerun(runner, start, replace(acting, ctrl=ctrl))
+    assert cause is Cause.DROPPED
+    # Tick 50 is at 1.6 s.
+    assert "out of the fingers after 1." in detail
+
+
+def test_a_slippery_object_slips(
+    friction: RecordConfig, locations: Locations, actions: tuple[np.ndarray, Actions]
+) -> None:
+    slippery = EpisodeRunner(friction, locations, {}, draw=False)
+    slippery.scene.model.geom_friction[:] = 0.02
+    outcome, rollout = slippery.repeat(*actions, 0.0, 0.0)
+    assert outcome.cause in (Cause.SLIPPED, Cause.DROPPED)
+    assert rollout.motion.margins.slip > SLIP_DISTANCE
+
+
+def test_a_hand_that_comes_down_beside_it_knocks_it_away(
+    runner: EpisodeRunner, actions: tuple[np.ndarray, Actions]
+) -> None:
+    start, acting = actions
+    address = runner.scene.object_qpos["banana"]
+    moved = start.copy()
+    moved[address : address + 2] += (0.02, 0.02)
+    cause, detail = _rerun(runner, moved, acting)
+    assert cause in (Cause.KNOCKED, Cause.DROPPED), detail
+
+
+def test_an_arm_that_touches_table_or_plate_fails_whatever_becomes_of_the_object(
+    runner: EpisodeRunner, actions: tuple[np.ndarray, Actions]
+) -> None:
+    start, acting = actions
+    ctrl = acting.ctrl.copy()
+    # After everything is done: the shoulder bows until the fingers are on the table, or on the plate's rim.
+    ctrl[-25:, 1] += 0.8
+    cause, detail = _rerun(runner, start, replace(acting, ctrl=ctrl))
+    assert cause is Cause.COLLIDED
+    assert "finger" in detail
+    assert "table" in detail or "plate" in detail
+    assert "touch after 3." in detail
+
+
+def test_a_joint_that_is_driven_too_hard_fails(runner: EpisodeRunner, actions: tuple[np.ndarray, Actions]) -> None:
+    start, acting = actions
+    ctrl = acting.ctrl.copy()
+    ctrl[-20:, 0] += 2.0
+    cause, detail = _rerun(runner, start, replace(acting, ctrl=ctrl))
+    assert cause is Cause.LIMITS
+    assert "of its motor's speed" in detail
+
+
+def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locations) -> None:
+    config = dataset_config(original, locations)
+    verifier = EpisodeVerifier(config, locations, {}, Limits(values=0.0, images=None))
+    for number in range(2):
+        verdict = verifier.run((number, original / f"ep_{number:06d}"))
+        assert verdict.agrees
+        assert set(verdict.checks) == {SEED, ACTIONS}
+        assert all(check.max_error == 0.0 for check in verdict.checks.values())
+
+
+def test_its_record_says_how_it_was_held(original: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(original, tmp_path / "dataset")
+    run = yamsim("summarize", copy, "--json")
+    # The images are no pictures, and there is neither ledger nor manifest.
+    codes = {problem["code"] for problem in run.json["problems"] if problem["severity"] == "error"}
+    assert codes <= {"ledger.missing", "image.frozen"}
+    assert run.json["grasps"] == ["contact"]
+    assert run.json["frames"] == 130
+    assert run.json["success_rate"]["0.05"] == 1.0
+
+
+def test_a_gripper_without_pads_is_refused_with_the_rig_to_use(locations: Locations) -> None:
+    overrides = {("grasp",): ("test", "contact")}
+    wanted = r"contact.*linear_4310.*rig 'single' has crank; use --rig single_linear"
+    with pytest.raises(ConfigError, match=wanted):
+        load_config(RecordConfig, "record", "default", locations, overrides)
+    run = yamsim("pickplace", "batch", "--grasp", "contact", "--n", "1")
+    assert run.code == 2
+    assert "use --rig single_linear" in run.message
+
+
+def test_an_object_that_friction_cannot_hold_is_refused(locations: Locations) -> None:
+    overrides = {path: ("test", value) for path, value in FRICTION.items()}
+    overrides["task", "object", "grasp", "friction"] = ("test", None)
+    with pytest.raises(ConfigError, match=r"needs grasp\.friction of object 'banana'"):
+        load_config(RecordConfig, "record", "default", locations, overrides)
+
+
+def test_the_drive_is_told_to_close_further_than_the_object_lets_it(runner: EpisodeRunner) -> None:
+    scene = runner.scene
+    n = 3
+    path = JointPath(
+        joints=np.zeros((n + 1, 6)),
+        torques=np.zeros((n, 6)),
+        gripper=np.full(n, 0.018),
+        grip=np.array([0.0, 15.0, 1000.0]),
+        magnet=(False,) * n,
+        tick=0.032,
+        position_error=0.0,
+        tilt=0.0,
+    )
+    # 2 x 15 N over 2000 N/m; and no further than the drive can be told.
+    np.testing.assert_allclose(path_actions(scene, [path]).ctrl[:, 6], (0.018, 0.003, -0.005))
+
+
+def test_the_command_counts_and_reports(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    batch = ("pickplace", "batch", "--n", "3", "--seed", "4", "--grasp", "contact", "--rig", "single_linear")
+    run = yamsim(*batch, "--workers", "2", "--html", page, "--json")
+    assert run.code == 0, run.err
+    report = run.json
+    assert (report["n_success"], report["grasp"], report["rig"]) == (3, "contact", "single_linear")
+    trials = [trial["outcome"]["margins"] for trial in report["trials"]]
+    for key, worst in (("velocity_share", max), ("torque_share", max), ("joint_rad", min), ("slip_m", max)):
+        assert report["margins"][key] == worst(trial[key] for trial in trials)
+    assert "held by contact" in page.read_text()
+    alone = yamsim(*batch, "--workers", "1", "--json").json
+    assert alone["trials"] == report["trials"]
+    again = yamsim(*batch, "--html", page)
+    assert (again.code, "exists; replace it with --overwrite" in again.message) == (2, True)

@@ -1,0 +1,114 @@
+"""Policies that drive two arms: what they see and answer, and that the plan's own actions do what the batch does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.core.undrawn import write_dataset
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.trials.batch import run_batch
+from yamsim_cli.core.evaluate.evaluation import evaluate, summary
+from yamsim_cli.core.evaluate.observation import policy_cameras
+from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
+from yamsim_cli.core.policies.base import SCENE, WRIST
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import EpisodeJob
+
+HERE = Path(__file__).parent
+
+WATCHER = """
+import numpy as np
+
+SEEN = []
+
+
+class Watcher:
+    images = ()
+
+    def reset(self):
+        SEEN.clear()
+
+    def __call__(self, observation):
+        SEEN.append(observation)
+        # The left gripper closes, and the right arm turns about its base.
+        ctrl = observation["joints"].copy()
+        ctrl[6], ctrl[7] = 0.0, ctrl[7] + 0.1
+        return {"ctrl": ctrl, "magnet": [False, True], "done": len(SEEN) == 10}
+"""
+
+
+@pytest.fixture(scope="module")
+def handover(make_config: Callable[..., RecordConfig]) -> RecordConfig:
+    sizes = {("episodes",): 2, ("workers",): 1, ("wrist",): True, ("image", "size_px"): [48, 36]}
+    return make_config(sizes | {("rig",): "russet", ("task",): "handover", ("seed",): 2})
+
+
+@pytest.fixture(scope="module")
+def left(make_config: Callable[..., RecordConfig]) -> RecordConfig:
+    sizes = {("episodes",): 2, ("workers",): 1, ("wrist",): True, ("image", "size_px"): [48, 36]}
+    return make_config(sizes | {("rig",): "bimanual", ("arm",): "left", ("seed",): 2})
+
+
+@pytest.mark.parametrize("name", ["handover", "left"])
+def test_the_plans_actions_do_what_the_batch_does(
+    name: str, locations: Locations, request: pytest.FixtureRequest
+) -> None:
+    config: RecordConfig = request.getfixturevalue(name)
+    batch = run_batch(config, locations, (0.05,), lambda *_: None)
+    found = evaluate(config, locations, {}, PolicyChoice("scripted", HERE), lambda *_: None)
+    report = json.loads(json.dumps(summary(found, config, (0.05,))))
+    assert report["stats"]["n_success"] == 2
+    assert [trial["outcome"] for trial in report["trials"]] == [trial["outcome"] for trial in batch["trials"]]
+
+
+def test_a_datasets_actions_are_replayed(left: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    write_dataset(tmp_path / "dataset", left, locations, 1)
+    choice = PolicyChoice(f"replay:{tmp_path / 'dataset'}", HERE)
+    with TrialRunner(left, locations, {}, choice) as runner:
+        assert runner.run(EpisodeJob(left.seed, 0)).outcome.success
+
+
+def test_numbers_are_the_left_arms_first(left: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    (tmp_path / "watcher.py").write_text(WATCHER)
+    with TrialRunner(left, locations, {}, PolicyChoice("watcher.py:Watcher", tmp_path)) as runner:
+        result = runner.run(EpisodeJob(left.seed, 0))
+        seen = runner._policy.__call__.__globals__["SEEN"]
+        scene = runner._runner.scene
+    first, last = seen[0], seen[-1]
+    assert first["joints"].shape == (14,)
+    assert first["ee_pose_world"].shape == (2, 4, 4)
+    # In `world`, the left arm stands at positive y.
+    assert first["ee_pose_world"][0, 1, 3] > 0.2
+    assert first["ee_pose_world"][1, 1, 3] < -0.2
+    np.testing.assert_array_equal(first["gripper"], first["joints"][[6, 13]])
+    # The left arm acts, so its fingers were open.
+    assert first["gripper"][0] > 0.02
+    assert first["gripper"][1] < 0.01
+    assert last["gripper"][0] < first["gripper"][0] - 0.01
+    assert last["joints"][7] > first["joints"][7] + 0.1
+    assert abs(last["joints"][0] - first["joints"][0]) < 0.02
+    # No hand was near the banana.
+    assert result.actions is not None
+    assert set(result.actions.magnet) == {(False, False)}
+    assert result.actions.joints.shape == result.actions.ctrl.shape == (10, scene.model.nu)
+
+
+def test_the_wrist_cameras_are_those_of_the_arms_that_act(handover: RecordConfig, left: RecordConfig) -> None:
+    both = {"left_wrist_rgb": "left_wrist_camera", "right_wrist_rgb": "right_wrist_camera"}
+    assert policy_cameras(handover, (SCENE, WRIST)) == {"scene_rgb": "scene_camera"} | both
+    assert policy_cameras(handover, ("right_wrist",)) == {"right_wrist_rgb": "right_wrist_camera"}
+    assert policy_cameras(left, (WRIST,)) == {"left_wrist_rgb": "left_wrist_camera"}
+    with pytest.raises(UsageError, match="asks for the image 'right_wrist', which rig 'bimanual'"):
+        policy_cameras(left, ("right_wrist",))
+
+
+def test_one_arm_has_but_the_wrist_camera(config: RecordConfig) -> None:
+    assert policy_cameras(config, (WRIST,)) == {"wrist_rgb": "right_wrist_camera"}
+    with pytest.raises(UsageError, match="'left_wrist'"):
+        policy_cameras(config, ("left_wrist",))

@@ -1,0 +1,115 @@
+"""Attempts without robots: small payloads that follow from their numbers alone, made in the test's own process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.dataset.layout import image_name, lowdim_name
+from yamsim_cli.core.dataset.ledger import Ledger
+from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.record.collect import Watch
+from yamsim_cli.core.record.destination import Output
+from yamsim_cli.core.workers.executor import LostJobError
+from yamsim_cli.core.record.recorder import RecordReport, record
+from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
+
+FRAMES = 1
+
+
+def payload(job: EpisodeJob) -> EpisodePayload:
+    """Every third attempt fails."""
+    layout = {"banana": (0.3 + job.attempt / 1000, 0.0, 0.0, float(job.seed))}
+    if job.attempt % 3 == 1:
+        return EpisodePayload(job, Outcome(False, Cause.OFF_TARGET, "far off", dxy=0.2, dz=0.0), layout)
+    names = [name for k in range(FRAMES) for name in (lowdim_name(k), image_name("scene_camera", k))]
+    files = {name: f"{job.seed} {job.attempt} {name}".encode() * 3 for name in names}
+    return EpisodePayload(job, Outcome(True, dxy=0.01, dz=0.0), layout, files, FRAMES, "c0ffee", {"numpy": "2"}, "none")
+
+
+@dataclass
+class Inline:
+    """An `Executor` that does a job when its result is asked for, the newest first, so that order is put to the test.
+
+    Attributes:
+        make: what a job gives; may raise.
+        lose: attempts that end their worker, as often as they are tried.
+    """
+
+    make: Callable[[EpisodeJob], EpisodePayload] = payload
+    lose: set[int] = field(default_factory=set)
+    workers: int = 2
+    jobs: list[EpisodeJob] = field(default_factory=list)
+    made: list[int] = field(default_factory=list)
+
+    def open(self, config: object, locations: object, meshes: object, workers: int) -> Inline:
+        self.workers = workers
+        return self
+
+    @property
+    def idle(self) -> int:
+        return self.workers - len(self.jobs)
+
+    @property
+    def in_flight(self) -> int:
+        return len(self.jobs)
+
+    def submit(self, job: EpisodeJob) -> None:
+        assert self.idle
+        self.jobs.append(job)
+
+    def result(self, timeout: float | None = None) -> tuple[EpisodeJob, EpisodePayload]:
+        job = self.jobs.pop()
+        self.made.append(job.attempt)
+        if job.attempt in self.lose:
+            raise LostJobError(job, 3, "fell over")
+        return job, self.make(job)
+
+    def close(self) -> None:
+        self.jobs.clear()
+
+    def __enter__(self) -> Inline:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+class Recording:
+    """Records with fake attempts."""
+
+    def __init__(self, config: RecordConfig, path: Path, stage: Path | None = None) -> None:
+        self.config = config
+        self.path = path
+        self.stage = stage
+        self.meshes: dict[str, Path | None] = {}
+        self.warnings: list[str] = []
+        self.stop = Stop()
+
+    def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
+        return record(
+            self.config.model_copy(update={"workers": workers}),
+            Locations(Locations.find({}).data, Path("/nowhere")),
+            self.meshes,
+            Output(self.path, mode, self.stage),
+            executor or Inline(),
+            Watch(lambda done, wanted, attempts: None, self.warnings.append),
+            self.stop,
+        )
+
+    def resume(self, executor: Inline | None = None) -> RecordReport:
+        return self.run(executor, OpenMode.RESUME)
+
+    def causes(self) -> list[str | None]:
+        return [attempt.outcome.cause for attempt in Ledger(self.path).known.values()]

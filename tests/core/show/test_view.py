@@ -1,0 +1,283 @@
+"""A live rig, its page, and `yamsim view` as a user runs it: started, watched, ended by a signal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.run_cli import yamsim
+from tests.cli.serve_cli import shown
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.geometry.se3 import quat_from_rotation
+from yamsim_cli.core.show.view import PERIOD, LivePictures, live_rig, live_task
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.tasks.pickplace import sample_layout
+from yamsim_cli.core.tasks.randomness import Stream, generator
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.viewers.address import PageAddress
+from yamsim_cli.core.viewers.live import LiveRig
+from yamsim_cli.core.viewers.viewpoint import FOV_DEG, frame_rig
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def live(locations: Locations) -> LiveRig:
+    rig = load_config(RigConfig, "rigs", "russet", locations)
+    scene = load_config(SceneConfig, "scenes", "studio", locations)
+    return live_rig(rig, scene, Contents(), locations, {"i2rt_yam_crank": None})
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def complaints(err: str) -> list[str]:
+    """The lines of stderr, without the remark that a machine without meshes gets."""
+    return [line for line in err.splitlines() if not line.startswith("The meshes of")]
+
+
+def run(live: LiveRig, seconds: float, began: float = 0.0) -> None:
+    """Advance by pictures, on a clock of the test's own."""
+    for k in range(round(seconds / PERIOD) + 1):
+        live.advance(began + k * PERIOD)
+
+
+def listeners(port: int) -> list[str]:
+    """Local addresses, as the kernel writes them in hex, that listen on a port."""
+    found = []
+    for table in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")):
+        for line in table.read_text().splitlines()[1:] if table.exists() else []:
+            _, local, _, state, *_ = line.split()
+            address, _, number = local.partition(":")
+            if state == "0A" and int(number, 16) == port:
+                found.append(address)
+    return found
+
+
+def test_physics_keeps_up_with_the_clock(live: LiveRig) -> None:
+    run(live, 2.0)
+    assert live.time == pytest.approx(2.0, abs=0.003)
+
+
+def test_a_stall_is_not_made_up_for(live: LiveRig) -> None:
+    live.advance(0.0)
+    live.advance(3600.0)
+    assert live.time == pytest.approx(0.1, abs=0.003)
+
+
+def test_a_paused_rig_stands_still_and_goes_on_where_it_was(live: LiveRig) -> None:
+    live.paused = True
+    run(live, 1.0)
+    assert live.time == 0
+    live.paused = False
+    live.advance(1.0 + PERIOD)
+    assert live.time == pytest.approx(PERIOD, abs=0.003)
+
+
+def test_a_drive_moves_its_joint_and_no_other_arm(live: LiveRig) -> None:
+    drive = next(drive for drive in live.drives if (drive.arm, drive.name) == ("arm2", "joint1"))
+    live.command(drive, 0.5)
+    run(live, 3.0)
+    assert live.data.joint("arm2_joint1").qpos[0] == pytest.approx(0.5, abs=0.05)
+    assert live.data.joint("joint1").qpos[0] == pytest.approx(0.0, abs=0.01)
+    live.reset()
+    assert np.array_equal(live.data.qpos, live.model.key_qpos[0])
+    assert np.array_equal(live.data.ctrl, live.model.key_ctrl[0])
+
+
+def test_a_drive_stays_in_its_range(live: LiveRig) -> None:
+    drive = live.drives[0]
+    live.command(drive, 99.0)
+    assert live.data.ctrl[drive.actuator] == drive.high
+
+
+@pytest.mark.parametrize("name", ["single", "bimanual", "russet"])
+def test_the_first_view_holds_every_arm_and_board(name: str, locations: Locations) -> None:
+    rig = load_config(RigConfig, "rigs", name, locations)
+    view = frame_rig(rig)
+    sight = (view.look_at - view.position) / view.distance
+    for k, arm in enumerate(rig.arms):
+        base = rig.T_base_in_world(k)
+        assert arm.board is not None
+        board = (base @ arm.board.T_board_in_arm)[:3, 3]
+        for point in (base[:3, 3], board, base[:3, 3] + (0.3, 0.0, 0.3)):
+            ray = (point - view.position) / np.linalg.norm(point - view.position)
+            assert np.degrees(np.arccos(ray @ sight)) < FOV_DEG / 2
+
+
+def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(live: LiveRig, free_port: int) -> None:
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
+    page = page_module.Page(live, frame_rig(live.rig), PageAddress(free_port))
+    try:
+        assert page.url == f"http://127.0.0.1:{free_port}"
+        with urllib.request.urlopen(page.url, timeout=10) as answer:
+            assert answer.status == 200
+            assert b"<html" in answer.read().lower()
+        if Path("/proc/net/tcp").exists():
+            assert listeners(free_port) == ["0100007F"]
+        assert set(page.sliders) == {(drive.arm, drive.name) for drive in live.drives}
+        page.sliders["arm1", "joint1"].value = 0.4
+        run(live, 3.0)
+        page.update()
+        assert live.data.joint("joint1").qpos[0] == pytest.approx(0.4, abs=0.05)
+        with pytest.raises(UsageError, match=rf"--port {free_port} cannot be used .*: give another, or 0"):
+            page_module.Page(live, frame_rig(live.rig), PageAddress(free_port))
+    finally:
+        page.close()
+    assert listeners(free_port) == []
+
+
+def test_another_margin_moves_arms_and_boards_together(live: LiveRig) -> None:
+    live.place(0.9)
+    for action in (lambda: run(live, 0.5), live.reset):
+        action()
+        positions, quaternions = live.body_poses()
+        for k, arm in enumerate(live.rig.arms):
+            T = live.rig.T_base_in_world(k)
+            assert abs(T[1, 3]) == pytest.approx(0.45)
+            for name in ("arm", "base_board", "base_mount"):
+                body = live.model.body(arm.prefix + name).id
+                assert np.allclose(positions[body], T[:3, 3], atol=1e-6), name
+                assert np.allclose(quaternions[body], quat_from_rotation(T[:3, :3]), atol=1e-6), name
+
+
+def test_a_task_stands_as_its_seed_says(config: RecordConfig, locations: Locations) -> None:
+    objects = (config.task.object, config.task.target)
+    live = live_task(config, Contents(objects=objects), locations, {"i2rt_yam_crank": None, "ycb": None})
+    layout = sample_layout(config.task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    assert layout
+    positions, _ = live.body_poses()
+    for name, T in layout.T_in_world.items():
+        assert np.allclose(positions[live.model.body(name).id], T[:3, 3], atol=1e-3)
+    assert [live.model.cam(k).name for k in range(live.model.ncam)] == ["scene_camera", "right_wrist_camera"]
+
+
+def test_the_page_shows_what_its_switches_say(live: LiveRig) -> None:
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
+    page = page_module.Page(live, frame_rig(live.rig), PageAddress(), boards=False)
+    try:
+        board = live.model.body("arm2_base_board").id
+        assert not page._bodies.frames[board].visible
+        assert all(node.visible for node in page._bodies.looks)
+        page.margin.value = 0.8
+        assert live.rig.margin == 0.8
+    finally:
+        page.close()
+
+
+@pytest.mark.render
+def test_pictures_are_what_the_cameras_see_now(live: LiveRig) -> None:
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
+    pictures = LivePictures(live)
+    page = page_module.Page(live, frame_rig(live.rig), PageAddress(), pictures=pictures)
+    try:
+        panel = page._cameras
+        page.update()
+        assert not panel._images, "nothing is drawn before it is asked for"
+        panel._want(None)
+        page.update()
+        assert set(panel._images) == {"right_wrist_camera", "left_wrist_camera"}
+        before = panel._images["right_wrist_camera"].image
+        assert before.shape == (240, 320, 3)
+        assert before.std() > 5
+        live.command(live.drives[0], 1.0)
+        run(live, 2.0)
+        panel._want(None)
+        page.update()
+        assert np.abs(panel._images["right_wrist_camera"].image.astype(int) - before).mean() > 1
+    finally:
+        page.close()
+        pictures.close()
+
+
+@pytest.mark.parametrize(
+    ("args", "warned"), [((), False), (("--host", "127.0.0.1"), False), (("--host", "0.0.0.0"), True)]
+)
+def test_a_page_that_others_can_reach_warns_that_it_is_open(args: tuple[str, ...], warned: bool) -> None:
+    pytest.importorskip("viser", reason="yamsim[view] is not installed")
+    with shown("view", "--web", "--port", "0", *args) as page:
+        port = int(page.url.rpartition(":")[2])
+        assert page.url == f"http://127.0.0.1:{port}"
+        if Path("/proc/net/tcp").exists():
+            assert listeners(port) == ["00000000" if warned else "0100007F"]
+        code, _, told = page.end(signal.SIGTERM)
+    assert any("asks for no password" in line for line in told) == warned
+    assert code == 0
+
+
+def test_boards_are_shown_where_the_rig_has_them(live: LiveRig) -> None:
+    positions, _ = live.body_poses()
+    for k, arm in enumerate(live.rig.arms):
+        body = live.model.body(f"{arm.prefix}base_board").id
+        assert np.allclose(positions[body], live.rig.T_base_in_world(k)[:3, 3])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_page_cleanly_and_its_port_is_free_again(number: signal.Signals) -> None:
+    pytest.importorskip("viser", reason="yamsim[view] is not installed")
+    with shown("view", "--web", "--port", "0") as page:
+        port = page.url.rpartition(":")[2]
+        # A peer that is still connected, and one that never says a word, are both in the way of a clean end.
+        with urllib.request.urlopen(page.url, timeout=10), socket.create_connection(("127.0.0.1", int(port))):
+            asked = time.monotonic()
+            ended = page.end(number)
+        assert time.monotonic() - asked < 8
+        assert ended == (0, "", [])
+    assert listeners(int(port)) == []
+    with shown("view", "--web", "--port", port) as again:
+        assert again.url == page.url
+
+
+def test_faults_are_one_line() -> None:
+    without_display = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    native = yamsim("view", "--native", env=without_display)
+    assert (native.code, native.message.endswith("use --web")) == (4, True)
+    both = yamsim("view", "--native", "--port", "8000")
+    assert (both.code, both.message.startswith("--port 8000")) == (2, True)
+    host = yamsim("view", "--native", "--host", "0.0.0.0")
+    assert (host.code, host.message.startswith("--host 0.0.0.0 is for the browser page")) == (2, True)
+    both = yamsim("view", "--episode", "dataset/ep_000000", "--rig", "russet")
+    assert (both.code, both.message.startswith("--rig is not for --episode")) == (2, True)
+    alone = yamsim("view", "--seed", "3")
+    assert (alone.code, "give --task" in alone.message) == (2, True)
+    margin = yamsim("view", "--web", "--rig", "russet", "--margin", "-1")
+    assert (margin.code, margin.message.startswith("--margin: ")) == (2, True)
+    unreachable = yamsim("view", "--native", env={"DISPLAY": ":987", "WAYLAND_DISPLAY": ""})
+    (message,) = complaints(unreachable.err)
+    assert (unreachable.code, message.endswith("use --web")) == (4, True)
+
+
+def test_a_taken_port_says_what_to_do(free_port: int) -> None:
+    pytest.importorskip("viser", reason="yamsim[view] is not installed")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", free_port))
+        taken.listen()
+        busy = yamsim("view", "--web", "--port", str(free_port))
+    assert busy.code == 2
+    (message,) = complaints(busy.err)
+    assert f"--port {free_port} cannot be used" in message
+
+
+def test_a_missing_library_is_named_with_its_extra(tmp_path: Path) -> None:
+    (tmp_path / "viser.py").write_text("raise ModuleNotFoundError(\"No module named 'viser'\", name='viser')")
+    missing = yamsim("view", "--web", env={"PYTHONPATH": os.pathsep.join([str(tmp_path), str(REPOSITORY)])})
+    assert missing.code == 4
+    (message,) = complaints(missing.err)
+    assert message.endswith("pip install 'yamsim[view]'")

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.core.things.test_fits import ball, block
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+from yamsim_cli.core.import_thing import import_stl, import_ycb
+from yamsim_cli.core.resources import IMPORTED, Locations
+
+
+def own(tmp_path: Path, locations: Locations) -> Locations:
+    return replace(locations, data=(tmp_path, *locations.data), assets=tmp_path / "assets")
+
+
+def test_an_own_stl_becomes_an_object_by_name(
+    tmp_path: Path, locations: Locations, make_config: Callable[..., RecordConfig]
+) -> None:
+    where = own(tmp_path, locations)
+    (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
+    made = import_stl(tmp_path / "drawn.stl", "brick", 120.0, where, None)
+    assert made.path == tmp_path / "configs/objects/brick.yaml"
+    assert (where.assets / IMPORTED / "brick.stl").read_bytes() == block((0.05, 0.02, 0.03))
+    item = load_config(ObjectConfig, "objects", "brick", where)
+    assert item.inertia.mass == pytest.approx(0.12)
+    config = make_config({("task", "object"): str(made.path)})
+    assert config.task.object == item
+    assert config.task.language_prompt == "pick up the brick and put it on the plate"
+    with pytest.raises(UsageError, match="exists; move it away"):
+        import_stl(tmp_path / "drawn.stl", "brick", 120.0, where, None)
+
+
+def test_what_cannot_be_imported_is_told(tmp_path: Path, locations: Locations) -> None:
+    where = own(tmp_path, locations)
+    (tmp_path / "mm.stl").write_bytes(ball(30.0))
+    with pytest.raises(ResourceError, match=r"scale it by 0\.001"):
+        import_stl(tmp_path / "mm.stl", "ball", 10.0, where, None)
+    with pytest.raises(ResourceError, match=r"no\.stl cannot be read"):
+        import_stl(tmp_path / "no.stl", "ball", 10.0, where, None)
+    with pytest.raises(UsageError, match="'my ball' is not valid"):
+        import_stl(tmp_path / "mm.stl", "my ball", 10.0, where, None)
+    with pytest.raises(UsageError, match="unknown YCB object '013_aple'; did you mean '013_apple'"):
+        import_ycb("013_aple", where, None, None)
+    with pytest.raises(UsageError, match=r"give --out FILE\.yaml"):
+        import_ycb("013_apple", replace(locations, data=locations.data[-1:]), None, None)
+    with pytest.raises(ResourceError, match="yamsim assets fetch ycb_small"):
+        import_ycb("013_apple", where, None, None)
+
+
+def test_a_shipped_config_is_what_import_writes(tmp_path: Path, locations: Locations, repository: Path) -> None:
+    try:
+        made = import_ycb("058_golf_ball", locations, None, tmp_path / "golf.yaml")
+    except ResourceError:
+        pytest.skip("the meshes are not here: yamsim assets fetch")
+    assert made.path.read_text() == (repository / "configs/objects/058_golf_ball.yaml").read_text()
+
+
+def test_objects_and_targets_are_named_by_number_or_without(make_config: Callable[..., RecordConfig]) -> None:
+    by_id = make_config({("task", "object"): "013_apple", ("task", "target"): "024_bowl"})
+    assert by_id == make_config({("task", "object"): "apple", ("task", "target"): "bowl"})
+    assert by_id.task.language_task == "pick_place_apple"
+    assert by_id.task.language_prompt == "pick up the apple and put it in the bowl"
+
+
+@pytest.mark.parametrize(
+    ("item", "target", "said"),
+    [
+        ("013_aple", "024_bowl", "unknown object '013_aple'; did you mean '013_apple'? valid: 005_tomato_soup_can"),
+        ("054_softball", "024_bowl", "object 'softball' is too wide to be picked up: 95 mm, and gripper crank of rig"),
+        ("024_bowl", "029_plate", "object 'bowl' has no `grasp`"),
+        ("013_apple", "014_lemon", "target 'lemon' has neither a floor nor a flat top"),
+        ("013_apple", "013_apple", "object and target are both 'apple'"),
+    ],
+)
+def test_what_cannot_be_done_is_told(
+    item: str, target: str, said: str, make_config: Callable[..., RecordConfig]
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make_config({("task", "object"): item, ("task", "target"): target})
+    assert said in str(caught.value)

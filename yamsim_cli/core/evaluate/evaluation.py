@@ -1,0 +1,181 @@
+"""Evaluate a policy: many trials side by side, counted, and its failures on film."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..config.recording import RecordConfig
+from ..dataset.records import OutcomeRecord, plain
+from ..dataset.statistics import spread
+from ..errors import PartialJobError
+from ..geometry.se3 import Array
+from ..resources import Locations
+from ..types import Actions, EpisodeJob, Outcome
+from ..workers.executor import LostJobError
+from ..trials.films import Drawer, FilmedTrial, TrialFilms, film_jobs
+from ..workers.pool import JOB_SECONDS
+from ..trials.tally import Progress, run_trials, tally, what_ran
+from .policy_trial import MEASURED, Ended, PolicyChoice, TrialResult, TrialRunner
+from ..workers.processes import WorkerPool
+
+Meshes = Mapping[str, Path | None]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """All trials of a policy, in their order, and the real time they took, s."""
+
+    choice: PolicyChoice
+    results: tuple[TrialResult, ...]
+    seconds: float
+
+
+def evaluate(
+    config: RecordConfig,
+    locations: Locations,
+    meshes: Meshes,
+    choice: PolicyChoice,
+    progress: Progress,
+    trial_seconds: float = JOB_SECONDS,
+) -> Evaluation:
+    """Run `config.episodes` trials of a policy, from the starts that a batch of the same seed has.
+
+    Args:
+        meshes: asset set -> folder of its files, or None for primitives; what a policy sees shows them.
+        trial_seconds: real time after which a worker that is stuck in a trial is ended.
+
+    Raises:
+        UsageError, ResourceError: the policy cannot be made.
+        InterruptedJobError: stopped by the user.
+    """
+    began = time.monotonic()
+    n = config.episodes
+    factory = functools.partial(TrialRunner, config, locations, dict(meshes), choice)
+    with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
+        results = run_trials(pool, config.seed, n, progress, _lost)
+    results.sort(key=lambda result: result.job.attempt)
+    return Evaluation(choice, tuple(results), time.monotonic() - began)
+
+
+def _lost(lost: LostJobError) -> TrialResult:
+    assert isinstance(lost.job, EpisodeJob)
+    error = f"its worker {lost.reason}, in each of {lost.tries} tries"
+    outcome = OutcomeRecord.of(Outcome(False)).model_copy(update={"cause": Ended.LOST.value, "detail": error})
+    return TrialResult(lost.job, outcome, {}, Ended.LOST, error)
+
+
+def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
+    """An evaluation as JSON-ready data: policy, stats, rig, task, grasp, arms, seed, seconds, trials.
+
+    Args:
+        thresholds: in metres, by which the outcomes are scored beside the task's own.
+    """
+    results, tick = evaluation.results, config.task.timing.tick
+    calls = [seconds for result in results for seconds in result.seconds]
+    stats = {
+        **tally(
+            [result.outcome for result in results],
+            config.task.success,
+            thresholds,
+            [not result.error for result in results],
+        ),
+        "ended": dict(Counter(result.ended.value for result in results)),
+        "policy_s": spread(calls),
+        "slower_than_real_time": sum(seconds > tick for seconds in calls) / len(calls) if calls else None,
+    }
+    return {
+        "policy": evaluation.choice.name,
+        "stats": stats,
+        **what_ran(config),
+        "tick_s": tick,
+        "seconds": evaluation.seconds,
+        "trials": [_trial(result, tick) for result in results],
+    }
+
+
+def require_run(report: Mapping[str, Any]) -> None:
+    """Make sure that an evaluation measured something.
+
+    Args:
+        report: what `summary` returns.
+
+    Raises:
+        PartialJobError: not one trial came to its end.
+    """
+    ended = report["stats"]["ended"]
+    if not any(Ended(how) in MEASURED for how in ended):
+        first = report["trials"][0]
+        told = ", ".join(f"{how} {count}" for how, count in ended.items())
+        raise PartialJobError(
+            f"no trial of {report['policy']} came to its end ({told}), so its success was not measured; "
+            f"trial {first['trial']}: {first['error'] or first['outcome']['detail']}"
+        )
+
+
+def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
+    return {
+        "trial": result.job.attempt,
+        "seed": result.job.seed,
+        "ended": result.ended.value,
+        "error": result.error or None,
+        "traceback": result.traceback or None,
+        "simulated_s": round(result.ticks * tick, 6),
+        "policy_s": spread(result.seconds),
+        "outcome": plain(result.outcome),
+        "layout": {name: list(pose) for name, pose in result.layout.items()},
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class _FilmJob:
+    job: EpisodeJob
+    start: Array
+    actions: Actions
+
+
+class ActionDrawer(Drawer):
+    """Repeats what a policy did, and draws it."""
+
+    def run(self, film: _FilmJob) -> list[bytes]:
+        """The trial's frames as JPEGs."""
+        # What is random in the scene beside the start comes of it.
+        self._runner.simulate(film.job)
+        return self._drawn(self._runner.repeat(film.start, film.actions, 0.0, 0.0, planned=False)[1])
+
+
+def film(
+    evaluation: Evaluation,
+    limit: int,
+    films: TrialFilms,
+    config: RecordConfig,
+    locations: Locations,
+    meshes: Meshes,
+    progress: Progress,
+) -> list[FilmedTrial]:
+    """Film trials, failures alone unless there are none; those in which nothing acted cannot be shown.
+
+    Args:
+        limit: of how many at most.
+
+    Raises:
+        InterruptedJobError: stopped by the user; finished films stay.
+        ResourceError: nothing can draw here, or the films cannot be written.
+    """
+    tick = config.task.timing.tick
+    acted = [result for result in evaluation.results if result.actions is not None]
+    chosen = ([result for result in acted if not result.outcome.success] or acted)[:limit]
+    jobs = [
+        _FilmJob(result.job, result.start, result.actions)
+        for result in chosen
+        if result.start is not None and result.actions is not None
+    ]
+    if not jobs:
+        return []
+    factory = functools.partial(ActionDrawer, config, locations, dict(meshes))
+    return film_jobs(factory, [_trial(result, tick) for result in chosen], jobs, films, config.workers, progress)

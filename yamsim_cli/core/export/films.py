@@ -1,0 +1,134 @@
+"""Export for the eye: a video of each episode, or one picture of all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..dataset.reader import StoredEpisode
+from ..errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest
+from ..files import move_aside, write_file
+from ..images.jpeg import Image, decode_jpeg, encode_jpeg
+from ..images.video import VideoWriter, require_encoder
+from ..vision.views import label, resized
+from ..show.replay import recorded_images
+from .source import Exported, Progress, Source
+from .target import export_directory
+
+_SHEET_QUALITY = 90
+_SHEET_SUFFIXES = (".jpg", ".jpeg")
+# A picture of more would be too small to look at, or too large to open.
+_LARGEST_SIDE = 16_000
+
+
+def export_mp4(
+    source: Source,
+    out: Path,
+    cameras: Sequence[str],
+    progress: Progress,
+    *,
+    speed: float = 1.0,
+    overwrite: bool = False,
+) -> Exported:
+    """Write one H.264 video an episode, named as it, into a directory; frame k at exactly k periods.
+
+    Args:
+        cameras: side by side; none for all.
+        speed: how fast time passes.
+
+    Raises:
+        UsageError: a camera was not recorded; and see `export_directory`.
+        DatasetError: an image is missing, altered or damaged.
+        ResourceError: PyAV is not installed.
+    """
+    chosen = _cameras(source, cameras)
+    require_encoder()
+    frames = 0
+    with export_directory(out, overwrite=overwrite) as stage:
+        for number, episode in enumerate(source.episodes()):
+            with VideoWriter(stage.path / f"{episode.directory.name}.mp4", source.frame_period / speed) as video:
+                for image in recorded_images(episode, chosen):
+                    video.write(image)
+            frames += video.frames
+            progress(number + 1, len(source))
+    return Exported(out, len(source), frames, stage.moved_aside)
+
+
+def export_sheet(
+    source: Source,
+    out: Path,
+    cameras: Sequence[str],
+    progress: Progress,
+    *,
+    columns: int = 8,
+    width: int = 160,
+    overwrite: bool = False,
+) -> Exported:
+    """Write one JPEG with a row an episode: images of it, evenly spread from first to last.
+
+    Args:
+        cameras: one row each; none for the first.
+        columns: images in a row.
+        width: of each, px.
+
+    Raises:
+        UsageError: a camera was not recorded, `out` is no name for a JPEG or in use, or the picture would be too large.
+        DatasetError: an image is missing, altered or damaged.
+        PartialJobError, InterruptedJobError: nothing was written.
+    """
+    chosen = _cameras(source, cameras) if cameras else tuple(source.cameras)[:1]
+    _require_sheet(out, overwrite)
+    heights = {camera: round(width * source.cameras[camera][1] / source.cameras[camera][0]) for camera in chosen}
+    size = (columns * width, len(source) * sum(heights.values()))
+    if max(size) > _LARGEST_SIDE:
+        raise UsageError(
+            f"{len(source)} episodes make a sheet of {size[0]}x{size[1]} px, and {_LARGEST_SIDE} is the most: take "
+            "fewer with --episodes, or a smaller --width"
+        )
+    moved = None
+    try:
+        rows: list[Image] = []
+        for number, episode in enumerate(source.episodes()):
+            rows += [_row(episode, camera, columns, (width, height)) for camera, height in heights.items()]
+            progress(number + 1, len(source))
+        data = encode_jpeg(np.concatenate(rows), _SHEET_QUALITY)
+        if out.exists():
+            moved = move_aside(out)
+        write_file(out, data)
+    except OSError as error:
+        raise PartialJobError(f"{out} cannot be written: {error.strerror or error}; choose another OUT") from error
+    except KeyboardInterrupt:
+        raise InterruptedJobError(f"interrupted: nothing was written to {out}; run it again") from None
+    return Exported(out, len(source), len(rows) * columns, moved)
+
+
+def _require_sheet(out: Path, overwrite: bool) -> None:
+    if out.suffix.lower() not in _SHEET_SUFFIXES:
+        raise UsageError(f"{out} is not a name for a sheet: end it in .jpg")
+    if not out.absolute().parent.is_dir():
+        raise UsageError(f"{out}: there is no directory {out.absolute().parent}; make it, or choose another OUT")
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
+
+
+def _row(episode: StoredEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
+    """Images of one episode side by side, each of width and height `size`, from its first to its last."""
+    images = []
+    for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
+        image = decode_jpeg(episode.image(camera, int(k)))
+        if image is None:
+            raise DatasetError(f"{episode.directory}: frame {k} of {camera} is no JPEG")
+        images.append(resized(image, *size))
+    return label(np.concatenate(images, axis=1), {}, episode.directory.name)
+
+
+def _cameras(source: Source, wanted: Sequence[str]) -> tuple[str, ...]:
+    for name in wanted:
+        if name not in source.cameras:
+            raise UsageError(f"--camera {name!r} is not valid; {suggest(name, source.cameras)}")
+    chosen = tuple(wanted) or tuple(source.cameras)
+    if len({source.cameras[name][1] for name in chosen}) > 1:
+        raise UsageError(f"the images of {' and '.join(chosen)} differ in height: choose one --camera")
+    return chosen

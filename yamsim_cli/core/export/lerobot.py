@@ -1,0 +1,213 @@
+"""Export to LeRobotDataset v3.0, see `lerobot_schema`: without torch, an episode at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dataset.lowdim import BETWEEN_BASES
+from ..dataset.reader import StoredEpisode
+from ..images.video import VideoWriter, require_encoder
+from ..show.replay import recorded_images
+from . import lerobot_schema as schema
+from .lerobot_schema import Place
+from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
+from .lerobot_tables import TableSeries, episode_table, frames_table, require_parquet, write_tasks
+from .source import Exported, Progress, Source
+from .target import export_directory
+
+# Training asks for single frames at random. Source: lerobot 0.4.4 encodes so.
+_KEY_FRAME_INTERVAL = 2
+_MEGABYTE = 1_000_000
+
+
+def export_lerobot(source: Source, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
+    """Write a dataset as LeRobotDataset v3.0: Parquet for numbers, H.264 for images, frame k at exactly k periods.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged.
+        ResourceError: pyarrow or PyAV is not installed.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+    """
+    require_parquet()
+    require_encoder()
+    with export_directory(out, overwrite=overwrite) as stage:
+        with _Writer(stage.path, source) as writer:
+            for number, episode in enumerate(source.episodes()):
+                writer.add(episode)
+                progress(number + 1, len(source))
+        writer.write_meta()
+    return Exported(out, len(source), writer.frames, stage.moved_aside)
+
+
+@dataclass(frozen=True)
+class _Filmed:
+    """Where an episode's images of one camera are: file, times (s) in it, and their statistics."""
+
+    place: Place
+    start: float
+    end: float
+    stats: Stats
+
+
+class _Film:
+    """One camera's videos: a series of files, a new one where one has grown large enough."""
+
+    def __init__(self, root: Path, camera: str, period: float) -> None:
+        self._root, self._key, self._period = root, schema.image_key(camera), period
+        self._camera = camera
+        self._place = Place(-1)
+        self._open = contextlib.ExitStack()
+        self._video: VideoWriter | None = None
+
+    def add(self, episode: StoredEpisode) -> _Filmed:
+        """Add an episode's images."""
+        if self._video is None or self._video.written >= schema.VIDEO_FILE_MB * _MEGABYTE:
+            self._next_file()
+        assert self._video is not None
+        start, counts = self._video.frames, PixelCounts()
+        for image in recorded_images(episode, (self._camera,)):
+            self._video.write(image)
+            counts.add(image)
+        times = start * self._period, self._video.frames * self._period
+        return _Filmed(self._place, *times, counts.stats())
+
+    def _next_file(self) -> None:
+        self._open.close()
+        self._place = Place(self._place.number + 1)
+        path = self._root / self._place.path(schema.VIDEO, video_key=self._key)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        video = VideoWriter(path, self._period, key_frame_interval=_KEY_FRAME_INTERVAL)
+        self._video = self._open.enter_context(video)
+
+    def __enter__(self) -> _Film:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # Without images there would be no file to be finished.
+        self._open.__exit__(kind, error, trace)
+
+
+class _Writer:
+    """Writes a dataset's episodes into a directory; leaving it closes all files.
+
+    Attributes:
+        frames: how many were written.
+    """
+
+    def __init__(self, root: Path, source: Source) -> None:
+        self.frames = 0
+        self._root, self._source = root, source
+        self._columns = schema.columns(source.cameras, source.prefixes)
+        self._tasks: dict[str, int] = {}
+        self._total = RunningStats()
+        self._provenance: list[dict[str, Any]] = []
+        self._bases: dict[str, Any] = {}
+        self._open = contextlib.ExitStack()
+
+    def __enter__(self) -> _Writer:
+        root = self._root
+        self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
+        self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
+        self._films = {
+            camera: self._open.enter_context(_Film(root, camera, self._source.frame_period))
+            for camera in self._source.cameras
+        }
+        # Decoding and encoding do not hold the interpreter: cameras go side by side.
+        self._threads = self._open.enter_context(ThreadPoolExecutor(len(self._films)))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.__exit__(kind, error, trace)
+
+    def add(self, episode: StoredEpisode) -> None:
+        """Write one episode."""
+        filming = {camera: self._threads.submit(film.add, episode) for camera, film in self._films.items()}
+        number, frames = len(self._provenance), episode.frames()
+        task = frames[0]["language_prompt"]
+        values = self._values(frames, number, self._tasks.setdefault(task, len(self._tasks)))
+        filmed = {camera: film.result() for camera, film in filming.items()}
+        stats = {schema.image_key(camera): film.stats for camera, film in filmed.items()}
+        stats |= {key: column_stats(value) for key, value in values.items()}
+        place, rows_place = self._data.next_place(), self._episodes.next_place()
+        row: dict[str, Any] = {
+            "episode_index": number,
+            "tasks": [task],
+            "length": len(frames),
+            "data/chunk_index": place.chunk,
+            "data/file_index": place.file,
+            "dataset_from_index": self.frames,
+            "dataset_to_index": self.frames + len(frames),
+            "meta/episodes/chunk_index": rows_place.chunk,
+            "meta/episodes/file_index": rows_place.file,
+        }
+        for camera, film in filmed.items():
+            prefix = f"videos/{schema.image_key(camera)}"
+            row |= {f"{prefix}/chunk_index": film.place.chunk, f"{prefix}/file_index": film.place.file}
+            row |= {f"{prefix}/from_timestamp": film.start, f"{prefix}/to_timestamp": film.end}
+        row |= {f"stats/{key}/{name}": value for key, found in stats.items() for name, value in _whole(found).items()}
+        self._data.write(frames_table(self._columns, values))
+        self._episodes.write(episode_table(row))
+        self._total.add(stats)
+        self.frames += len(frames)
+        if BETWEEN_BASES in frames[0]:
+            self._bases = {BETWEEN_BASES: frames[0][BETWEEN_BASES].tolist()}
+        record = episode.record
+        origin = {"episode": episode.directory.name, "seed": record.seed, "attempt": record.attempt}
+        self._provenance.append({"episode_index": number} | origin)
+
+    def _values(self, frames: Sequence[Mapping[str, Any]], number: int, task: int) -> dict[str, NDArray[Any]]:
+        n = len(frames)
+        command = [np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32)) for frame in frames]
+        values = {schema.STATE: np.array([frame["joints"] for frame in frames]), schema.ACTION: np.array(command)}
+        for camera in self._source.cameras:
+            values[schema.intrinsics_key(camera)] = np.array([frame["intrinsics"][camera] for frame in frames])
+            values[schema.extrinsics_key(camera)] = np.array([frame["extrinsics"][camera] for frame in frames])
+        return values | {
+            "timestamp": np.arange(n) * self._source.frame_period,
+            "frame_index": np.arange(n),
+            "episode_index": np.full(n, number),
+            "index": np.arange(self.frames, self.frames + n),
+            "task_index": np.full(n, task),
+        }
+
+    def write_meta(self) -> None:
+        """Write what describes the whole, once all episodes are there."""
+        source, root = self._source, self._root
+        write_tasks(root, list(self._tasks))
+        # A video's sides are even.
+        sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in source.cameras.items()}
+        counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
+        robot = source.config.rig.arms[0].model
+        _write_json(root / schema.INFO, schema.info(sizes, 1 / source.frame_period, robot, source.prefixes, **counts))
+        stats = {
+            key: {name: value.tolist() for name, value in _whole(found).items()}
+            for key, found in self._total.stats().items()
+        }
+        _write_json(root / schema.STATS, stats)
+        _write_json(
+            root / schema.PROVENANCE,
+            {"dataset": source.path.absolute().name, **self._bases, "episodes": self._provenance},
+        )
+
+
+def _whole(stats: Stats) -> dict[str, NDArray[Any]]:
+    """Statistics with their count as a whole number."""
+    return {name: value.astype(np.int64) if name == "count" else value for name, value in stats.items()}
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -1,0 +1,166 @@
+"""LeRobotDataset v3.0 as data: where its files lie, its features, and what `meta/info.json` says.
+
+Source: lerobot 0.4.4, `lerobot.datasets`; the format's version is `CODEBASE_VERSION` there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..scene.robot import ACTUATORS
+
+VERSION = "v3.0"
+CHUNK_FILES = 1000
+DATA_FILE_MB = 100
+VIDEO_FILE_MB = 200
+
+INFO = "meta/info.json"
+STATS = "meta/stats.json"
+TASKS = "meta/tasks.parquet"
+# Not of the format: which episode of the dataset each one is, and its seed, so that it can be made again.
+PROVENANCE = "meta/yamsim.json"
+
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA = f"data/{_FILE}.parquet"
+EPISODES = f"meta/episodes/{_FILE}.parquet"
+VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
+
+STATE = "observation.state"
+ACTION = "action"
+
+# Before a robot's type where there are two of it, as in lerobot's own names.
+_TWO = "bi_"
+
+
+@dataclass(frozen=True)
+class Place:
+    """One of a series of files: by its number, its chunk and its place in it."""
+
+    number: int
+
+    @property
+    def chunk(self) -> int:
+        """Of CHUNK_FILES files each."""
+        return self.number // CHUNK_FILES
+
+    @property
+    def file(self) -> int:
+        """Within its chunk."""
+        return self.number % CHUNK_FILES
+
+    def path(self, pattern: str, **keys: str) -> str:
+        """Relative path by one of the patterns above."""
+        return pattern.format(chunk_index=self.chunk, file_index=self.file, **keys)
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A column: dtype and shape of one frame's value, and its parts' names."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    names: tuple[str, ...] | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """As `info.json` has it."""
+        return {"dtype": self.dtype, "shape": list(self.shape), "names": list(self.names) if self.names else None}
+
+
+# What every dataset of the format has.
+INDEX_FEATURES: Mapping[str, Feature] = {
+    "timestamp": Feature("float32", (1,)),
+    "frame_index": Feature("int64", (1,)),
+    "episode_index": Feature("int64", (1,)),
+    "index": Feature("int64", (1,)),
+    "task_index": Feature("int64", (1,)),
+}
+
+
+def image_key(camera: str) -> str:
+    """Feature of a camera's images."""
+    return f"observation.images.{camera}"
+
+
+def intrinsics_key(camera: str) -> str:
+    """Feature of a camera's matrix K."""
+    return f"observation.intrinsics.{camera}"
+
+
+def extrinsics_key(camera: str) -> str:
+    """Feature of a camera's pose in the robot's base; of two arms, in the left one's."""
+    return f"observation.extrinsics.{camera}"
+
+
+def columns(cameras: Mapping[str, tuple[int, int]], prefixes: Sequence[str]) -> dict[str, Feature]:
+    """The features that the Parquet files hold: all but the images.
+
+    Args:
+        prefixes: what the names of each arm's parts begin with, in order. An action has all drives, then all welds.
+    """
+    drives = tuple(prefix + name for prefix in prefixes for name in ACTUATORS)
+    commands = (*drives, *(f"{prefix}magnet" for prefix in prefixes))
+    features = {
+        STATE: Feature("float32", (len(drives),), drives),
+        ACTION: Feature("float32", (len(commands),), commands),
+    }
+    for camera in cameras:
+        features[intrinsics_key(camera)] = Feature("float32", (3, 3))
+        features[extrinsics_key(camera)] = Feature("float32", (4, 4))
+    return features | dict(INDEX_FEATURES)
+
+
+def info(
+    cameras: Mapping[str, tuple[int, int]],
+    fps: float,
+    robot: str,
+    prefixes: Sequence[str],
+    *,
+    episodes: int,
+    frames: int,
+    tasks: int,
+) -> dict[str, Any]:
+    """What `meta/info.json` says.
+
+    Args:
+        cameras: camera -> width and height (px) of its images in the videos.
+        robot: the model of each arm.
+        prefixes: see `columns`.
+    """
+    images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
+    return {
+        "codebase_version": VERSION,
+        "robot_type": robot if len(prefixes) == 1 else _TWO + robot,
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": tasks,
+        "chunks_size": CHUNK_FILES,
+        "data_files_size_in_mb": DATA_FILE_MB,
+        "video_files_size_in_mb": VIDEO_FILE_MB,
+        "fps": int(fps) if fps == int(fps) else fps,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": DATA,
+        "video_path": VIDEO,
+        "features": images | {key: feature.plain() for key, feature in columns(cameras, prefixes).items()},
+    }
+
+
+def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
+    width, height = size
+    details = {
+        "video.height": height,
+        "video.width": width,
+        "video.codec": "h264",
+        "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False,
+        "video.fps": int(fps) if fps == int(fps) else fps,
+        "video.channels": 3,
+        "has_audio": False,
+    }
+    return {
+        "dtype": "video",
+        "shape": [height, width, 3],
+        "names": ["height", "width", "channels"],
+        "info": details,
+    }

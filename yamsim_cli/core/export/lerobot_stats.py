@@ -1,0 +1,100 @@
+"""Statistics of features, episode by episode, and of the whole dataset in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..geometry.se3 import Array
+from ..vision.renderer import Image
+
+# Source: lerobot 0.4.4, `compute_stats.DEFAULT_QUANTILES`.
+_QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+_LEVELS = 256
+# Every so many pixels in both directions count: means and quantiles hardly change, and it costs little.
+_STRIDE = 4
+
+Stats = dict[str, Array]
+
+
+def column_stats(values: ArrayLike) -> Stats:
+    """Statistics of values (frames, ...) over the frames; `count` is that of frames, (1,)."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim == 1:
+        array = array[:, None]
+    stats = {"min": array.min(0), "max": array.max(0), "mean": array.mean(0), "std": array.std(0)}
+    stats |= dict(zip(_QUANTILES, np.quantile(array, list(_QUANTILES.values()), axis=0), strict=True))
+    return stats | {"count": np.array([float(len(array))])}
+
+
+class PixelCounts:
+    """How often each level occurs in each channel of the images seen so far: all statistics follow from it exactly."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros((3, _LEVELS), np.int64)
+        self._images = 0
+
+    def add(self, image: Image) -> None:
+        """Count an RGB image (height, width, 3)."""
+        pixels = image[::_STRIDE, ::_STRIDE]
+        for channel in range(3):
+            self._counts[channel] += np.bincount(pixels[..., channel].ravel(), minlength=_LEVELS)
+        self._images += 1
+
+    def stats(self) -> Stats:
+        """Of the channels, in 0..1, each (3, 1, 1); `count` is that of images."""
+        total = self._counts.sum(1)
+        levels = np.arange(_LEVELS) / (_LEVELS - 1)
+        mean = self._counts @ levels / total
+        spread = np.sqrt(np.maximum(self._counts @ levels**2 / total - mean**2, 0.0))
+        stats = {"min": self._level(0.0), "max": self._level(1.0), "mean": mean, "std": spread}
+        stats |= {name: self._level(part) for name, part in _QUANTILES.items()}
+        return {name: value.reshape(3, 1, 1) for name, value in stats.items()} | {
+            "count": np.array([float(self._images)])
+        }
+
+    def _level(self, part: float) -> Array:
+        """The level below which a part of the pixels lies."""
+        below = np.cumsum(self._counts, axis=1)
+        # The first level at which enough pixels are counted, and at least one.
+        enough = np.maximum(1, np.ceil(part * below[:, -1:]))
+        found: NDArray[np.intp] = (below >= enough).argmax(axis=1)
+        return found / (_LEVELS - 1)
+
+
+class RunningStats:
+    """The statistics of many episodes as one: exact but for the quantiles, which are means weighted by frames.
+
+    Source: lerobot 0.4.4, `aggregate_feature_stats`: so the numbers are those that lerobot would give.
+    """
+
+    def __init__(self) -> None:
+        self._features: dict[str, Stats] = {}
+
+    def add(self, episode: Mapping[str, Stats]) -> None:
+        """Take in an episode's: feature -> statistics."""
+        for key, stats in episode.items():
+            self._features[key] = _combined(self._features[key], stats) if key in self._features else dict(stats)
+
+    def stats(self) -> dict[str, Stats]:
+        """Feature -> statistics of all."""
+        return self._features
+
+
+def _combined(one: Stats, other: Stats) -> Stats:
+    counts = one["count"], other["count"]
+    total = counts[0] + counts[1]
+    share = float(counts[1][0] / total[0])
+    mean = one["mean"] + (other["mean"] - one["mean"]) * share
+    apart = other["mean"] - one["mean"]
+    variance = one["std"] ** 2 * (1 - share) + other["std"] ** 2 * share + apart**2 * share * (1 - share)
+    result = {name: one[name] + (other[name] - one[name]) * share for name in _QUANTILES}
+    return result | {
+        "min": np.minimum(one["min"], other["min"]),
+        "max": np.maximum(one["max"], other["max"]),
+        "mean": mean,
+        "std": np.sqrt(variance),
+        "count": total,
+    }

@@ -1,0 +1,173 @@
+"""Export to the converted layout of the real stack, see `raiden_schema`: what reads real recordings reads this."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.recording import RecordConfig
+from ..dataset.lowdim import dump_frame
+from ..dataset.reader import StoredEpisode
+from ..errors import DatasetError
+from ..resources import Locations
+from ..workers.executor import Executor, Factory
+from ..workers.inline import InlineExecutor
+from ..workers.processes import WorkerPool
+from . import raiden_schema as schema
+from .raiden_calibration import calibration
+from .raiden_episode import EpisodeMaker, MadeEpisode
+from .raiden_frames import FrameConverter, hand_frame
+from .raiden_options import RaidenOptions
+from .source import Exported, Progress, Source, depth_cameras
+from .target import export_directory
+
+# How an arm was driven, by what a recording says of itself.
+_CONTROL = {"record": "plan"}
+
+Meshes = Mapping[str, Path | None]
+# An episode's directory, and where it is exported to.
+Job = tuple[Path, Path]
+
+
+def export_raiden(
+    source: Source,
+    out: Path,
+    locations: Locations,
+    progress: Progress,
+    options: RaidenOptions,
+    meshes: Meshes | None = None,
+    *,
+    workers: int = 1,
+    overwrite: bool = False,
+) -> Exported:
+    """Write a dataset in the real stack's layout.
+
+    The global frame is the base of the left arm. A lone arm is the left one; the right one, unless left out, is still,
+    with all joints 0. Grippers are a share of the opening, 0 closed and 1 open, as the real arm's drive reports them.
+
+    Args:
+        meshes: asset set -> folder of its files, or None for primitives, for pictures that are drawn.
+        workers: processes that draw; nothing else takes long.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged, or physics leads elsewhere today.
+        ResourceError: nothing can be drawn here.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`; two arms do not go into one's arrays.
+    """
+    converter = FrameConverter(source, locations, options)
+    config = _as_recorded(source) if options.draws else source.config
+    factory = functools.partial(EpisodeMaker, config, locations, dict(meshes or {}), converter.names, options)
+    frames: dict[str, int] = {}
+    with export_directory(out, overwrite=overwrite) as stage:
+        episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.episodes())}
+        jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
+        for folder, made in _make(factory, jobs, workers if options.draws else 0):
+            data = [converter.frame(frame) for frame in made.frames]
+            metadata = _metadata(episodes[folder.name], converter, made, data, options)
+            _write_episode(folder, made, data, metadata)
+            frames[folder.name] = len(data)
+            if folder == jobs[0][1]:
+                _write_json(stage.path / schema.SHARED_METADATA, metadata)
+                _write_json(stage.path / schema.CALIBRATION, calibration(source, converter, options, data))
+            progress(len(frames), len(source))
+        total = sum(frames.values())
+        size = {"n_seqs": len(frames), "n_samples": len(frames), "n_frames": total}
+        split = {"filters": {}, "size": size, "files": dict(sorted(frames.items()))}
+        _write_json(stage.path / schema.SPLIT, split)
+    return Exported(out, len(frames), total, stage.moved_aside)
+
+
+def _as_recorded(source: Source) -> RecordConfig:
+    """A dataset's configuration, to draw pictures with that are as large as the recorded ones."""
+    sizes = set(source.cameras.values())
+    if len(sizes) > 1:
+        raise DatasetError(
+            f"{source.path} has pictures of several sizes, which cannot be drawn: take --pictures nearest"
+        )
+    image = source.config.image.model_copy(update={"size_px": sizes.pop()})
+    return source.config.model_copy(update={"image": image})
+
+
+def _make(factory: Factory[Job, MadeEpisode], jobs: Sequence[Job], workers: int) -> Iterator[tuple[Path, MadeEpisode]]:
+    """Each episode's folder and what was made of it, as they are done: by workers, or without any in this process."""
+    executor: Executor[Job, MadeEpisode] = InlineExecutor(factory)
+    if workers:
+        executor = WorkerPool[Job, MadeEpisode](factory, min(workers, len(jobs)))
+    waiting = list(reversed(jobs))
+    with executor as pool:
+        for _ in jobs:
+            while pool.idle and waiting:
+                pool.submit(waiting.pop())
+            (_, folder), made = pool.result()
+            yield folder, made
+
+
+def _metadata(
+    episode: StoredEpisode,
+    converter: FrameConverter,
+    made: MadeEpisode,
+    data: Sequence[Mapping[str, Any]],
+    options: RaidenOptions,
+) -> dict[str, Any]:
+    """What `metadata.json` holds."""
+    record = episode.record
+    sizes = {converter.names[camera]: [height, width] for camera, (width, height) in record.cameras.items()}
+    one_size = len({tuple(size) for size in sizes.values()}) == 1
+    depth = bool(depth_cameras(episode))
+    task = str(data[0]["language_task"])
+    return {
+        "info": {
+            "name": task,
+            "raw_id": f"{episode.dataset.name}/{episode.directory.name}",
+            "tags": ["robotics"],
+        },
+        "labels": ["rgb", *(["depth"] if depth else []), "action", "language"],
+        "cameras": list(sizes),
+        "resolution": next(iter(sizes.values())) if one_size else sizes,
+        "framerate": 1 / record.frame_period_s if options.fps is None else _plain(options.fps),
+        "language": {"task": task, "prompt": [str(data[0]["language_prompt"])]},
+        "num_frames": len(data),
+        "rgb": {"extension": options.images},
+        **({"depth": {"extension": "npz", "sparse": False, "metric": True}} if depth else {}),
+        "intrinsics": {"model": "pinhole"},
+        "extrinsics": {"transform": "cam2world", "metric": True},
+        "action": {"format": "joint_cmd", "dims": len(data[0]["action_joints"])},
+        "control": _CONTROL.get(record.source, record.source),
+        "hand_frame": hand_frame(options.hand_frame),
+        "pictures": dict(made.pictures),
+    }
+
+
+def _plain(number: float) -> float:
+    """A whole number without a point."""
+    return int(number) if number.is_integer() else number
+
+
+def _write_episode(
+    folder: Path, made: MadeEpisode, data: Sequence[Mapping[str, Any]], metadata: Mapping[str, Any]
+) -> None:
+    """All of an episode but its pictures, which are there: frames, and when each camera took them."""
+    nanoseconds = _npy(np.array([round(time * 1e9) for time in made.times], dtype=schema.TIMESTAMPS.dtype))
+    for camera in metadata["cameras"]:
+        (folder / "rgb" / camera / schema.TIMESTAMPS_FILE).write_bytes(nanoseconds)
+    (folder / "lowdim").mkdir()
+    for k, frame in enumerate(data):
+        (folder / "lowdim" / schema.frame_name(k, "pkl")).write_bytes(dump_frame(frame))
+    _write_json(folder / schema.METADATA, metadata)
+
+
+def _npy(array: NDArray[np.int64]) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")

@@ -1,0 +1,135 @@
+"""Export for the rerun viewer: a `.rrd` an episode, with images, joints, poses and camera frusta. Alone knows rerun."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..dataset.layout import depth_name
+from ..dataset.lowdim import BETWEEN_BASES
+from ..dataset.reader import StoredEpisode
+from ..errors import ResourceError
+from ..geometry.se3 import Array
+from ..scene.robot import ACTUATORS
+from .source import Exported, Progress, Source, depth_cameras
+from .target import export_directory
+
+# How far in front of a camera its picture is shown, and how long the axes of a pose are, m.
+_PICTURE_DISTANCE = 0.15
+_AXIS = 0.05
+_AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
+
+
+def export_rerun(source: Source, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
+    """Write `ep_NNNNNN.rrd` files into a directory; everything is in the robot's base frame, or the left one's.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged.
+        ResourceError: rerun is not installed.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+    """
+    _require_rerun()
+    frames = 0
+    with export_directory(out, overwrite=overwrite) as stage:
+        for number, episode in enumerate(source.episodes()):
+            frames += _write(stage.path / f"{episode.directory.name}.rrd", source, episode)
+            progress(number + 1, len(source))
+    return Exported(out, len(source), frames, stage.moved_aside)
+
+
+def _require_rerun() -> None:
+    try:
+        import rerun  # noqa: F401
+    except ModuleNotFoundError as error:
+        if error.name != "rerun":
+            raise
+        raise ResourceError("an .rrd file needs rerun, which is not here: pip install 'yamsim[rerun]'") from error
+
+
+def _write(path: Path, source: Source, episode: StoredEpisode) -> int:
+    import rerun
+
+    dataset = source.path.absolute().name
+    # Without properties: they hold the time of day. The name alone is what lists of recordings show.
+    stream = rerun.RecordingStream("yamsim", recording_id=f"{dataset}-{episode.directory.name}", send_properties=False)
+    stream.save(path)
+    stream.send_recording_name(f"{dataset}/{episode.directory.name}")
+    frames = episode.frames()
+    _log_static(stream, source, episode, frames)
+    with_depth = depth_cameras(episode)
+    for k, frame in enumerate(frames):
+        stream.set_time("frame", sequence=k)
+        stream.set_time("time", duration=frame["timestamp"])
+        for camera in source.cameras:
+            place = f"base/{camera}"
+            width, height = source.cameras[camera]
+            stream.log(place, _transform(frame["extrinsics"][camera]))
+            pinhole = rerun.Pinhole(
+                image_from_camera=frame["intrinsics"][camera],
+                resolution=[width, height],
+                image_plane_distance=_PICTURE_DISTANCE,
+            )
+            stream.log(place, pinhole)
+            picture = rerun.EncodedImage(contents=episode.image(camera, k), media_type="image/jpeg")
+            stream.log(f"{place}/rgb", picture)
+            if camera in with_depth:
+                with np.load(io.BytesIO(episode.whole(depth_name(camera, k))), allow_pickle=False) as archive:
+                    stream.log(f"{place}/depth", rerun.DepthImage(archive["depth"], meter=1000.0))
+        for hand, T in _hands(source, frame).items():
+            stream.log(f"base/{hand}", _transform(T))
+        for item in episode.record.objects:
+            stream.log(f"base/{item}", _transform(frame[f"{item}_pose"]))
+        _log_numbers(stream, source, frame)
+    stream.disconnect()
+    return len(frames)
+
+
+def _log_static(stream: Any, source: Source, episode: StoredEpisode, frames: list[dict[str, Any]]) -> None:
+    import rerun
+
+    stream.log("base", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    axes = rerun.Arrows3D(vectors=np.eye(3) * _AXIS, colors=_AXIS_COLOURS)
+    hands = [_hands(source, frame) for frame in frames]
+    for item in (*hands[0], *episode.record.objects):
+        stream.log(f"base/{item}/axes", axes, static=True)
+    for hand in hands[0]:
+        path = np.array([each[hand][:3, 3] for each in hands])
+        stream.log(f"base/{hand}_path", rerun.LineStrips3D([path], colors=[[90, 90, 90]], radii=0.001), static=True)
+    if BETWEEN_BASES in frames[0]:
+        stream.log("base/right_base", _transform(frames[0][BETWEEN_BASES]), static=True)
+        stream.log("base/right_base/axes", axes, static=True)
+    record = episode.record
+    lines = [
+        f"{source.path.absolute().name}/{episode.directory.name}",
+        str(frames[0]["language_prompt"]),
+        f"seed {record.seed}, attempt {record.attempt}",
+        f"success: {record.outcome.success}",
+    ]
+    stream.log("episode", rerun.TextDocument("\n".join(lines)), static=True)
+
+
+def _hands(source: Source, frame: Mapping[str, Any]) -> dict[str, Array]:
+    """Name -> pose (4, 4) of each hand."""
+    poses = np.reshape(frame["ee_pose"], (-1, 4, 4))
+    return {f"{prefix}hand": T for prefix, T in zip(source.prefixes, poses, strict=True)}
+
+
+def _log_numbers(stream: Any, source: Source, frame: Mapping[str, Any]) -> None:
+    import rerun
+
+    drives = [prefix + name for prefix in source.prefixes for name in ACTUATORS]
+    for key in ("joints", "ctrl"):
+        for name, value in zip(drives, frame[key], strict=True):
+            stream.log(f"{key}/{name}", rerun.Scalars(float(value)))
+    for prefix, holds in zip(source.prefixes, np.atleast_1d(frame["magnet"]), strict=True):
+        stream.log(f"{prefix}weld", rerun.Scalars(float(holds)))
+
+
+def _transform(T: Array) -> Any:
+    import rerun
+
+    return rerun.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])

@@ -1,0 +1,46 @@
+"""Where an export goes: a directory that is not there until it is whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..dataset.faults import explain
+from ..errors import InterruptedJobError, PartialJobError, UsageError
+from ..files import Stage, staged_directory
+
+
+@contextmanager
+def export_directory(final: Path, *, overwrite: bool) -> Iterator[Stage]:
+    """A directory to fill in the block, which appears as `final` when the block ends well.
+
+    Args:
+        overwrite: move what is at `final` aside, once the new directory is whole, instead of refusing to start.
+
+    Raises:
+        UsageError: `final` is in use, or has no parent.
+        PartialJobError: the disk refused something; nothing of the export is left.
+        InterruptedJobError: stopped by the user; nothing of the export is left.
+    """
+    require_free(final, overwrite=overwrite)
+    try:
+        with staged_directory(final, overwrite=overwrite) as stage:
+            yield stage
+    except OSError as error:
+        raise PartialJobError(f"{explain(error, final.parent)}: nothing was exported") from error
+    except KeyboardInterrupt:
+        raise InterruptedJobError(f"interrupted: nothing was written to {final}; run it again") from None
+
+
+def require_free(final: Path, *, overwrite: bool) -> None:
+    """Refuse a place for a directory before the work rather than after it.
+
+    Raises:
+        UsageError: it is in use, or has no parent.
+    """
+    if not final.absolute().parent.is_dir():
+        raise UsageError(f"{final}: there is no directory {final.absolute().parent}; make it, or choose another OUT")
+    if final.exists() and not overwrite and (not final.is_dir() or any(final.iterdir())):
+        what = "is not empty" if final.is_dir() else "is not a directory"
+        raise UsageError(f"{final} {what}; move it aside with --overwrite, or choose another OUT")

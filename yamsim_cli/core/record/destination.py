@@ -1,0 +1,171 @@
+"""Where a recording goes: a dataset's directory, directly or by way of a stage."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..config.recording import RecordConfig
+from ..dataset.records import ManifestEntry
+from ..dataset.space import EpisodeSize, block_size, check_space, files_per_episode
+from ..dataset.stage import MAX_WAITING, StagedWriter
+from ..dataset.writer import DatasetWriter, OpenMode
+from ..errors import InterruptedJobError
+from ..files import nearest_directory
+from ..mounts import Mount, network_mount, read_mounts
+from ..tasks.kinds import kind_of
+from .collect import Sink, Watch
+from ..workers.stop import Stop
+
+# To make, write, flush and close a file. Source: measured over sshfs, 60 ms a file at 10 ms a round trip.
+_ROUND_TRIPS_A_FILE = 6
+_POLL_SECONDS = 0.5
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a recording goes, and what to do with what is there.
+
+    Attributes:
+        stage: a local directory through which episodes pass on their way to a slow or remote `path`.
+    """
+
+    path: Path
+    mode: OpenMode
+    stage: Path | None = None
+
+
+class Destination:
+    """An output that is open for writing.
+
+    Attributes:
+        config: the recording's, as the dataset says it.
+    """
+
+    def __init__(self, config: RecordConfig, writer: DatasetWriter, staged: StagedWriter | None) -> None:
+        self.config = as_said(config, writer)
+        self.writer = writer
+        self._staged = staged
+
+    @property
+    def sink(self) -> Sink:
+        """What takes the recording."""
+        return self._staged or self.writer
+
+    @property
+    def rest(self) -> str:
+        """For messages: what has not arrived yet, and what to do about it."""
+        if self._staged is None or not (waiting := self._staged.on_their_way):
+            return ""
+        return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
+
+    def finish(self, watch: Watch, stop: Stop) -> None:
+        """Wait until everything has arrived, and write the manifest.
+
+        Raises:
+            InterruptedJobError: the user does not want to wait.
+            OSError: the disk refused something.
+        """
+        if self._staged is None:
+            self.writer.finish()
+            return
+        if waiting := self._staged.on_their_way:
+            watch.warn(f"Moving the last {waiting} episodes to {self.writer.path}.")
+        while not self._staged.drain(_POLL_SECONDS):
+            if stop.asked:
+                raise InterruptedJobError("interrupted")
+        self._staged.finish()
+
+    def give_up(self) -> None:
+        """Write as much of the manifest as the disk allows; the next --resume writes it whole."""
+        with contextlib.suppress(OSError):
+            (self._staged or self.writer).finish()
+
+
+def as_said(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
+    """The recording's config for what is written into a dataset: one that does not say what it shows goes on so."""
+    return config if "meshes" in writer.config else config.model_copy(update={"meshes": None})
+
+
+@contextlib.contextmanager
+def open_destination(config: RecordConfig, output: Output, watch: Watch) -> Iterator[Destination]:
+    """Open an output for the block; nobody else can record into it.
+
+    Raises:
+        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter` and `StagedWriter`.
+        ResourceError: the disk has no room.
+    """
+    # Told before anything on the mount is touched: it may not answer.
+    mount = _look_at_mounts(config, output, watch)
+    resuming = output.mode is OpenMode.RESUME
+    if not resuming:
+        # Before anything is there that would be in the way of the next try.
+        _check_space(config, output.path, {}, config.episodes, watch)
+    data_config = config.data_config()
+    reach = mount is None or mount.locks_reach_others
+    with contextlib.ExitStack() as stack:
+        writer = stack.enter_context(DatasetWriter(output.path, data_config, output.mode, locks_reach_others=reach))
+        staged = None
+        if output.stage is not None:
+            staged = StagedWriter(writer, output.stage, writer.config)
+            stack.callback(staged.close)
+        for repair in writer.repairs + (staged.repairs if staged else []):
+            watch.warn(repair)
+        destination = Destination(config, writer, staged)
+        left = config.episodes - destination.sink.episodes + len(destination.sink.missing)
+        if resuming:
+            _check_space(config, writer.path, writer.entries, left, watch)
+        if output.stage is not None:
+            _check_space(config, output.stage, writer.entries, min(left, MAX_WAITING), watch)
+        yield destination
+
+
+def _look_at_mounts(config: RecordConfig, output: Output, watch: Watch) -> Mount | None:
+    """The network mount that the output is on, if it is; warns of what that costs."""
+    mounts = read_mounts()
+    mount = network_mount(output.path, mounts)
+    if output.stage is None and mount is not None:
+        files = _files(config)
+        seconds = files * _ROUND_TRIPS_A_FILE * 0.01
+        watch.warn(
+            f"{output.path} is on {mount.point}, which is {mount.kind} ({mount.source}): an episode is {files} files, "
+            f"so writing one takes some {seconds:.0f} s where the server is 10 ms away, and workers wait meanwhile. "
+            "With --stage DIR, a local directory, finished episodes are moved there in the background."
+        )
+    if output.mode is OpenMode.RESUME and mount is not None:
+        watch.warn(f"Every file in {output.path} is read and compared first; over a network that may take minutes.")
+    if output.stage is not None and (other := network_mount(output.stage, mounts)) is not None:
+        watch.warn(
+            f"The stage {output.stage} is on {other.kind} ({other.source}), so it is no help: choose a local disk."
+        )
+    return mount
+
+
+def _check_space(
+    config: RecordConfig, place: Path, entries: Mapping[int, ManifestEntry], episodes: int, watch: Watch
+) -> None:
+    """Refuse what cannot fit, and warn of what may not."""
+    if episodes <= 0:
+        return
+    frames, cameras = _frames(config), _cameras(config)
+    disk = nearest_directory(place)
+    block = block_size(disk)
+    size = EpisodeSize.expected(frames, cameras, config.image, block, truth=config.truth)
+    size = size.learned(entries.values(), _files(config), block)
+    if warning := check_space(disk, episodes, size):
+        watch.warn(warning)
+
+
+def _files(config: RecordConfig) -> int:
+    return files_per_episode(_frames(config), _cameras(config), truth=config.truth)
+
+
+def _frames(config: RecordConfig) -> int:
+    return math.ceil(kind_of(config.task).ticks(config) / config.task.timing.ticks_per_frame)
+
+
+def _cameras(config: RecordConfig) -> int:
+    return 2 if config.wrist else 1

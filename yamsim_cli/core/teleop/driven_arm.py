@@ -1,0 +1,172 @@
+"""One arm of a session that a person drives: where its hand is to be, how it gets there, and what keeps it from it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..config.recording import RecordConfig
+from ..geometry.se3 import Array, inverse, pose
+from ..planning.ik import IkSolver
+from ..planning.pursuit import Pursuit
+from ..resources import Locations
+from ..scene.compiled import CompiledScene
+from ..scene.robot import JOINTS, bare_arm, gripper
+from ..sim.obstruction import Obstruction
+
+_IK_ITERATIONS = 12
+# A target this far from where the hand can be is out of reach, m.
+_REACH = 0.003
+# This near to its stop a joint is at it, rad.
+_AT_LIMIT = 0.005
+# The pinch frame's origin is never asked to be nearer to the table than this: the finger tips would be in it, m.
+_CLEARANCE = 0.012
+
+
+class DrivenArm:
+    """Follows a target, as fast as its motors can and no nearer to the table, the other arm or itself than it may.
+
+    Attributes:
+        side: "left" or "right".
+        opening: that each finger is asked for, m.
+        widest: how far each finger goes, m.
+        magnet: whether its weld is to hold.
+        apart: how far the target is out of reach, m; 0 where the hand can be there.
+        blocked: what is in its way; empty where nothing is.
+
+    Args:
+        number: of the arm, in the scene.
+    """
+
+    def __init__(self, config: RecordConfig, scene: CompiledScene, number: int, locations: Locations) -> None:
+        self._config = config
+        self._arm = scene.arms[number]
+        arm = config.rig.arms[self._arm.number]
+        self.side = arm.side
+        self.widest = gripper(arm).full_opening
+        grasp = config.task.object.grasp
+        assert grasp is not None  # checked when the config was loaded
+        self._closed = min(grasp.opening, self.widest)
+        self._ik = IkSolver(bare_arm(arm, locations), self._arm.T_base_in_world)
+        self._ik.hold(np.eye(4))
+        self._pursuit = Pursuit(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
+        self._obstruction = Obstruction(scene, number)
+        self._T_pinch_in_grasp = _fixed_pose(
+            scene.model, f"{self._arm.prefix}pinch_site", f"{self._arm.prefix}grasp_site"
+        )
+
+    def reset(self, stand: Array) -> None:
+        """Be at rest with the joints and the opening of `stand` (7,)."""
+        joints = stand[:6]
+        self._pursuit.reset(joints)
+        self._joint_target: Array | None = None
+        self._target = self._ik.pose_of(joints)
+        self.opening, self.magnet = float(stand[6]), False
+        # One that rests with its fingers closed goes on so until it is asked for something.
+        self._used = self.opening > 0.0
+        self.apart, self.blocked = 0.0, ""
+
+    @property
+    def target(self) -> Array:
+        """Where the pinch frame is to be: pose (4, 4) in `world`."""
+        return self._target.copy()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the fingers are asked to be farther apart than around the object that they hold."""
+        return self.opening > self._closed
+
+    @property
+    def asked(self) -> Array:
+        """The joints and the opening (7,) that it is asked for now."""
+        return np.append(self._pursuit.joints, self.opening)
+
+    @property
+    def at_limit(self) -> tuple[str, ...]:
+        """Joints that have come to a stop."""
+        low, high = self._arm.joint_range.T
+        joints = self._pursuit.joints
+        near = (joints < low + _AT_LIMIT) | (joints > high - _AT_LIMIT)
+        return tuple(name for name, there in zip(JOINTS, near, strict=True) if there)
+
+    def aim(self, T_pinch_in_world: Array) -> None:
+        """Give the hand another target (4, 4); one in the table is lifted out of it."""
+        self._used, self._joint_target = True, None
+        self._target = self._above_table(T_pinch_in_world)
+
+    def aim_grasp(self, T_grasp_in_world: Array) -> None:
+        """Give the hand another target: a pose (4, 4) of `grasp_site`."""
+        self.aim(T_grasp_in_world @ self._T_pinch_in_grasp)
+
+    def aim_joints(self, joints: Array) -> None:
+        """Give it six joints (rad) to go to; beyond a stop counts as at it."""
+        reachable: Array = np.clip(joints, *self._arm.joint_range.T)
+        self._used, self._joint_target, self._target = True, reachable, self._ik.pose_of(reachable)
+
+    def set_gripper(self, opening: float) -> None:
+        """Open each finger by so much, m; beyond its range counts as the end of it."""
+        self._used, self.opening = True, min(max(opening, 0.0), self.widest)
+
+    def toggle_gripper(self) -> None:
+        """Open the gripper wide, or close it to what the object needs."""
+        self.set_gripper(self._closed if self.is_open else self.widest)
+
+    def set_magnet(self, on: bool) -> None:
+        """Switch its magnet, which holds the object where the hand is at it."""
+        self._used, self.magnet = True, on
+
+    def release(self) -> None:
+        """Let go of what it holds, and stand still where it is."""
+        self.magnet = False
+        if self._used:
+            self.opening = self.widest
+        self._joint_target = self._pursuit.joints.copy()
+
+    def step(self, qpos: Array) -> Array:
+        """What its drives are told (7,) in the next tick, rad and m.
+
+        Args:
+            qpos: MuJoCo's positions (nq,) now.
+        """
+        before = self._pursuit.joints
+        velocity = self._step_reference(qpos)
+        # As `rollout.drive_command`, without what makes up for inertia: where a person goes next is not known.
+        command = (before + self._pursuit.joints) / 2 + self._arm.kv * velocity / self._arm.kp
+        return np.append(command, self.opening)
+
+    def _step_reference(self, qpos: Array) -> Array:
+        """Go one tick towards the target unless something is in the way; the velocity (6,) that this means, rad/s."""
+        pursuit = self._pursuit
+        after = pursuit.towards(self._goal())
+        depth, name = self._obstruction.depth(qpos, after)
+        # Out of what it is in already, it may go.
+        if depth and depth >= self._obstruction.depth(qpos, pursuit.joints)[0]:
+            self.blocked = name
+            pursuit.halt()
+            return np.zeros(6)
+        self.blocked = ""
+        return pursuit.go(after)
+
+    def _goal(self) -> Array:
+        """The joints (6,) to go to, rad."""
+        if self._joint_target is not None:
+            self.apart = 0.0
+            return self._joint_target
+        solution = self._ik.solve(self._target, self._pursuit.joints, _IK_ITERATIONS)
+        self.apart = solution.position_error if solution.position_error > _REACH else 0.0
+        return solution.joints
+
+    def _above_table(self, T: Array) -> Array:
+        table, lifted = self._config.table, T.copy()
+        x, y, _ = np.abs(T[:3, 3] - table.position)
+        if x < table.half_size[0] and y < table.half_size[1]:
+            lifted[2, 3] = max(lifted[2, 3], table.top + _CLEARANCE)
+        return lifted
+
+
+def _fixed_pose(model: mujoco.MjModel, site: str, reference: str) -> Array:
+    """Pose (4, 4) of one site of a body in another one of it."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    T, T_reference = (pose(data.site(name).xpos, data.site(name).xmat.reshape(3, 3)) for name in (site, reference))
+    return inverse(T_reference) @ T

@@ -1,0 +1,196 @@
+"""A stream of commands, as a leader arm sends them: one JSON object a line, each with its time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import FiniteFloat, ValidationError, field_validator, model_validator
+
+from ..config.base import Config, Quaternion
+from ..config.limits import Stops
+from ..config.recording import RecordConfig, Side
+from ..config.units import Place, PlacePoint, Within
+from ..errors import ConfigError
+from ..geometry.se3 import Array, pose_from_quat
+from ..resources import Locations
+from .session import TeleopSession
+
+_JOINTS, _OF_TWO = 6, 14
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
+
+# Leader arms that turn farther than ours send what lies beyond its stops, which counts as at them. Farther beyond than
+# this it cannot be meant, rad.
+_BEYOND = math.radians(30)
+# Drives report a little beyond both ends of the opening, m.
+_OPENING = Within("m", -0.02, 0.1)
+
+
+class PoseTarget(Config):
+    """A pose of `grasp_site` in the arm's base: position in m, quaternion wxyz."""
+
+    position: PlacePoint
+    quaternion: Quaternion
+
+    @property
+    def T(self) -> Array:
+        """The pose (4, 4)."""
+        return pose_from_quat(self.position, self.quaternion)
+
+
+class Command(Config):
+    """One line of a stream; what it leaves out stays as it is.
+
+    Attributes:
+        t: seconds since the stream's beginning.
+        arm: of two arms, which one this and what follows is for; at first, the one that does the task.
+        joints: six of the arm, rad; or 14 of both, the left one's first, as frames hold them.
+        ee: `grasp_site` in the arm's base, or in the left one's of two, as frames hold it in `ee_pose`.
+        gripper: opening of one finger, m.
+        magnet: whether it is on.
+        event: what to do with the recording.
+    """
+
+    t: Annotated[FiniteFloat, Within("s", 0, 86400)]
+    arm: Side | None = None
+    joints: tuple[FiniteFloat, ...] | None = None
+    ee: tuple[Row, Row, Row, Row] | PoseTarget | None = None
+    gripper: Annotated[FiniteFloat, Within("m", 0, 0.1)] | None = None
+    magnet: bool | None = None
+    event: Literal["start", "stop", "discard"] | None = None
+
+    @property
+    def T_grasp_in_base(self) -> Array | None:
+        """The end effector's target (4, 4), if this line has one."""
+        if self.ee is None:
+            return None
+        return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
+
+    @field_validator("joints")
+    @classmethod
+    def _six_or_all(cls, joints: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if joints is not None and len(joints) not in (_JOINTS, _OF_TWO):
+            raise ValueError(f"{len(joints)} numbers; give six of one arm, or 14 of two")
+        for opening in (joints or ())[_JOINTS :: _JOINTS + 1]:
+            _OPENING.check(opening)
+        return joints
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Command:
+        if self.joints is not None and self.ee is not None:
+            raise ValueError("give joints or ee, not both")
+        if self.ee is not None and not isinstance(self.ee, PoseTarget):
+            T = np.array(self.ee)
+            R = T[:3, :3]
+            if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
+                raise ValueError("ee is no pose: its upper left 3 x 3 is no rotation")
+            if not np.array_equal(T[3], (0, 0, 0, 1)):
+                raise ValueError("ee is no pose: its last row has to be 0 0 0 1")
+        return self
+
+
+def read_stream(file: Path, config: RecordConfig, locations: Locations) -> list[Command]:
+    """All commands of a file, in order of time, for the arms of a recording.
+
+    Raises:
+        ConfigError: the file cannot be read, or a line of it is no command of these arms; the message names line and
+            key.
+    """
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise ConfigError(f"--input {file} cannot be read: {reason}") from error
+    commands: list[Command] = []
+    arms = _Arms(config, locations)
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        command = _read(line, f"{file}:{number}")
+        arms.check(command, f"{file}:{number}")
+        if commands and command.t < commands[-1].t:
+            raise ConfigError(f"{file}:{number}: t {command.t:g} is before {commands[-1].t:g} of the line above")
+        commands.append(command)
+    if not commands:
+        raise ConfigError(f"--input {file} is empty: give one JSON object a line, such as {{'t': 0, 'event': 'start'}}")
+    return commands
+
+
+def _read(line: str, where: str) -> Command:
+    try:
+        return Command.model_validate_json(line)
+    except ValidationError as error:
+        # Of the two forms of `ee`, the one that is meant goes wrong the deepest.
+        first = max(error.errors(include_url=False), key=lambda detail: len(detail["loc"]))
+        key = ".".join(part for part in map(str, first["loc"]) if "[" not in part and part != PoseTarget.__name__)
+        message = first["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"{where}: {key + ': ' if key else ''}{message}") from error
+
+
+class _Arms:
+    """Whether commands, one after the other, are for arms that there are, and such as these can do."""
+
+    def __init__(self, config: RecordConfig, locations: Locations) -> None:
+        arms = config.rig.arms
+        self._stops = {arm.side: Stops(arm, locations) for arm in arms}
+        self._driven: Side = config.acting_arms[0].side
+
+    def check(self, command: Command, where: str) -> None:
+        """Raises:
+        ConfigError: there is no such arm, or its joints cannot be so.
+        """
+        if command.arm is not None and command.arm not in self._stops:
+            raise ConfigError(f"{where}: arm: there is only a {next(iter(self._stops))} one; leave it out")
+        self._driven = command.arm or self._driven
+        if command.joints is None:
+            return
+        rows: dict[Side, tuple[float, ...]] = {self._driven: command.joints}
+        if len(command.joints) == _OF_TWO:
+            if len(self._stops) < 2:
+                raise ConfigError(f"{where}: joints: 14 numbers are of two arms, and there is one; give six")
+            rows = {"left": command.joints[:_JOINTS], "right": command.joints[_JOINTS + 1 : -1]}
+        for side, row in rows.items():
+            if fault := self._stops[side].fault(np.array(row), _BEYOND):
+                raise ConfigError(f"{where}: joints: {fault}")
+
+
+class Player:
+    """Lets a stream's commands act, each on the first tick that begins at or after its time."""
+
+    def __init__(self, commands: Sequence[Command]) -> None:
+        self._commands = commands
+        self._next = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether every command has acted."""
+        return self._next == len(self._commands)
+
+    def act(self, session: TeleopSession, now: float) -> None:
+        """Let those act whose time has come, `now` in seconds since the stream's beginning."""
+        # A tick's beginning is a sum of many: what is meant for it must not miss it by rounding.
+        while not self.done and self._commands[self._next].t <= now + 1e-9:
+            self._apply(session, self._commands[self._next])
+            self._next += 1
+
+    def _apply(self, session: TeleopSession, command: Command) -> None:
+        if command.event is not None:
+            {"start": session.start, "stop": session.stop, "discard": session.discard}[command.event]()
+        if command.arm is not None:
+            session.drive(command.arm)
+        if command.joints is not None:
+            joints = np.array(command.joints)
+            if len(joints) == _OF_TWO:
+                session.aim_all(joints.reshape(2, 7))
+            else:
+                session.aim_joints(joints)
+        if (T := command.T_grasp_in_base) is not None:
+            session.aim_grasp(T)
+        if command.gripper is not None:
+            session.set_gripper(command.gripper)
+        if command.magnet is not None:
+            session.set_magnet(command.magnet)

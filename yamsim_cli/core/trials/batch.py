@@ -1,0 +1,87 @@
+"""Run a task many times without drawing, and count."""
+
+from __future__ import annotations
+
+import functools
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..config.recording import RecordConfig
+from ..dataset.records import MarginsRecord, attempt_record, plain
+from ..errors import ResourceError
+from ..files import write_file
+from ..resources import Locations
+from ..types import EpisodeJob, EpisodePayload
+from ..attempt.runner import EpisodeRunner
+from .tally import Progress, run_trials, tally, what_ran
+from ..workers.processes import WorkerPool
+
+
+def run_batch(
+    config: RecordConfig, locations: Locations, thresholds: Sequence[float], progress: Progress
+) -> dict[str, Any]:
+    """Run `config.episodes` trials, the same that `record` would make with the same seed.
+
+    Args:
+        thresholds: in metres, by which the outcomes are scored beside the task's own.
+
+    Returns:
+        JSON-ready: what `tally` counts, margins, rig, task, grasp,
+        arms (those that act), seconds, trials.
+
+    Raises:
+        InterruptedJobError: stopped by the user; nothing is lost but the time.
+    """
+    began = time.monotonic()
+    n = config.episodes
+    # Meshes are looks; without drawing nobody looks.
+    factory = functools.partial(EpisodeRunner, config, locations, {}, draw=False)
+    workers = min(config.workers, n)
+    with WorkerPool[EpisodeJob, EpisodePayload](factory, workers) as pool:
+        payloads = run_trials(pool, config.seed, n, progress)
+    seconds = time.monotonic() - began
+
+    payloads.sort(key=lambda payload: payload.job.attempt)
+    records = [attempt_record(payload, None) for payload in payloads]
+    trials = []
+    for record in records:
+        trial = plain(record)
+        trial["trial"] = trial.pop("attempt")
+        del trial["episode"]
+        trials.append(trial)
+    return {
+        **tally([record.outcome for record in records], config.task.success, thresholds, [True] * n),
+        "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
+        **what_ran(config),
+        "seconds": seconds,
+        "core_seconds_per_trial": seconds * workers / n,
+        "trials": trials,
+    }
+
+
+def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float] | None:
+    """The worst of each margin over all trials; None if nothing ever moved."""
+    if not margins:
+        return None
+    return {
+        "velocity_share": max(margin.velocity_share for margin in margins),
+        "torque_share": max(margin.torque_share for margin in margins),
+        "joint_rad": min(margin.joint_rad for margin in margins),
+        "slip_m": max(margin.slip_m for margin in margins),
+        "object_tilt_rad": max(margin.object_tilt_rad for margin in margins),
+    }
+
+
+def write_report(report: dict[str, Any], path: Path) -> None:
+    """Write a report as JSON, atomically.
+
+    Raises:
+        ResourceError: the file cannot be written.
+    """
+    try:
+        write_file(path, (json.dumps(report, indent=2, allow_nan=False) + "\n").encode())
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --out") from error

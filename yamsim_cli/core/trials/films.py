@@ -1,0 +1,199 @@
+"""Films of batch trials: made again from their numbers and drawn, which a batch itself does not do."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from ..config.recording import RecordConfig
+from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
+from ..files import move_aside
+from ..resources import Locations
+from ..scene.build import SCENE_CAMERA
+from ..sim.rollout import Rollout
+from ..types import Cause, EpisodeJob
+from ..images.jpeg import decode_jpeg, encode_jpeg
+from ..images.video import VideoWriter, require_encoder
+from ..vision.views import label
+from ..attempt.runner import EpisodeRunner
+from ..workers.executor import Executor, Factory, J
+from ..workers.processes import WorkerPool
+
+# Trials that end before anything moves.
+_NEVER_MOVED = (Cause.NO_LAYOUT, Cause.UNREACHABLE)
+
+# On the way from a worker to the film: hardly any loss beside that of the film itself.
+_JPEG_QUALITY = 95
+
+# Called with films done and in all.
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class FilmedTrial:
+    """A trial and the video that shows it."""
+
+    trial: int
+    path: Path
+
+
+class Drawer:
+    """Draws what happened in physics; a context manager that owns a renderer."""
+
+    def __init__(self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None]) -> None:
+        self._runner = EpisodeRunner(config, locations, meshes, draw=False)
+
+    def _drawn(self, rollout: Rollout | None) -> list[bytes]:
+        """Its frames as JPEGs; none of what never moved."""
+        states = rollout.states if rollout else ()
+        drawn = (self._runner.draw(state.qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for state in states)
+        return [encode_jpeg(image, _JPEG_QUALITY) for image in drawn]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._runner.close()
+
+
+class TrialDrawer(Drawer):
+    """Makes trials again and draws them, whatever their outcome."""
+
+    def run(self, job: EpisodeJob) -> list[bytes]:
+        """The trial's frames as JPEGs."""
+        return self._drawn(self._runner.simulate(job)[2])
+
+
+class TrialFilms:
+    """Where films go: one file with all of them if its name ends in `.mp4`, else a folder with one each.
+
+    What can be checked is checked at once, so that no trial runs in vain.
+
+    Args:
+        path: of the file or the folder.
+        frame_period: of the trials, s.
+        overwrite: move what is there aside.
+
+    Raises:
+        UsageError: something is in the way.
+        ResourceError: videos cannot be written here.
+    """
+
+    def __init__(self, path: Path, frame_period: float, *, overwrite: bool) -> None:
+        require_encoder()
+        self.path = path
+        self._period = frame_period
+        self._overwrite = overwrite
+        self._reel = VideoWriter(path, frame_period, overwrite=overwrite) if path.suffix.lower() == ".mp4" else None
+        self.moved_aside: Path | None = None
+        if not self._reel and path.exists() and not overwrite and (not path.is_dir() or any(path.iterdir())):
+            raise UsageError(f"{path} is not empty; move it aside with --overwrite, or choose another --video")
+
+    def write(self, trials: Iterator[tuple[dict[str, Any], list[bytes]]]) -> list[FilmedTrial]:
+        """Write the frames of trials, in their order.
+
+        Raises:
+            ResourceError: the disk is full, or may not be written.
+        """
+        if self._reel:
+            with self._reel as video:
+                shown = [_add(video, trial, frames) for trial, frames in trials]
+            self.moved_aside = self._reel.moved_aside
+            return [FilmedTrial(number, self.path) for number in shown]
+        self._make_folder()
+        films = []
+        for trial, frames in trials:
+            path = self.path / f"trial_{trial['trial']:06d}_{_ending(trial)}.mp4"
+            with VideoWriter(path, self._period) as video:
+                films.append(FilmedTrial(_add(video, trial, frames), path))
+        return films
+
+    def _make_folder(self) -> None:
+        try:
+            if self._overwrite and self.path.exists():
+                self.moved_aside = move_aside(self.path)
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ResourceError(f"{self.path} cannot be made: {error.strerror}; choose another --video") from error
+
+
+def _ending(trial: Mapping[str, Any]) -> str:
+    return str(trial["outcome"]["cause"] or "success")
+
+
+def _add(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence[bytes]) -> int:
+    number = int(trial["trial"])
+    for data in frames:
+        image = decode_jpeg(data)
+        if image is None:
+            raise SimulationError(f"a frame of trial {number} was damaged on its way from the worker")
+        video.write(label(image, {}, f"trial {number}: {_ending(trial).replace('_', ' ')}"))
+    return number
+
+
+def film_trials(
+    trials: Sequence[dict[str, Any]],
+    limit: int,
+    films: TrialFilms,
+    config: RecordConfig,
+    locations: Locations,
+    meshes: Mapping[str, Path | None],
+    progress: Progress,
+) -> list[FilmedTrial]:
+    """Film trials of a batch, failures first; those in which nothing moved cannot be shown.
+
+    Args:
+        trials: as `run_batch` reports them.
+        limit: of how many at most.
+        meshes: asset set -> folder of its files, or None for primitives.
+
+    Raises:
+        InterruptedJobError: stopped by the user; finished films stay.
+        ResourceError: nothing can draw here, or the films cannot be written.
+    """
+    moving = [trial for trial in trials if trial["outcome"]["cause"] not in _NEVER_MOVED]
+    chosen = sorted(moving, key=lambda trial: trial["outcome"]["success"])[:limit]
+    if not chosen:
+        return []
+    factory = functools.partial(TrialDrawer, config, locations, dict(meshes))
+    jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]
+    return film_jobs(factory, chosen, jobs, films, config.workers, progress)
+
+
+def film_jobs(
+    factory: Factory[J, list[bytes]],
+    trials: Sequence[dict[str, Any]],
+    jobs: Sequence[J],
+    films: TrialFilms,
+    workers: int,
+    progress: Progress,
+) -> list[FilmedTrial]:
+    """Film trials whose frames the jobs give, at least one of them. Raises as `film_trials`."""
+    try:
+        with WorkerPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
+            return films.write(drawn_in_order(trials, jobs, pool, progress))
+    except KeyboardInterrupt:
+        raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None
+
+
+def drawn_in_order(
+    trials: Sequence[dict[str, Any]], jobs: Sequence[J], pool: Executor[J, list[bytes]], progress: Progress
+) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
+    """Trials with the frames that their jobs give, in the order given, whichever is drawn first."""
+    waiting = list(reversed(range(len(jobs))))
+    numbers = {id(job): number for number, job in enumerate(jobs)}
+    drawn: dict[int, list[bytes]] = {}
+    for number, trial in enumerate(trials):
+        while number not in drawn:
+            while pool.idle and waiting:
+                pool.submit(jobs[waiting.pop()])
+            job, frames = pool.result()
+            drawn[numbers[id(job)]] = frames
+        yield trial, drawn.pop(number)
+        progress(number + 1, len(trials))

@@ -1,0 +1,249 @@
+"""Make a recorded episode again, and compare: from its seed, from its actions, and its images."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from ..config.recording import RecordConfig
+from ..dataset.actions import recorded_actions
+from ..dataset.compare import Comparison, Difference, compare_frames, compare_values
+from ..dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
+from ..dataset.reader import StoredEpisode, open_episode
+from ..dataset.records import OutcomeRecord
+from ..shown_meshes import differences, shown
+from ..errors import DatasetError
+from ..resources import Locations
+from ..types import EpisodeJob
+from ..images.jpeg import decode_jpeg
+from ..attempt.runner import EpisodeRunner, start_poses, versions
+
+# The ways to make an episode again, in the order in which their differences are told.
+SEED, ACTIONS, IMAGES = "seed", "actions", "images"
+CHECKS = (SEED, ACTIONS, IMAGES)
+
+Frames = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much may differ.
+
+    Attributes:
+        values: of a number, see `dataset.compare.Comparison`.
+        images: mean difference of an image's pixels, of 255; at 0 the files have to be the same byte for byte. None
+            leaves images out.
+    """
+
+    values: float
+    images: float | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What making one episode again gave.
+
+    Attributes:
+        episode: its number.
+        checks: check -> how far stored and made lie apart.
+        skipped: check -> why it could not be made.
+        problems: file -> what is wrong with it, whatever its values are; "" for the whole episode.
+        changed: name -> version when it was recorded, and now, where these are not the same.
+    """
+
+    episode: int
+    checks: Mapping[str, Comparison] = field(default_factory=dict)
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    problems: Mapping[str, str] = field(default_factory=dict)
+    changed: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing is wrong with it."""
+        return not self.problems and all(check.first is None for check in self.checks.values())
+
+
+class EpisodeVerifier:
+    """Makes episodes of one dataset again; a context manager, since it may own a renderer.
+
+    Args:
+        config: the dataset's own.
+        meshes: asset set -> folder of its files, or None for primitives; they matter to images alone.
+    """
+
+    def __init__(
+        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], limits: Limits
+    ) -> None:
+        self._runner = EpisodeRunner(config, locations, meshes, draw=False)
+        self._said = config.meshes
+        self._limits = limits
+
+    def run(self, job: tuple[int, Path]) -> Verdict:
+        """Check one episode, given by its number and its directory."""
+        number, directory = job
+        problems: dict[str, str] = {}
+        checks: dict[str, Comparison] = {}
+        skipped: dict[str, str] = {}
+        changed: dict[str, tuple[str, str]] = {}
+        try:
+            episode = open_episode(directory)
+            if others := self._other_meshes(episode):
+                problems[EPISODE] = f"it shows other meshes than {CONFIG} says: {'; '.join(others)}"
+            changed = self._changed(episode)
+            frames = _read_frames(episode, problems)
+            if episode.record.source == "record":
+                checks |= self._from_seed(episode, frames)
+            else:
+                skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
+            if repeated := repeat_actions(self._runner, episode, frames, self._limits.values):
+                checks[ACTIONS] = repeated
+            else:
+                skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
+        except DatasetError as error:
+            # Says more than that the file was altered.
+            problems = {"": str(error)} | problems
+        return Verdict(number, checks, skipped, problems, changed)
+
+    def _from_seed(self, episode: StoredEpisode, frames: Frames) -> dict[str, Comparison]:
+        """The whole attempt again, from its two numbers."""
+        record = episode.record
+        layout, outcome, rollout = self._runner.simulate(EpisodeJob(record.seed, record.attempt))
+        made = self._runner.frames(rollout.states) if rollout else []
+        once = compare_values(
+            {"outcome": _judgement(record.outcome), "start": _arrays(record.layout)}
+            | {"randomized": asdict(record.randomized)},
+            {"outcome": _judgement(OutcomeRecord.of(outcome)), "start": _arrays(start_poses(layout))}
+            | {"randomized": asdict(self._runner.randomized)},
+            self._limits.values,
+        )
+        checks = {SEED: _together(compare_frames(frames, made, self._limits.values), once)}
+        if self._limits.images is not None and rollout:
+            drawn = self._runner.images([state.qpos for state in rollout.states])
+            checks[IMAGES] = _compare_images(episode, drawn, self._limits.images)
+        return checks
+
+    def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
+        then, now = dict(episode.record.versions), versions()
+        if self._limits.images is not None:
+            then["renderer"], now["renderer"] = episode.record.renderer, self._runner.renderer.description
+            for name, drawn in (episode.record.meshes or {}).items():
+                then[f"meshes {name}"] = shown(drawn)
+                now[f"meshes {name}"] = shown(self._runner.scene.drawn.get(name))
+        return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
+
+    def _other_meshes(self, episode: StoredEpisode) -> list[str]:
+        said, own = self._said, episode.record.meshes
+        return differences(own, said, ("here", "there")) if said is not None and own is not None else []
+
+    def __enter__(self) -> EpisodeVerifier:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._runner.close()
+
+
+def repeat_actions(
+    runner: EpisodeRunner, episode: StoredEpisode, frames: Frames, tolerance: float
+) -> Comparison | None:
+    """An episode's actions again in physics, from where it began, and how far that leads from what it holds.
+
+    Args:
+        runner: of the configuration that the episode was recorded with.
+        tolerance: see `dataset.compare`.
+
+    Returns:
+        None when the episode holds no actions that physics could repeat.
+
+    Raises:
+        DatasetError: the episode is of another scene.
+    """
+    model = runner.scene.model
+    recorded = recorded_actions(frames, model.nq, model.nu)
+    if recorded is None:
+        return None
+    vary(runner, episode)
+    stored = episode.record.outcome
+    planned = episode.record.source == "record"
+    outcome, rollout = runner.repeat(*recorded, stored.plan_error_m or 0.0, stored.tilt_rad or 0.0, planned=planned)
+    # What the plan knew of itself, its actions cannot tell.
+    judged = OutcomeRecord.of(outcome).model_copy(
+        update={"plan_error_m": stored.plan_error_m, "tilt_rad": stored.tilt_rad}
+    )
+    once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, tolerance)
+    return _together(compare_frames(frames, runner.frames(rollout.states), tolerance), once)
+
+
+def vary(runner: EpisodeRunner, episode: StoredEpisode) -> None:
+    """Let a runner's scene be as it was in a recorded episode."""
+    record = episode.record
+    runner.vary(EpisodeJob(record.seed, record.attempt), record.randomized)
+
+
+def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
+    """All frames of an episode; what was altered is told, and compared all the same."""
+    frames = []
+    for k in range(episode.record.frames):
+        data = episode.read(name := lowdim_name(k))
+        if episode.altered(name, data):
+            problems[name] = "its content is not what was recorded: sha256 differs from episode.json"
+        frames.append(episode.frame(k, data))
+    return frames
+
+
+def _judgement(outcome: OutcomeRecord) -> dict[str, Any]:
+    """An outcome's numbers and its verdict; the text on them says nothing more."""
+    return outcome.model_dump(exclude={"detail"})
+
+
+def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    return {name: np.array(values) for name, values in poses.items()}
+
+
+def _together(frames: Comparison, once: Comparison) -> Comparison:
+    """One comparison of both; an attempt that was never simulated tells of itself by its outcome."""
+    first = frames.first or once.first
+    if frames.first and frames.first.frame is None:
+        first = once.first or frames.first
+    return Comparison(frames.largest | once.largest, first)
+
+
+def _compare_images(episode: StoredEpisode, drawn: Mapping[str, bytes], limit: float) -> Comparison:
+    """Recorded JPEGs against new ones: `largest` holds each camera's largest mean difference of pixels, of 255."""
+    result = Comparison()
+    record = episode.record
+    for k in range(record.frames):
+        for camera in record.cameras:
+            name = image_name(camera, k)
+            stored, made = episode.read(name), drawn.get(name, b"")
+            apart = 0.0 if stored == made else _pixels_apart(stored, made)
+            result.largest[camera] = max(result.largest.get(camera, 0.0), 255.0 if apart is None else apart)
+            if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first is None:
+                shown = [f"{len(data)} bytes" for data in (stored, made)]
+                result.first = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
+    if limit == 0.0 and result.first is None:
+        result.first = _first_other_truth(episode, drawn)
+    return result
+
+
+def _first_other_truth(episode: StoredEpisode, drawn: Mapping[str, bytes]) -> Difference | None:
+    """The first file of ground truth that is not the same byte for byte; None if all are."""
+    for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
+        stored, made = episode.read(name), drawn.get(name, b"")
+        if stored != made:
+            return Difference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
+    return None
+
+
+def _pixels_apart(stored: bytes, made: bytes) -> float | None:
+    """Mean difference of two JPEGs' pixels, of 255; None when one is damaged or has another size."""
+    one, other = decode_jpeg(stored), decode_jpeg(made)
+    if one is None or other is None or one.shape != other.shape:
+        return None
+    return float(np.abs(one.astype(float) - other).mean())

@@ -1,0 +1,148 @@
+"""Ground truth of one picture: depth, segmentation, poses, keypoints and boxes, from one pass without light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..dataset.truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility
+from ..geometry.camera import opencv_from_mujoco, project
+from ..geometry.se3 import Array, inverse, pose
+from .labels import Keypoint, SceneLabels
+from .renderer import Image, SceneRenderer
+
+Depth = NDArray[np.uint16]
+
+# Nearer than this to the camera's plane, a point has no useful place in the image, m.
+_NEAREST = 0.01
+# Farther than a uint16 of millimetres goes is as good as nothing.
+_FARTHEST_MM = 65535
+
+
+@dataclass(frozen=True)
+class FrameTruth:
+    """The truth about one picture.
+
+    Attributes:
+        depth_mm: distance z along the camera's axis (height, width), mm; 0 for nothing, or beyond 65 m.
+        labels: number of what is seen at each pixel (height, width), see `SceneLabels`.
+        arrays: the rest by key, see `dataset.truth.ARRAYS`, without the axis of frames.
+    """
+
+    depth_mm: Depth
+    labels: Image
+    arrays: dict[str, NDArray[Any]]
+
+
+def measure_frame(
+    data: mujoco.MjData, camera: str, renderer: SceneRenderer, scene: SceneLabels, T_base_in_world: Array
+) -> FrameTruth:
+    """Measure what the picture of a camera shows; `data` has all positions, as for drawing it."""
+    labels, distance = renderer.label(data, camera, scene.of_geom)
+    depth = whole_mm(distance)
+    K = renderer.intrinsics(camera).K
+    view = data.cam(camera)
+    T_cam_in_world = pose(view.xpos, opencv_from_mujoco(view.xmat))
+    T_world_in_cam = inverse(T_cam_in_world)
+    boxes, pixels = instance_boxes(labels, scene.instance_of, len(scene.names.instances))
+    places, depths, visibility = _keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth)
+    arrays: dict[str, NDArray[Any]] = {
+        "T_cam_in_base": inverse(T_base_in_world) @ T_cam_in_world,
+        "T_link_in_cam": _poses(data, scene.links, T_world_in_cam),
+        "T_object_in_cam": _poses(data, scene.objects, T_world_in_cam),
+        "keypoints": places,
+        "keypoint_depth": depths,
+        "visibility": visibility,
+        "boxes": boxes,
+        "pixels": pixels,
+    }
+    return FrameTruth(depth, labels, arrays)
+
+
+def whole_mm(distance: NDArray[np.float32]) -> Depth:
+    """A renderer's distances z (height, width) in m as whole mm; 0 for nothing, or beyond 65 m."""
+    # The sky is 0 already.
+    millimetres = np.rint(distance * 1000.0)
+    return np.where(millimetres <= _FARTHEST_MM, millimetres, 0).astype(np.uint16)
+
+
+def _poses(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array) -> Array:
+    """Poses (n, 4, 4) of bodies in the camera."""
+    T = np.tile(np.eye(4), (len(bodies), 1, 1))
+    T[:, :3, :3] = data.xmat[bodies].reshape(-1, 3, 3)
+    T[:, :3, 3] = data.xpos[bodies]
+    return T_world_in_cam @ T
+
+
+def instance_boxes(
+    labels: Image, instance_of: NDArray[np.int64], instances: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The smallest box (n, 4) around what is seen of each instance, and how many pixels (n,) that is.
+
+    A box is `[x0, y0, x1, y1]`, the last column and row left out, so that x1 - x0 is its width; zeros where nothing of
+    the instance is seen.
+    """
+    counts = np.bincount(labels.ravel(), minlength=len(instance_of))[: len(instance_of)]
+    boxes, pixels = np.zeros((instances, 4), np.int32), np.zeros(instances, np.int32)
+    for k in range(instances):
+        seen = np.flatnonzero((instance_of == k) & (counts > 0))
+        if not len(seen):
+            continue
+        wanted = np.zeros(256, np.uint8)
+        wanted[seen] = 1
+        x, y, width, height = cv2.boundingRect(cv2.LUT(labels, wanted))
+        boxes[k], pixels[k] = (x, y, x + width, y + height), counts[seen].sum()
+    return boxes, pixels
+
+
+def _keypoints(
+    points: tuple[Keypoint, ...], data: mujoco.MjData, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: Depth
+) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """Pixel (n, 2), distance z (n,) and visibility (n,) of each point; zeros for what lies behind the camera."""
+    places, depths = np.zeros((len(points), 2)), np.zeros(len(points))
+    visibility = np.full(len(points), Visibility.OUTSIDE, np.uint8)
+    height, width = labels.shape
+    for k, point in enumerate(points):
+        T = T_world_in_cam @ pose(data.xpos[point.body], data.xmat[point.body].reshape(3, 3))
+        p = T[:3, :3] @ point.position + T[:3, 3]
+        if p[2] < _NEAREST:
+            continue
+        places[k], depths[k] = project(K, p)[0], p[2]
+        u, v = np.rint(places[k])
+        if 0 <= u < width and 0 <= v < height:
+            normal = None if point.normal is None else T[:3, :3] @ point.normal
+            seen = is_seen(point, p, normal, K, (int(u), int(v)), labels, depth_mm)
+            visibility[k] = Visibility.VISIBLE if seen else Visibility.HIDDEN
+    return places, depths, visibility
+
+
+def is_seen(
+    point: Keypoint, p: Array, normal: Array | None, K: Array, pixel: tuple[int, int], labels: Image, depth_mm: Depth
+) -> bool:
+    """Whether nothing hides a point (3,) in the camera.
+
+    A point inside the arm is seen if its pixel shows one of the links around it, and that close to it. A point on a
+    surface is seen if its pixel shows its own body at the depth that the surface's tangent plane has there. A corner
+    lies on the edge of the print, where half the time its pixel is not its own: any pixel that touches it will do.
+    """
+    if normal is None:
+        cover = float(p[2]) - depth_mm[pixel[1], pixel[0]] / 1000.0
+        return int(labels[pixel[1], pixel[0]]) in point.labels and cover <= JOINT_COVER
+    facing = float(normal @ p)
+    if facing >= 0.0:
+        return False
+    reach = 1 if point.record.kind == "corner" else 0
+    height, width = labels.shape
+    for v in range(max(0, pixel[1] - reach), min(height, pixel[1] + reach + 1)):
+        for u in range(max(0, pixel[0] - reach), min(width, pixel[0] + reach + 1)):
+            if int(labels[v, u]) not in point.labels:
+                continue
+            ray = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], 1.0])
+            if abs(facing / float(normal @ ray) - depth_mm[v, u] / 1000.0) <= DEPTH_TOLERANCE:
+                return True
+    return False
