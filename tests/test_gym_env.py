@@ -14,8 +14,8 @@ import pytest
 
 gymnasium = pytest.importorskip("gymnasium", reason="yamsim[gym] is not installed")
 
-from yamsim_cli.core.config.recording import RecordConfig  # noqa: E402
 from yamsim_cli.core.attempt.runner import EpisodeRunner  # noqa: E402
+from yamsim_cli.core.config.recording import RecordConfig  # noqa: E402
 from yamsim_cli.core.resources import Locations  # noqa: E402
 from yamsim_cli.core.types import EpisodeJob  # noqa: E402
 from yamsim_cli.gym_env import ENV_ID  # noqa: E402

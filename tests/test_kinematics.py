@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from tests.readme import snippet
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_from_vector, rotation_vector, rotation_z
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.kinematics import Kinematics, OutOfReachError, Site

@@ -15,9 +15,9 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel, opencv_from_mujoco
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, quat_from_rotation
-from yamsim_cli.core.show.compose import rig_spec
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compose import Contents, compile_spec
+from yamsim_cli.core.show.compose import rig_spec
 from yamsim_cli.core.vision.lens import LensWarp, project_points
 from yamsim_cli.core.vision.renderer import SceneRenderer
 

@@ -65,8 +65,7 @@ def record(
     from .core.dataset.opening import OpenMode
     from .core.record.collect import Watch
     from .core.record.destination import Output
-    from .core.record.executors import LocalProcesses
-    from .core.workers.inline import ThisProcess
+    from .core.record.executors import LocalProcesses, ThisProcess
     from .core.record.recorder import record as run
     from .core.workers.stop import Stop
 

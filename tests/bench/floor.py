@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 
 from tests.bench.setting import Setting, Stopwatch
-from yamsim_cli.core.files import publish_directory
 from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.files import publish_directory
+from yamsim_cli.core.images.jpeg import encode_jpeg
 from yamsim_cli.core.sim.rollout import Rollout, simulate
 from yamsim_cli.core.tasks.plans import phases
 from yamsim_cli.core.types import Actions
-from yamsim_cli.core.images.jpeg import encode_jpeg
 
 
 def actions_of(rollout: Rollout) -> Actions:

@@ -8,18 +8,18 @@ import numpy as np
 
 from tests.bench.setting import median_seconds, setting
 from tests.board_photos import facing, photograph
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.images.jpeg import encode_jpeg
 from yamsim_cli.core.planning.ik import IkSolver
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.robot import bare_arm
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.vision.fiducials.locate import locate
-from yamsim_cli.core.images.jpeg import encode_jpeg
 
 _CAMERA = CameraModel.pinhole(640, 480, 600.0)
 _QUALITIES = {"fast": 20, "balanced": 20, "high": 5}

@@ -18,15 +18,15 @@ from tests.bench.floor import floor_seconds
 from tests.bench.pictures import Image, ssim
 from tests.bench.plain import PlainPipeline, plain_setting
 from tests.bench.setting import Stopwatch, setting
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.record.collect import Watch
 from yamsim_cli.core.record.destination import Output
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.record.executors import LocalProcesses
 from yamsim_cli.core.record.recorder import record
-from yamsim_cli.core.workers.stop import Stop
 from yamsim_cli.core.sim.rollout import Rollout
 from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.workers.stop import Stop
 
 P = ParamSpec("P")
 T = TypeVar("T")

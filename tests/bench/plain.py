@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from tests.bench.floor import actions_of
 from tests.bench.setting import Setting, setting
-from yamsim_cli.core.config.recording import RenderConfig
 from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.config.recording import RenderConfig
 from yamsim_cli.core.scene.robot import bare_arm
 from yamsim_cli.core.sim.rollout import Rollout, attach
 from yamsim_cli.core.types import Actions

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
 from yamsim_cli.core.types import EpisodeJob
 
 pytestmark = pytest.mark.client

@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tests.core.undrawn import SIZE, change_record, write_dataset
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import depth_name, episode_name, image_name
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from yamsim_cli.core.gl import Backend
 from yamsim_cli.core import doctor
 from yamsim_cli.core.doctor import Check, Health, examine, faults
+from yamsim_cli.core.gl import Backend
 from yamsim_cli.core.mounts import Mount
 from yamsim_cli.core.resources import Locations
 

@@ -11,13 +11,13 @@ from typing import Any
 import cv2
 import numpy as np
 
+from yamsim_cli.core.attempt.runner import EpisodeRunner, start_poses, versions
 from yamsim_cli.core.config.document import dump_yaml
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import CONFIG, EPISODE, episode_name, image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, load_frame
 from yamsim_cli.core.dataset.records import EpisodeRecord, OutcomeRecord, file_hashes, to_json
 from yamsim_cli.core.files import sha256_bytes
-from yamsim_cli.core.attempt.runner import EpisodeRunner, start_poses, versions
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
 

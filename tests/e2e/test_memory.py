@@ -16,9 +16,9 @@ from yamsim_cli.core.record.collect import Watch
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.executors import LocalProcesses
 from yamsim_cli.core.record.recorder import record
-from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.core.workers.processes import WorkerPool
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.workers.processes import WorkerPool
+from yamsim_cli.core.workers.stop import Stop
 
 # What 2,000 episodes may add to any one process.
 LIMIT_MB = 50.0

@@ -21,17 +21,17 @@ from tests.e2e.browser import Browser, wait_until
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.opening import OpenMode
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.workers.stop import Stop
-from yamsim_cli.core.teleop.session import TeleopSession
-from yamsim_cli.core.teleop.loop import open_seat, run_page
-from yamsim_cli.core.show.view import task_viewpoint
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.show.view import task_viewpoint
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
+from yamsim_cli.core.teleop.loop import open_seat, run_page
+from yamsim_cli.core.teleop.session import TeleopSession
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.target_fields import heading_of
 from yamsim_cli.core.viewers.viewpoint import FOV_DEG
+from yamsim_cli.core.workers.stop import Stop
 
 REPOSITORY = Path(__file__).parents[2]
 

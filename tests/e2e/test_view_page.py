@@ -19,9 +19,9 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.show.view import live_rig, view_in_browser
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.show.view import live_rig, view_in_browser
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.live import LiveRig
 from yamsim_cli.core.viewers.viewpoint import Viewpoint

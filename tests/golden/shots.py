@@ -17,8 +17,8 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.show.views import Stage, set_stage
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.show.views import Stage, set_stage
 
 DATA = Path(__file__).with_name("data")
 FAILED = Path(__file__).with_name("failed")

@@ -12,8 +12,8 @@ import pytest
 from tests.golden.shots import RIGS, VIEWS, centre_faults, faults, save_failure, take
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.show.views import set_stage
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.show.views import set_stage
 
 pytestmark = pytest.mark.render
 

@@ -45,8 +45,8 @@ def compose_xml(
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
     from yamsim_cli.core.scene.compose import Contents, mesh_sets
+    from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
 
     if task is None:
         scene = load_config(SceneConfig, "scenes", "studio", where)

@@ -102,9 +102,9 @@ def evaluate(
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.evaluate import evaluation as evaluation
+    from yamsim_cli.core.evaluate.policy_trial import PolicyChoice
     from yamsim_cli.core.trials.batch import write_report
     from yamsim_cli.core.trials.tally import require_success
-    from yamsim_cli.core.evaluate.policy_trial import PolicyChoice
 
     films = films_at(video, settings, overwrite=overwrite) if video else None
     choice = PolicyChoice(policy, Path.cwd(), policy_timeout, time_limit)

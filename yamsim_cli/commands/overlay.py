@@ -76,8 +76,8 @@ def overlay(
 
     from yamsim_cli.core.overlay.joint_files import load_joints
     from yamsim_cli.core.overlay.overlayer import OverlayOptions
-    from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
     from yamsim_cli.core.overlay.photos import Photo, episode_photos, find_photos
+    from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
     from yamsim_cli.core.scene.compose import mesh_sets
 
     photos = (

@@ -37,9 +37,9 @@ def render_views(
     load_config(RenderConfig, "quality", quality or "auto", where)
     spending = load_config(RenderConfig, "quality", quality or "auto", use_gl(where))
 
+    from yamsim_cli.core.scene.compose import mesh_sets
     from yamsim_cli.core.show.views import render_views as run
     from yamsim_cli.core.show.views import set_stage, write_views
-    from yamsim_cli.core.scene.compose import mesh_sets
 
     stage = set_stage(
         settings,

@@ -19,8 +19,8 @@ from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.dataset.reader import StoredEpisode
-    from yamsim_cli.core.show.replay import Film
     from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.show.replay import Film
     from yamsim_cli.core.viewers.address import PageAddress
 
 

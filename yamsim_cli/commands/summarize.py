@@ -41,8 +41,8 @@ def summarize(
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.dataset.summary import summarize as count
-    from yamsim_cli.core.summarize.surveying import survey_dataset
     from yamsim_cli.core.machine import usable_cores
+    from yamsim_cli.core.summarize.surveying import survey_dataset
 
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:

@@ -49,7 +49,7 @@ def verify(
         raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
 
     from yamsim_cli.core.dataset.reader import dataset_config
-    from yamsim_cli.core.verify.verifier import select_episodes
+    from yamsim_cli.core.dataset.selection import select_episodes
 
     where = locations()
     chosen = select_episodes(dataset, episodes, sample)

@@ -103,8 +103,8 @@ def _live(
     from yamsim_cli.core.config.recording import RecordConfig, RenderConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.show.view import live_rig, live_task, task_viewpoint
     from yamsim_cli.core.scene.compose import Contents, mesh_sets
+    from yamsim_cli.core.show.view import live_rig, live_task, task_viewpoint
 
     contents = Contents(boards=boards)
     quality: RenderConfig | None = load_config(RenderConfig, "quality", "fast", where) if pictures else None

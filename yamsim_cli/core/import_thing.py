@@ -9,10 +9,10 @@ from pathlib import Path
 from .assets import AssetStore, load_lock
 from .errors import ResourceError, UsageError, suggest
 from .files import write_file
+from .resources import IMPORTED, Locations
 from .things.describe import Description, Thing, describe
 from .things.scan import Scan
 from .things.ycb import GREY, MASS_G, RGBA, plain_name
-from .resources import IMPORTED, Locations
 
 # A scan that is larger is in millimetres, m.
 _LARGEST = 2.0

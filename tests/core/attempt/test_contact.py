@@ -12,16 +12,16 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.core.undrawn import SIZE, read_frame, write_dataset
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.attempt.runner import EpisodeRunner
-from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.sim.rollout import path_actions
 from yamsim_cli.core.tasks.pickplace import SLIP_DISTANCE
 from yamsim_cli.core.types import Actions, Cause, EpisodeJob, JointPath
+from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 
 FRICTION = {("rig",): "single_linear", ("grasp",): "contact", ("image", "size_px"): SIZE, ("seed",): 5}
 

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.dataset.truth_files import TruthLabels, array_faults, load_depth, load_truth
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.images.label_images import decode_labels
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob, EpisodePayload
-from yamsim_cli.core.images.label_images import decode_labels
 
 pytestmark = pytest.mark.render
 

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.lowdim import load_frame
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.randomized import Randomized
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob

@@ -13,16 +13,16 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.core.undrawn import SIZE, change_frame, read_frame, write_dataset
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.checks.lowdim import frame_faults
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.geometry.se3 import inverse
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.overlay.photos import episode_photos
-from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.tasks.handover import schedule
 from yamsim_cli.core.types import Actions, Cause, EpisodeJob
+from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 
 OBJECTS = ("banana", "plate")
 LEFT, RIGHT = slice(0, 7), slice(7, 14)

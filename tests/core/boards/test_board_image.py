@@ -5,13 +5,14 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.core.boards.image import board_image, board_texture, encode_png, marker_cells
+from yamsim_cli.core.boards.image import board_image, board_texture, marker_cells
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import Intrinsics, project
 from yamsim_cli.core.geometry.se3 import pose, rotation_from_vector
+from yamsim_cli.core.images.png import encode_png
 
 BOARD = Board("b", 217, 3, 3, "DICT_6X6_250", 29.230769e-3, 2.9230769e-3)
 

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from yamsim_cli.core.config.base import Name, Quaternion, Range, Rgba
-from yamsim_cli.core.config.things import Grasp, Inertia, ObjectConfig
 from yamsim_cli.core.config.primitives import Capsule, Cylinder, Ring
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import BasePose
 from yamsim_cli.core.config.scene import FixedCamera, Table
 from yamsim_cli.core.config.task import TaskConfig, Timing
+from yamsim_cli.core.config.things import Grasp, Inertia, ObjectConfig
 
 
 def models_in(model: BaseModel):

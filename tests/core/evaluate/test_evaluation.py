@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from tests.core.undrawn import write_dataset
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import OutcomeRecord
 from yamsim_cli.core.errors import PartialJobError, UsageError
-from yamsim_cli.core.trials.batch import run_batch
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_run, summary
 from yamsim_cli.core.evaluate.policy_trial import Ended, PolicyChoice, TrialResult, TrialRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.sim.closed_loop import ClosedLoop
+from yamsim_cli.core.trials.batch import run_batch
 from yamsim_cli.core.types import Cause, EpisodeJob, Outcome
 
 SAMPLES = Path(__file__).parents[1] / "policies"

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 
 from tests.core.policies import sample_policies
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.evaluate.asking import Asker, TooSlowError
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.evaluate.observation import LazyObservation, Pictures
 from yamsim_cli.core.evaluate.policy_trial import Ended, PolicyChoice, TrialRunner
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.vision.renderer import Image
 
 SAMPLES = Path(sample_policies.__file__).parent
 CAMERAS = {"scene_rgb": "scene_camera", "wrist_rgb": "right_wrist_camera"}

@@ -12,12 +12,12 @@ import pytest
 from tests.core.undrawn import write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.trials.batch import run_batch
 from yamsim_cli.core.evaluate.evaluation import evaluate, summary
 from yamsim_cli.core.evaluate.observation import policy_cameras
 from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
 from yamsim_cli.core.policies.base import SCENE, WRIST
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.trials.batch import run_batch
 from yamsim_cli.core.types import EpisodeJob
 
 HERE = Path(__file__).parent

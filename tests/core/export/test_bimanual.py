@@ -19,12 +19,12 @@ from tests.core.undrawn import change_record
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.raiden import export_raiden
 from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.source import open_source
-from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
 

@@ -13,11 +13,11 @@ import pytest
 from tests.core.export.conftest import CAMERAS, EPISODES, picture
 from tests.core.undrawn import SIZE
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
-from yamsim_cli.core.files import move_aside
 from yamsim_cli.core.export.films import export_mp4, export_sheet
 from yamsim_cli.core.export.source import open_source
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.files import move_aside
 from yamsim_cli.core.images.jpeg import decode_jpeg
+from yamsim_cli.core.resources import Locations
 
 CLOSE = 6.0
 

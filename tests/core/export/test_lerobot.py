@@ -19,8 +19,8 @@ from yamsim_cli.core.export import lerobot_schema
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.lerobot_stats import PixelCounts, RunningStats, column_stats
 from yamsim_cli.core.export.source import open_source
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.images.jpeg import decode_jpeg
+from yamsim_cli.core.resources import Locations
 
 av = pytest.importorskip("av", reason="yamsim[lerobot] is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="yamsim[lerobot] is not installed")

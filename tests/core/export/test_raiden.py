@@ -18,10 +18,10 @@ from tests.core.undrawn import change_record
 from yamsim_cli.core.config.limits import load_limits
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
-from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.export.raiden import export_raiden
 from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.source import open_source
+from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.resources import Locations
 
 FRAMES = 57

@@ -17,12 +17,12 @@ import pytest
 from tests.core.drawn import SMALL, write_drawn_dataset
 from tests.core.export.conftest import jpeg
 from tests.core.undrawn import change_frame, write_dataset
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.actions import recorded_actions
 from yamsim_cli.core.dataset.lowdim import SIMULATION
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.errors import DatasetError
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.export.raiden import export_raiden
 from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.resample import frame_times, nearest_frames, resample

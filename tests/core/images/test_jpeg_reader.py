@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.core.dataset.checks.images import ImageHeader
+from yamsim_cli.core.images.image import ImageHeader
 from yamsim_cli.core.images.jpeg import JpegReader, decode_jpeg, encode_jpeg, jpeg_header, thumbnail
 
 

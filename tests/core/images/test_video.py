@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.vision.renderer import Image
+from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.images.video import VideoWriter
 
 av = pytest.importorskip("av", reason="yamsim[video] is not installed")

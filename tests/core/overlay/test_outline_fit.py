@@ -13,11 +13,11 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
-from yamsim_cli.core.overlay.arm_poses import RECORDED, ArmPose, PhotoResult
-from yamsim_cli.core.overlay.rendered_arms import ArmDrawer
-from yamsim_cli.core.overlay.outline_fit import overlap, refine, score_outlines
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.images.image_files import grey_of
+from yamsim_cli.core.overlay.arm_poses import RECORDED, ArmPose, PhotoResult
+from yamsim_cli.core.overlay.outline_fit import overlap, refine, score_outlines
+from yamsim_cli.core.overlay.rendered_arms import ArmDrawer
+from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.lens import project_points
 
 pytestmark = pytest.mark.render

@@ -19,12 +19,12 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError, PartialJobError, ResourceError, UsageError
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
+from yamsim_cli.core.images.image_files import read_image
 from yamsim_cli.core.overlay.overlayer import OverlayOptions
+from yamsim_cli.core.overlay.photos import Photo, find_photos
 from yamsim_cli.core.overlay.report import OverlayReport
 from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
-from yamsim_cli.core.overlay.photos import Photo, find_photos
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.images.image_files import read_image
 
 pytestmark = pytest.mark.render
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from tests.core.policies.sample_policies import Unsendable
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.evaluate.evaluation import evaluate, summary
 from yamsim_cli.core.evaluate.policy_trial import Ended, PolicyChoice, TrialRunner
 from yamsim_cli.core.policies.base import InvalidActionError

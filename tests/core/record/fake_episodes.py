@@ -13,11 +13,11 @@ from yamsim_cli.core.dataset.ledger import Ledger
 from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.record.collect import Watch
 from yamsim_cli.core.record.destination import Output
-from yamsim_cli.core.workers.executor import LostJobError
 from yamsim_cli.core.record.recorder import RecordReport, record
-from yamsim_cli.core.workers.stop import Stop
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
+from yamsim_cli.core.workers.executor import LostJobError
+from yamsim_cli.core.workers.stop import Stop
 
 FRAMES = 1
 

@@ -13,18 +13,18 @@ import pytest
 
 from tests.core.record.fake_episodes import Inline, Recording, tree
 from tests.stand_in_meshes import stand_ins
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.document import load_yaml
 from yamsim_cli.core.config.loader import parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import open_episodes
 from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.errors import ConfigError, ResourceError
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.record.executors import LocalProcesses
-from yamsim_cli.core.workers.inline import InlineExecutor
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.workers.inline import InlineExecutor
 
 Make = Callable[..., RecordConfig]
 Meshes = dict[str, Path | None]

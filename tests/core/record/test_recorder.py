@@ -14,9 +14,9 @@ from tests.core.record.fake_episodes import Inline, Recording, payload, tree
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
-from yamsim_cli.core.workers.stop import Stop
 from yamsim_cli.core.mounts import Mount
 from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
+from yamsim_cli.core.workers.stop import Stop
 
 Make = Callable[..., RecordConfig]
 

@@ -15,12 +15,12 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.show.compose import rig_spec, task_spec
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.classic import classic_xml
 from yamsim_cli.core.scene.compose import Contents
 from yamsim_cli.core.scene.export import scene_files
 from yamsim_cli.core.scene.robot import Meshes
+from yamsim_cli.core.show.compose import rig_spec, task_spec
 
 Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
 

@@ -17,12 +17,12 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
-from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compose import Contents
 from yamsim_cli.core.scene.export import scene_files, zip_bytes
 from yamsim_cli.core.scene.robot import HOME, JOINTS
+from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
 
 RIGS = ("single", "bimanual", "russet")
 MOVE = np.array([0.1, 0.2, 0.3])

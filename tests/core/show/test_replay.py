@@ -15,13 +15,13 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
 from tests.core.undrawn import SIZE, change_frame, change_record, read_frame, write_dataset
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files import sha256_bytes
-from yamsim_cli.core.attempt.runner import EpisodeRunner
-from yamsim_cli.core.show.replay import positions, repeat, scene_config
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.show.replay import positions, repeat, scene_config
 from yamsim_cli.core.viewers.player import EpisodePlayer
 
 av = pytest.importorskip("av", reason="yamsim[video] is not installed")

@@ -20,9 +20,9 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import quat_from_rotation
-from yamsim_cli.core.show.view import PERIOD, LivePictures, live_rig, live_task
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.show.view import PERIOD, LivePictures, live_rig, live_task
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.types import EpisodeJob

@@ -10,8 +10,8 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.breakdown import breakdown, keep_warnings_quiet
 from yamsim_cli.core.types import Cause, EpisodeJob

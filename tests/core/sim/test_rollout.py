@@ -13,9 +13,9 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
+from yamsim_cli.core.sim.monitor import object_pose
 from yamsim_cli.core.sim.replica import Replica
 from yamsim_cli.core.sim.rollout import Rollout, attach, drive_command, roll_out, simulate
-from yamsim_cli.core.sim.monitor import object_pose
 from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
 from yamsim_cli.core.tasks.plans import phases
 from yamsim_cli.core.types import Actions, JointPath, Layout, StepState

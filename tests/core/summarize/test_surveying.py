@@ -14,8 +14,8 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.checks.context import Context, EpisodeDirectory
 from yamsim_cli.core.dataset.checks.facts import EpisodeFacts
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
-from yamsim_cli.core.summarize.surveying import EpisodeChecker, survey_dataset
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.summarize.surveying import EpisodeChecker, survey_dataset
 
 
 @pytest.fixture

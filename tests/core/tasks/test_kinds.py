@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.tasks import kinds
 from yamsim_cli.core.tasks.kinds import KINDS, kind_of

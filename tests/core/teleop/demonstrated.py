@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
 

@@ -17,9 +17,9 @@ from tests.cli.run_cli import yamsim
 from tests.core.teleop.demonstrated import planned_lines, write_stream
 from tests.core.teleop.test_teleop import Tray, play, run
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.teleop.session import TeleopSession
-from yamsim_cli.core.teleop.journal import Journal
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.teleop.journal import Journal
+from yamsim_cli.core.teleop.session import TeleopSession
 
 
 def session_in(folder: Path, config: RecordConfig, locations: Locations, **more: float) -> tuple[TeleopSession, Tray]:

@@ -22,19 +22,19 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.making import failed_attempt, made
 from tests.core.teleop.demonstrated import TICK, planned_lines, write_stream
+from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.ledger import Ledger
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json
 from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
-from yamsim_cli.core.teleop.desk import Demonstration, DemonstrationRunner, Desk
-from yamsim_cli.core.attempt.runner import EpisodeRunner
-from yamsim_cli.core.teleop.session import TeleopSession
-from yamsim_cli.core.teleop.loop import Jitter, Pace, open_seat
-from yamsim_cli.core.teleop.stream import Player, read_stream
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import noting_meshes
+from yamsim_cli.core.teleop.desk import Demonstration, DemonstrationRunner, Desk
+from yamsim_cli.core.teleop.loop import Jitter, Pace, open_seat
+from yamsim_cli.core.teleop.session import TeleopSession
+from yamsim_cli.core.teleop.stream import Player, read_stream
 from yamsim_cli.core.types import Actions, Cause, EpisodeJob, EpisodePayload, Outcome
 
 
@@ -405,9 +405,7 @@ def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[J
     """The jitter of a loop whose turns take so long each, s, and when its last one began."""
     now = [0.0]
     monkeypatch.setattr("yamsim_cli.core.teleop.loop.time.monotonic", lambda: now[0])
-    monkeypatch.setattr(
-        "yamsim_cli.core.teleop.loop.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds)
-    )
+    monkeypatch.setattr("yamsim_cli.core.teleop.loop.time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
     pace, began = Pace(TICK), 0.0
     for seconds in slow:
         pace.wait()

@@ -13,9 +13,9 @@ from tests.cli.run_cli import yamsim
 from tests.core.teleop.demonstrated import planned_lines, write_stream
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.teleop.desk import Demonstration
 from yamsim_cli.core.teleop.session import TeleopSession
-from yamsim_cli.core.resources import Locations
 
 
 class Tray:

@@ -8,8 +8,8 @@ import pytest
 
 from tests.core.things.test_fits import ball, block
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.things import ObjectConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.import_thing import import_stl, import_ycb
 from yamsim_cli.core.resources import IMPORTED, Locations

@@ -14,10 +14,10 @@ from tests.cli.run_cli import Run, yamsim
 from tests.core.undrawn import SIZE, change_frame, change_record, read_frame, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config
+from yamsim_cli.core.dataset.selection import select_episodes
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits, Verdict
-from yamsim_cli.core.verify.verifier import select_episodes
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits, Verdict
 
 EPISODES = 3
 

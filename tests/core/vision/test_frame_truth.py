@@ -14,14 +14,14 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.truth_files import KeypointRecord, Visibility
 from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.images.label_images import decode_labels, encode_labels
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.sim.replica import Replica
 from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
-from yamsim_cli.core.images.label_images import decode_labels, encode_labels
+from yamsim_cli.core.vision.frame_truth import FrameTruth, instance_boxes, is_seen, measure_frame
 from yamsim_cli.core.vision.labels import Keypoint, SceneLabels, scene_labels
 from yamsim_cli.core.vision.renderer import SceneRenderer
-from yamsim_cli.core.vision.frame_truth import FrameTruth, instance_boxes, is_seen, measure_frame
 
 pytestmark = pytest.mark.render
 

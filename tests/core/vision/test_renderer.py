@@ -15,12 +15,12 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
 from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.replica import Replica
 from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
-from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
 from yamsim_cli.core.vision.renderer import SceneRenderer
 
 pytestmark = pytest.mark.render

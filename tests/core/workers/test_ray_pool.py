@@ -11,11 +11,11 @@ import pytest
 from tests.core.workers.toy_runners import Toy
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError, SimulationError
-from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError
 from yamsim_cli.core.record.executors import RayCluster
-from yamsim_cli.core.workers.ray_pool import RayPool
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError
+from yamsim_cli.core.workers.ray_pool import RayPool
 
 
 def test_without_ray_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

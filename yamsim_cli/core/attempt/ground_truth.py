@@ -15,9 +15,9 @@ from ..dataset.records import to_json
 from ..dataset.truth_files import ARRAYS, dump_depth
 from ..geometry.se3 import Array
 from ..images.label_images import encode_labels
+from ..vision.frame_truth import measure_frame
 from ..vision.labels import SceneLabels
 from ..vision.renderer import SceneRenderer
-from ..vision.frame_truth import measure_frame
 
 
 class EpisodeTruth:

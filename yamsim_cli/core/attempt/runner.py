@@ -18,26 +18,27 @@ from ..config.recording import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..dataset.records import Pose2D
-from ..shown_meshes import differences
 from ..errors import ResourceError
 from ..geometry.se3 import Array, inverse, yaw
+from ..images.image import Image
+from ..images.jpeg import encode_jpeg
 from ..planning.demonstration import start_stand
 from ..planning.planners import make_planner
 from ..randomized import Randomized
 from ..resources import Locations
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene
+from ..shown_meshes import differences
+from ..sim.monitor import object_pose
 from ..sim.replica import Replica
 from ..sim.rollout import Rollout, roll_out, simulate
-from ..sim.monitor import object_pose
 from ..tasks.kinds import draw_layout, kind_of
 from ..tasks.pickplace import Poses
 from ..tasks.plans import phases_of
 from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome, StepState
-from ..images.jpeg import encode_jpeg
-from ..vision.labels import SceneLabels, scene_labels
-from ..vision.renderer import Image, SceneRenderer
 from ..vision.frame_truth import whole_mm
+from ..vision.labels import SceneLabels, scene_labels
+from ..vision.renderer import SceneRenderer
 from .ground_truth import EpisodeTruth
 from .variation import Variation
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from ..config.recording import RecordConfig
 from ..geometry.se3 import Array
+from ..images.image import Image
 from ..randomized import Randomized
 from ..scene.build import SCENE_CAMERA
 from ..scene.compiled import CompiledScene
@@ -15,7 +16,7 @@ from ..sim.placement import place_distractors
 from ..tasks.randomization import draw
 from ..types import EpisodeJob
 from ..vision.augment import PictureAugmenter
-from ..vision.renderer import Image, SceneRenderer
+from ..vision.renderer import SceneRenderer
 
 
 class Variation:

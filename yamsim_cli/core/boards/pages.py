@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 
 from ..errors import ResourceError
-from .image import WHITE, Image, encode_png
+from ..images.image import Image
+from ..images.png import encode_png
+from .image import WHITE
 from .sheet import LINE_WIDTH, Bar, Line, Marker, Sheet, Text
 
 _POINTS_PER_MM = 72 / 25.4

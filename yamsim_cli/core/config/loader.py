@@ -14,12 +14,12 @@ from .base import Config, Reference
 from .camera import CameraConfig
 from .document import Document, KeyPath, parse_yaml
 from .explain import dotted, explain, kind_instead, models_in
-from .things import ObjectConfig
 from .randomization import RandomizationConfig
 from .recording import RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import SceneConfig
 from .task import TaskConfig
+from .things import ObjectConfig
 from .units import AS_RECORDED
 
 KINDS: Mapping[str, type[Config]] = {

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..shown_meshes import Drawn, differences, remedy, shown
 from ..errors import ConfigError
+from ..shown_meshes import Drawn, differences, remedy, shown
 from .layout import CONFIG
 
 # What a configuration says and nobody sets: which meshes are drawn, see `core.drawn`.

@@ -16,13 +16,13 @@ from ..dataset.statistics import spread
 from ..errors import PartialJobError
 from ..geometry.se3 import Array
 from ..resources import Locations
+from ..trials.films import Drawer, FilmedTrial, TrialFilms, film_jobs
+from ..trials.tally import Progress, run_trials, tally, what_ran
 from ..types import Actions, EpisodeJob, Outcome
 from ..workers.executor import LostJobError
-from ..trials.films import Drawer, FilmedTrial, TrialFilms, film_jobs
 from ..workers.pool import JOB_SECONDS
-from ..trials.tally import Progress, run_trials, tally, what_ran
-from .policy_trial import MEASURED, Ended, PolicyChoice, TrialResult, TrialRunner
 from ..workers.processes import WorkerPool
+from .policy_trial import MEASURED, Ended, PolicyChoice, TrialResult, TrialRunner
 
 Meshes = Mapping[str, Path | None]
 

@@ -9,12 +9,12 @@ from typing import Any
 from ..config.recording import RecordConfig
 from ..errors import UsageError, suggest
 from ..geometry.se3 import Array
+from ..images.image import Image
 from ..policies.base import OBJECTS, SCENE, VELOCITIES, WRIST
 from ..scene.build import SCENE_CAMERA
 from ..scene.compiled import CompiledScene
 from ..sim.closed_loop import ClosedLoop
 from ..sim.replica import Replica
-from ..vision.renderer import Image
 
 # Draws what a camera sees at MuJoCo's positions (nq,).
 Draw = Callable[[Array, str], Image]

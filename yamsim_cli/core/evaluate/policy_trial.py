@@ -9,9 +9,11 @@ from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
 
+from ..attempt.runner import EpisodeRunner, start_poses
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord
 from ..geometry.se3 import Array
+from ..images.image import Image
 from ..policies.base import Action, InvalidActionError, Observation, read_action
 from ..policies.faults import Fault
 from ..policies.loading import reset_policy, wanted_images, wanted_state
@@ -20,10 +22,8 @@ from ..sim.closed_loop import ClosedLoop
 from ..stray_forks import forks_end_here
 from ..tasks.kinds import kind_of
 from ..types import Actions, EpisodeJob, Outcome
-from ..vision.renderer import Image
 from .asking import Asker, PolicyFailedError, TooSlowError, talking_on_stderr
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
-from ..attempt.runner import EpisodeRunner, start_poses
 from .observation import Observer, Pictures
 
 

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from ..dataset.reader import StoredEpisode
+from ..dataset.recorded_images import recorded_images
 from ..errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest
 from ..files import move_aside, write_file
-from ..images.jpeg import Image, decode_jpeg, encode_jpeg
+from ..images.image import Image
+from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.video import VideoWriter, require_encoder
 from ..vision.views import label, resized
-from ..show.replay import recorded_images
 from .source import Exported, Progress, Source
 from .target import export_directory
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..dataset.lowdim import BETWEEN_BASES
 from ..dataset.reader import StoredEpisode
+from ..dataset.recorded_images import recorded_images
 from ..images.video import VideoWriter, require_encoder
-from ..show.replay import recorded_images
 from . import lerobot_schema as schema
 from .lerobot_schema import Place
 from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats

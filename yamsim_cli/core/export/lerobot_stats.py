@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..geometry.se3 import Array
-from ..vision.renderer import Image
+from ..images.image import Image
 
 # Source: lerobot 0.4.4, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}

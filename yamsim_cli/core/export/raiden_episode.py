@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from ..boards.image import encode_png
+from ..attempt.runner import EpisodeRunner
 from ..config.recording import RecordConfig
 from ..dataset.faults import explain
 from ..dataset.layout import depth_name
 from ..dataset.reader import StoredEpisode, open_episode
 from ..dataset.truth_files import dump_depth
 from ..errors import DatasetError, PartialJobError
-from ..resources import Locations
+from ..images.image import Image
 from ..images.jpeg import decode_jpeg, encode_jpeg
-from ..vision.renderer import Image
-from ..attempt.runner import EpisodeRunner
+from ..images.png import encode_png
+from ..resources import Locations
 from . import raiden_schema as schema
 from .raiden_options import RaidenOptions
 from .resample import Resampled, nearest_frames, resample

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..attempt.runner import EpisodeRunner, versions
 from ..dataset.actions import recorded_actions
 from ..dataset.reader import StoredEpisode
 from ..errors import DatasetError
@@ -16,7 +17,6 @@ from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..sim.moments import Moments
 from ..types import Actions, StepState
-from ..attempt.runner import EpisodeRunner, versions
 from ..verify.remake import vary
 
 # How far repeated physics may lead from what was recorded, m or rad: as far as another machine's rounding does.

@@ -9,9 +9,9 @@ from pathlib import Path
 from ..config.recording import RecordConfig
 from ..dataset.layout import depth_name
 from ..dataset.reader import StoredEpisode, dataset_config, open_episode
+from ..dataset.selection import select_episodes
 from ..errors import DatasetError
 from ..resources import Locations
-from ..verify.verifier import select_episodes
 
 # Called with episodes done and in all.
 Progress = Callable[[int, int], None]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ResourceError
+from .image import Image
 
-Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 _PNG = b"\x89PNG\r\n\x1a\n"

@@ -10,13 +10,10 @@ from typing import IO
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ..dataset.checks.images import ImageHeader, ImageLook
 from ..errors import SimulationError
+from .image import Image, ImageHeader, ImageLook
 from .label_images import decode_labels
-
-Image = NDArray[np.uint8]
 
 # As many pixels on the short side as are left when an image is made smaller to be judged, and at most this many times
 # smaller: it averages noise away.

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from ..errors import SimulationError
-from .image_files import Image, whole_png
+from .image import Image
+from .image_files import whole_png
 
 # Segmentation is runs of equal numbers: RLE is the quickest and the second smallest. Source: measured, OpenCV 5.
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]

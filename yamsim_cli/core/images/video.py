@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import ResourceError, SimulationError, UsageError
 from ..files import move_aside, publish_file
-from ..vision.renderer import Image
+from .image import Image
 
 if TYPE_CHECKING:
     from av.container import OutputContainer

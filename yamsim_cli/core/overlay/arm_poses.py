@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from ..config.rig import RigConfig
 from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array, inverse
+from ..images.image import Image
+from ..images.image_files import grey_of
 from ..vision.fiducials.focal import combined_camera, estimate_camera
 from ..vision.fiducials.locate import Sighting, Status, locate, locate_together
 from ..vision.fiducials.markers import seen_ids
-from ..images.image_files import Image, grey_of
 from .photos import Photo
 
 # Status of an arm that has a pose without its own board: from the other board and the rig, or from the recording.

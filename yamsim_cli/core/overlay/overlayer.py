@@ -10,22 +10,23 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from ..boards.image import encode_png
 from ..config.recording import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ConfigError, ResourceError
 from ..files import write_file
 from ..geometry.camera import CameraModel
+from ..images.image import Image
+from ..images.image_files import Mask, grey_of
+from ..images.png import encode_png
 from ..resources import Locations
 from ..scene.compose import Meshes
-from ..images.image_files import Image, Mask, grey_of
 from ..vision.overlay import blend, draw_board, write_lines
 from .arm_poses import INFERRED, RECORDED, PhotoResult, find_arms
-from .rendered_arms import ArmDrawer
 from .joint_files import home_joints
 from .outline_fit import overlap, refine, score_outlines
 from .photos import MASK_ENDING, OVERLAY_ENDING, Photo
+from .rendered_arms import ArmDrawer
 
 
 @dataclass(frozen=True)

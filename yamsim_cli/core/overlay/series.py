@@ -13,15 +13,16 @@ from ..config.scene import SceneConfig
 from ..errors import ConfigError, ResourceError, UsageError
 from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array
+from ..images.image import Image
+from ..images.image_files import read_image, read_mask
+from ..images.video import VideoWriter
 from ..resources import Locations
 from ..scene.compose import Meshes
 from ..vision.fiducials.locate import Status
-from ..images.image_files import Image, read_image, read_mask
-from ..images.video import VideoWriter
 from .arm_poses import unknown_camera
 from .overlayer import Overlay, Overlayer, OverlayOptions, picture_paths, write_overlay
-from .report import OverlayReport
 from .photos import Photo, mask_of
+from .report import OverlayReport
 
 Progress = Callable[[int, int], None]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..config.things import GraspPoint
 from ..config.recording import GraspKind
 from ..config.task import TaskConfig
+from ..config.things import GraspPoint
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
 from ..tasks.kinds import kind_of

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.things import GraspPoint
 from ..config.recording import RecordConfig
+from ..config.things import GraspPoint
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
 from ..tasks.handover import LEFT, RIGHT, exchange, exchange_pose, giving_plan, taking_plan, wrist_turn

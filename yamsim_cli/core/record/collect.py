@@ -23,8 +23,8 @@ from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
 from ..types import Cause, EpisodeJob, EpisodePayload, Outcome
 from ..workers.executor import Executor, LostJobError
-from .prospects import Hopeless, Patience
 from ..workers.stop import Stop
+from .prospects import Hopeless, Patience
 
 # How far attempts may run ahead of the oldest unfinished one, per worker: bounds the episodes held in memory.
 _LOOKAHEAD = 4

@@ -17,8 +17,8 @@ from ..errors import InterruptedJobError
 from ..files import nearest_directory
 from ..mounts import Mount, network_mount, read_mounts
 from ..tasks.kinds import kind_of
-from .collect import Sink, Watch
 from ..workers.stop import Stop
+from .collect import Sink, Watch
 
 # To make, write, flush and close a file. Source: measured over sshfs, 60 ms a file at 10 ms a round trip.
 _ROUND_TRIPS_A_FILE = 6

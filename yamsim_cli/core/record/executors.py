@@ -1,4 +1,4 @@
-"""What attempts can be made by: processes of this machine, or a Ray cluster."""
+"""What attempts can be made by: this process, others of this machine, or a Ray cluster."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from ..attempt.runner import EpisodeRunner
 from ..config.recording import RecordConfig
 from ..resources import Locations
-from .collect import EpisodeExecutor
-from ..attempt.runner import EpisodeRunner
-from .parcel import pack, unpacked_runner
+from ..workers.inline import InlineExecutor
 from ..workers.pool import JOB_SECONDS
-from ..workers.ray_pool import RayPool
 from ..workers.processes import WorkerPool
+from ..workers.ray_pool import RayPool
+from .collect import EpisodeExecutor
+from .parcel import pack, unpacked_runner
 
 
 class Executors(Protocol):
@@ -65,3 +66,13 @@ class RayCluster:
         """Start the actors."""
         factory = functools.partial(unpacked_runner, config, pack(locations, meshes))
         return RayPool(factory, workers, address=self.address, environ=self.environ, job_seconds=self.job_seconds)
+
+
+class ThisProcess:
+    """This process alone, whatever the number of workers."""
+
+    def open(
+        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], workers: int
+    ) -> EpisodeExecutor:
+        """Make the runner."""
+        return InlineExecutor(lambda: EpisodeRunner(config, locations, meshes, draw=True))

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..attempt.runner import EpisodeRunner
 from ..config.recording import RecordConfig
 from ..resources import Locations
-from ..attempt.runner import EpisodeRunner
 
 _MODELS = "robot_models"
 

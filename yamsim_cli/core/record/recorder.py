@@ -14,11 +14,11 @@ from ..dataset.faults import explain
 from ..errors import InterruptedJobError, PartialJobError
 from ..resources import Locations
 from ..scene.build import noting_meshes
+from ..workers.stop import Stop
 from .collect import Collector, Watch
 from .destination import Destination, Output, open_destination
 from .executors import Executors
 from .prospects import GaveUpError, hopeless
-from ..workers.stop import Stop
 
 
 @dataclass(frozen=True)

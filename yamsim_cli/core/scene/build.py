@@ -11,16 +11,16 @@ from ..config.limits import load_limits
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig
 from ..config.scene import FixedCamera
-from ..shown_meshes import Drawn
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
+from ..shown_meshes import Drawn
 from .compiled import CompiledScene, Ids, Kind, SceneArm
 from .compose import Contents, compile_spec, compose
-from .shown_meshes import drawn_meshes
 from .quality import apply_quality
 from .randomize import prepare_randomization
 from .robot import ACTUATORS, FINGERS, JOINTS, Meshes, fingers
+from .shown_meshes import drawn_meshes
 
 SCENE_CAMERA = "scene_camera"
 WELD = "grasp_weld"

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shown_meshes import Drawn
 from ..geometry.se3 import Array, quat_from_rotation
+from ..shown_meshes import Drawn
 from ..types import Layout
 
 Ids = NDArray[np.int_]

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from ..config.things import ObjectConfig
 from ..config.recording import SHADOW_REACH
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
+from ..config.things import ObjectConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
 from .breakdown import keep_warnings_quiet
 from .fiducials import add_base_board
-from .things import add_object
 from .robot import HOME, JOINTS, arm_spec, gripper
 from .robot import Meshes as Meshes
 from .surroundings import add_background, add_lights, add_table
+from .things import add_object
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import mujoco
 
-from ..boards.image import board_texture, encode_png
+from ..boards.image import board_texture
 from ..config.rig import T_BASE_MESH_IN_ARM, ArmConfig, BoardConfig, MountConfig
 from ..errors import ConfigError
 from ..geometry.mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import stl_bytes
+from ..images.png import encode_png
 from .things import SEEN_GROUP
 
 BOARD_BODY = "base_board"

@@ -15,8 +15,8 @@ from ..config.randomization import RandomizationConfig, SurfaceRanges
 from ..config.scene import SceneConfig
 from ..geometry.se3 import Array, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
 from ..randomized import DrawnLight, DrawnSurface, Randomized
-from .things import HIDDEN_GROUP, add_object
 from .textures import SIZE, pattern
+from .things import HIDDEN_GROUP, add_object
 
 # Absent distractors are drawn by nothing, touch nothing, and lie out of everything's reach.
 _ABSENT_GROUP = 4

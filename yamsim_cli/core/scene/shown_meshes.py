@@ -9,8 +9,8 @@ import mujoco
 
 from ..assets.reduced import REPORT
 from ..config.recording import RecordConfig
-from ..shown_meshes import FULL, PRIMITIVES, REDUCED
 from ..files import sha256_bytes
+from ..shown_meshes import FULL, PRIMITIVES, REDUCED
 from .compose import mesh_sets
 from .robot import Meshes
 

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.things import Contact, ObjectConfig
 from ..config.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..config.things import Contact, ObjectConfig
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ..geometry.stl import stl_bytes
 from .robot import mesh_bytes

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ..attempt.runner import EpisodeRunner
 from ..config.recording import RecordConfig
 from ..dataset.compare import Comparison
 from ..dataset.lowdim import has_simulation
 from ..dataset.reader import StoredEpisode
+from ..dataset.recorded_images import RecordedImages, recorded_images
 from ..errors import DatasetError, UsageError, suggest
 from ..geometry.se3 import Array
+from ..images.image import Image
+from ..images.video import VideoWriter
 from ..resources import Locations
+from ..verify.remake import repeat_actions, vary
 from ..viewers.address import PageAddress
 from ..viewers.player import EpisodePlayer
-from ..images.jpeg import decode_jpeg
-from ..vision.renderer import Image
-from ..images.video import VideoWriter
-from ..attempt.runner import EpisodeRunner
-from ..verify.remake import repeat_actions, vary
 from .view import PERIOD, require_page, run_page, task_viewpoint
 
 Meshes = Mapping[str, Path | None]
@@ -98,37 +98,6 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
         if name not in valid:
             raise UsageError(f"--camera {name!r} is not valid; {suggest(name, valid)}")
     return tuple(wanted) or (valid[0],)
-
-
-class RecordedImages:
-    """An episode's images as they were recorded.
-
-    Attributes:
-        cameras: whose there are.
-    """
-
-    def __init__(self, episode: StoredEpisode) -> None:
-        self._episode = episode
-        self.cameras = tuple(episode.record.cameras)
-
-    def read(self, camera: str, frame: int) -> Image:
-        """An RGB image (height, width, 3).
-
-        Raises:
-            DatasetError: it is missing, altered or damaged.
-        """
-        image = decode_jpeg(self._episode.image(camera, frame))
-        width, height = self._episode.record.cameras[camera]
-        if image is None or image.shape[:2] != (height, width):
-            raise DatasetError(f"{self._episode.directory}: frame {frame} of {camera} is no JPEG of {width}x{height}")
-        return image
-
-
-def recorded_images(episode: StoredEpisode, cameras: Sequence[str]) -> Iterator[Image]:
-    """Each frame's images, those of all cameras side by side; raises as `RecordedImages.read`."""
-    images = RecordedImages(episode)
-    for k in range(episode.record.frames):
-        yield np.concatenate([images.read(camera, k) for camera in cameras], axis=1)
 
 
 def scene_config(config: RecordConfig, size: tuple[int, int] | None = None) -> RecordConfig:

@@ -12,6 +12,7 @@ from ..config.recording import RecordConfig, RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ResourceError
+from ..images.image import Image
 from ..resources import Locations
 from ..scene.build import add_wrist_camera
 from ..scene.compose import Contents, Meshes, compile_spec
@@ -20,7 +21,7 @@ from ..viewers.address import PageAddress
 from ..viewers.live import LiveRig
 from ..viewers.shown import Shown
 from ..viewers.viewpoint import Viewpoint, frame_rig, frame_workspace
-from ..vision.renderer import Image, SceneRenderer
+from ..vision.renderer import SceneRenderer
 from .compose import rig_spec, task_spec
 
 if TYPE_CHECKING:

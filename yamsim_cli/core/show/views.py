@@ -8,7 +8,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from ..boards.image import encode_png
 from ..config.recording import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
@@ -16,11 +15,13 @@ from ..errors import ResourceError
 from ..files import refusal, write_file
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import quat_from_rotation
+from ..images.image import Image
+from ..images.png import encode_png
 from ..resources import Locations
 from ..scene.compose import Contents, Meshes, compile_spec
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
 from ..scene.quality import apply_quality
-from ..vision.renderer import Image, SceneRenderer
+from ..vision.renderer import SceneRenderer
 from ..vision.views import VIEWS, Camera, label, montage, place_camera, rig_points
 from .compose import rig_spec
 

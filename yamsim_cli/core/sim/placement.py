@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from ..config.things import ObjectConfig
 from ..config.randomization import Distractors
 from ..config.scene import Table
+from ..config.things import ObjectConfig
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..scene.randomize import SceneRandomizer

@@ -14,9 +14,9 @@ from ..dataset.checks.facts import EpisodeFacts
 from ..dataset.survey import Survey
 from ..errors import ResourceError
 from ..files import write_file
+from ..images.jpeg import thumbnail
 from ..report.page import Strip, page
 from ..report.trials_page import trials_page
-from ..images.jpeg import thumbnail
 
 _STRIPS = 6
 _THUMBNAIL_PX = 240

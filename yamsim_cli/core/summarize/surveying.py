@@ -13,8 +13,8 @@ from ..dataset.checks.facts import EpisodeFacts
 from ..dataset.checks.problem import Problems
 from ..dataset.survey import Survey, survey
 from ..errors import InterruptedJobError
-from ..resources import Locations
 from ..images.jpeg import JpegReader
+from ..resources import Locations
 from ..workers.executor import LostJobError
 from ..workers.processes import WorkerPool
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.things import GraspPoint
 from ..config.task import Exchange, TaskConfig
+from ..config.things import GraspPoint
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_z, yaw
 from ..types import Layout, Phases, Plan, Waypoint
 from .plans import WELD_FINGERS_FROM, Hold, azimuth, leaning, raised

@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from ..config.things import GraspPoint
 from ..config.recording import GraspKind, RecordConfig
 from ..config.scene import Table
 from ..config.task import Sampling, TaskConfig
+from ..config.things import GraspPoint
 from ..errors import ConfigError, suggest
 from ..geometry.se3 import Array
 from ..types import EpisodeJob, Layout, Motion, Outcome, Phases, Plan

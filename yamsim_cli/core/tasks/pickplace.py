@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.things import ObjectConfig
 from ..config.recording import GraspKind
 from ..config.scene import Table
 from ..config.task import Sampling, TaskConfig
+from ..config.things import ObjectConfig
 from ..geometry.se3 import Array, pose, rotation_z
 from ..types import Cause, Layout, Motion, Outcome
 

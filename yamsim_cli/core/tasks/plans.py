@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.things import GraspPoint
 from ..config.recording import GraspKind
 from ..config.task import TaskConfig, Timing
+from ..config.things import GraspPoint
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..types import Holds, Layout, Phases, Plan, Waypoint
 

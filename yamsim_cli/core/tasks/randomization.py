@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..config.things import ObjectConfig
 from ..config.randomization import LightRanges, LookRanges, RandomizationConfig, SurfaceRanges, Texture
+from ..config.things import ObjectConfig
 from ..randomized import DrawnLight, DrawnLook, DrawnSurface, Randomized
 from ..types import EpisodeJob
 from .randomness import Stream, generator

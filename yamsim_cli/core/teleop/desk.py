@@ -12,13 +12,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
+from ..attempt.runner import EpisodeRunner
 from ..config.recording import RecordConfig
 from ..dataset.records import AttemptRecord, attempt_record
 from ..geometry.se3 import Array
+from ..record.collect import Sink, episode_record
 from ..resources import Locations
 from ..types import Actions, EpisodeJob, EpisodePayload
-from ..record.collect import Sink, episode_record
-from ..attempt.runner import EpisodeRunner
 from ..workers.executor import Executor
 from ..workers.processes import WorkerPool
 

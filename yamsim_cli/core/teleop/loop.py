@@ -16,17 +16,17 @@ from ..dataset.layout import episode_name
 from ..dataset.records import AttemptRecord
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import PartialJobError
+from ..record.destination import as_said
 from ..resources import Locations
 from ..scene.build import noting_meshes
 from ..scene.compose import Meshes
-from ..viewers.address import PageAddress
-from .desk import Desk, open_worker
-from ..record.destination import as_said
-from ..workers.stop import Stop
-from .session import TIME_LIMIT, TeleopSession
-from .journal import Journal
-from .stream import Command, Player
 from ..show.view import require_page, task_viewpoint
+from ..viewers.address import PageAddress
+from ..workers.stop import Stop
+from .desk import Desk, open_worker
+from .journal import Journal
+from .session import TIME_LIMIT, TeleopSession
+from .stream import Command, Player
 
 # A loop that fell behind by more goes on from where it is instead of racing, s.
 _LONGEST_CATCH_UP = 0.25

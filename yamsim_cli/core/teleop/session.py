@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..attempt.runner import start_poses
+from ..attempt.variation import Variation
 from ..config.recording import RecordConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array
@@ -21,9 +23,7 @@ from ..types import EpisodeJob, Layout
 from ..viewers.driven import DriveStatus
 from .desk import Demonstration, Inbox
 from .driven_arm import DrivenArm
-from ..attempt.runner import start_poses
 from .journal import Journal, Opening, Tick, Unfinished
-from ..attempt.variation import Variation
 
 # The longest recording unless another is asked for, s.
 TIME_LIMIT = 600.0

@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..attempt.runner import EpisodeRunner
 from ..config.recording import RecordConfig
 from ..dataset.records import MarginsRecord, attempt_record, plain
 from ..errors import ResourceError
 from ..files import write_file
 from ..resources import Locations
 from ..types import EpisodeJob, EpisodePayload
-from ..attempt.runner import EpisodeRunner
-from .tally import Progress, run_trials, tally, what_ran
 from ..workers.processes import WorkerPool
+from .tally import Progress, run_trials, tally, what_ran
 
 
 def run_batch(

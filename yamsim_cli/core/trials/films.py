@@ -9,17 +9,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from ..attempt.runner import EpisodeRunner
 from ..config.recording import RecordConfig
 from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
 from ..files import move_aside
+from ..images.jpeg import decode_jpeg, encode_jpeg
+from ..images.video import VideoWriter, require_encoder
 from ..resources import Locations
 from ..scene.build import SCENE_CAMERA
 from ..sim.rollout import Rollout
 from ..types import Cause, EpisodeJob
-from ..images.jpeg import decode_jpeg, encode_jpeg
-from ..images.video import VideoWriter, require_encoder
 from ..vision.views import label
-from ..attempt.runner import EpisodeRunner
 from ..workers.executor import Executor, Factory, J
 from ..workers.processes import WorkerPool
 

@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from ..attempt.runner import EpisodeRunner, start_poses, versions
 from ..config.recording import RecordConfig
 from ..dataset.actions import recorded_actions
 from ..dataset.compare import Comparison, Difference, compare_frames, compare_values
 from ..dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
 from ..dataset.reader import StoredEpisode, open_episode
 from ..dataset.records import OutcomeRecord
-from ..shown_meshes import differences, shown
 from ..errors import DatasetError
-from ..resources import Locations
-from ..types import EpisodeJob
 from ..images.jpeg import decode_jpeg
-from ..attempt.runner import EpisodeRunner, start_poses, versions
+from ..resources import Locations
+from ..shown_meshes import differences, shown
+from ..types import EpisodeJob
 
 # The ways to make an episode again, in the order in which their differences are told.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"

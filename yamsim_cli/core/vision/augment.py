@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 from ..config.randomization import PictureRanges
+from ..images.image import Image
 from ..randomized import Randomized
 from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob
-from .renderer import Image
 
 _GREY = 127.5
 # A picture begins anywhere in so small a part of the stock.

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from ..dataset.truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility
 from ..geometry.camera import opencv_from_mujoco, project
 from ..geometry.se3 import Array, inverse, pose
+from ..images.image import Image
 from .labels import Keypoint, SceneLabels
-from .renderer import Image, SceneRenderer
+from .renderer import SceneRenderer
 
 Depth = NDArray[np.uint16]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ..geometry.board import Board
 from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array
+from ..images.image import Image
 from .lens import project_points
 
-Image = NDArray[np.uint8]
 Labels = NDArray[np.uint8]
 
 # One colour (RGB) an arm, told apart by people who see red and green alike; and the axes' usual red, green, blue.

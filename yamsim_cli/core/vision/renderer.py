@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
+from ..images.image import Image
 from .gl_owner import enter_opengl
 
-Image = NDArray[np.uint8]
 GeomIds = NDArray[np.int32]
 
 # More geoms than any scene has.

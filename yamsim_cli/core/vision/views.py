@@ -12,7 +12,7 @@ import numpy as np
 
 from ..geometry.camera import Intrinsics, project
 from ..geometry.se3 import Array, inverse, pose
-from .renderer import Image
+from ..images.image import Image
 
 # What a view leaves free around the rig, as a share of the picture.
 _FRAME = 0.12

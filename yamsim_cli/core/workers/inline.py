@@ -1,18 +1,12 @@
-"""Attempts made in this very process: for a notebook, or a script that starts no others."""
+"""Jobs run in this very process: for a notebook, or a script that starts no others."""
 
 from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Mapping
-from pathlib import Path
 from types import TracebackType
 from typing import Generic
 
-from ..config.recording import RecordConfig
-from ..resources import Locations
-from ..record.collect import EpisodeExecutor
-from ..attempt.runner import EpisodeRunner
 from .executor import Factory, J, R
 
 
@@ -54,13 +48,3 @@ class InlineExecutor(Generic[J, R]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-class ThisProcess:
-    """An `executors.Executors` of this process alone, whatever the number of workers."""
-
-    def open(
-        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], workers: int
-    ) -> EpisodeExecutor:
-        """Make the runner."""
-        return InlineExecutor(lambda: EpisodeRunner(config, locations, meshes, draw=True))

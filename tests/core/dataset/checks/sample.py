@@ -31,8 +31,8 @@ from yamsim_cli.core.dataset.survey import Survey, survey
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.geometry.camera import Intrinsics
 from yamsim_cli.core.geometry.se3 import pose
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.images.jpeg import JpegReader
+from yamsim_cli.core.resources import Locations
 
 CAMERA = "scene_camera"
 WIDTH, HEIGHT = 64, 48

@@ -15,7 +15,15 @@ from tests.core.dataset.checks.test_codes import EP, cut, remove, write
 from yamsim_cli.core.dataset.arrays import dump_arrays
 from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
 from yamsim_cli.core.dataset.records import to_json
-from yamsim_cli.core.dataset.truth_files import ARRAYS, KeypointRecord, LabelRecord, TruthLabels, array_shapes, dump_depth, load_truth
+from yamsim_cli.core.dataset.truth_files import (
+    ARRAYS,
+    KeypointRecord,
+    LabelRecord,
+    TruthLabels,
+    array_shapes,
+    dump_depth,
+    load_truth,
+)
 from yamsim_cli.core.images.label_images import encode_labels
 
 LABELS = TruthLabels(

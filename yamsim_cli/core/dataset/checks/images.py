@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry.se3 import Array
+from ...images.image import ImageHeader, ImageLook
 from .problem import Problems
 
 # Nothing larger is decoded: a header can promise gigabytes. No camera here comes near.
@@ -23,31 +23,6 @@ _BLACK_BRIGHTNESS = 16.0
 # a metre out, are 10 mm, and 5 pixels in the task's camera; a slower arm's images may well be equal.
 _FROZEN_RUN = 3
 _FROZEN_MOTION = 0.02
-
-
-@dataclass(frozen=True)
-class ImageHeader:
-    """What an image says of itself before it is decoded."""
-
-    width: int
-    height: int
-    channels: int
-
-
-@dataclass(frozen=True)
-class ImageLook:
-    """What was seen in an image.
-
-    Attributes:
-        brightness, contrast: mean and standard deviation of a smaller grey version, 0..255.
-        fingerprint: equal for equal pictures.
-        complaint: what the decoder had to make up; "" for a whole image.
-    """
-
-    brightness: float
-    contrast: float
-    fingerprint: int
-    complaint: str = ""
 
 
 class ImageReader(Protocol):
