@@ -76,6 +76,7 @@ CONFINED = {
         "core.show",
         "core.export",
         "core.overlay",
+        "core.teleop",
     },
     "typer": {"commands", "main"},
     "rich": {"commands"},

@@ -63,14 +63,14 @@ def record(
     )
 
     from .core.dataset.opening import OpenMode
-    from .core.record.collect import Watch
+    from .core.record.collect import Notifier
     from .core.record.destination import Output
     from .core.record.executors import LocalProcesses, ThisProcess
     from .core.record.recorder import record as run
     from .core.workers.stop import Stop
 
     output = Output(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
-    watch = Watch(lambda *_: None, lambda text: None)
+    watch = Notifier(lambda *_: None, lambda text: None)
     executors = ThisProcess() if workers is None else LocalProcesses()
     return run(settings, where, scene_meshes(settings, where), output, executors, watch, Stop())
 

@@ -20,7 +20,7 @@ from tests.bench.plain import PlainPipeline, plain_setting
 from tests.bench.setting import Stopwatch, setting
 from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.dataset.writer import OpenMode
-from yamsim_cli.core.record.collect import Watch
+from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.executors import LocalProcesses
 from yamsim_cli.core.record.recorder import record
@@ -191,6 +191,6 @@ def _record(quality: str, workers: int, episodes: int) -> tuple[float, float]:
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(dir=_PLACE) as place:
         output = Output(Path(place, "dataset"), OpenMode.NEW)
-        watch = Watch(progress, lambda warning: None)
+        watch = Notifier(progress, lambda warning: None)
         record(config, using.locations, using.meshes, output, LocalProcesses(), watch, Stop())
     return (came[-1] - came[workers - 1]) / episodes, came[0] - began

@@ -12,7 +12,7 @@ from tests.core.workers.toy_runners import Toy
 from tests.e2e.recorder import workers_of
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writer import OpenMode
-from yamsim_cli.core.record.collect import Watch
+from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.executors import LocalProcesses
 from yamsim_cli.core.record.recorder import record
@@ -51,7 +51,7 @@ def test_two_thousand_episodes_fit_into_memory(
         if done >= 100 and mark not in used:
             used[mark] = {pid: resident_mb(pid) for pid in (os.getpid(), *workers_of(os.getpid()))}
 
-    watch = Watch(measure, lambda warning: None)
+    watch = Notifier(measure, lambda warning: None)
     record(config, locations, {}, Output(tmp_path / "d", OpenMode.NEW), LocalProcesses(), watch, Stop())
     assert len(used[300]) == 3
     growth = {pid: (used[300][pid] - used[100][pid]) * EPISODES / 200 for pid in used[300]}

@@ -18,7 +18,7 @@ from yamsim_cli.core.config.recording import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.show.views import Stage, set_stage
+from yamsim_cli.core.show.views import ViewScene, set_stage
 
 DATA = Path(__file__).with_name("data")
 FAILED = Path(__file__).with_name("failed")
@@ -55,7 +55,7 @@ class Shot:
 
     colour: np.ndarray
     mask: np.ndarray
-    stage: Stage
+    stage: ViewScene
 
 
 def take(

@@ -100,14 +100,14 @@ def record(
         quality=quality,
     )
 
-    from yamsim_cli.core.record.collect import Watch
+    from yamsim_cli.core.record.collect import Notifier
     from yamsim_cli.core.record.destination import Output
     from yamsim_cli.core.record.recorder import record as run
 
     meshes = scene_meshes(settings, where)
     executors = _executors(executor, address, attempt_timeout)
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
-        watch = Watch(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
+        watch = Notifier(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
         report = run(settings, where, meshes, Output(out, mode, stage), executors, watch, stop)
     _show(report, json)
 

@@ -151,7 +151,7 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
 
 
 @dataclass
-class Stage:
+class StagedDirectory:
     """A directory that is being filled.
 
     Attributes:
@@ -164,7 +164,7 @@ class Stage:
 
 
 @contextlib.contextmanager
-def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Stage]:
+def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[StagedDirectory]:
     """A hidden directory beside `final`, to be filled in the block; then flushed to the disk and renamed to `final`.
 
     For trees that are too large for `publish_directory`. Leaving the block by an exception removes what was written.
@@ -179,7 +179,7 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Stage]
     """
     final = _named(final)
     _require_elsewhere(final)
-    stage = Stage(final.with_name(f".{final.name}.{uuid.uuid4().hex}.part"))
+    stage = StagedDirectory(final.with_name(f".{final.name}.{uuid.uuid4().hex}.part"))
     stage.path.mkdir()
     try:
         yield stage

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.boards.pages import pdf_bytes, png_bytes
-from yamsim_cli.core.boards.sheet import PAPERS, Bar, Line, Marker, Text, board_sheet
+from yamsim_cli.core.boards.sheet import PAPERS, Bar, Line, PrintedMarker, Text, board_sheet
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.geometry.board import Board
 
@@ -54,7 +54,7 @@ def extent(mark, size=0.75):
             return mark.x, mark.y, mark.x + mark.width, mark.y + mark.height
         case Line():
             return min(mark.x0, mark.x1), min(mark.y0, mark.y1), max(mark.x0, mark.x1), max(mark.y0, mark.y1)
-        case Marker():
+        case PrintedMarker():
             edge = mark.cell * len(mark.black)
             return mark.x, mark.y, mark.x + edge, mark.y + edge
         case Text():
@@ -72,11 +72,11 @@ def test_the_layout(paper, board):
         (boxes[:, :2] >= 5).all() and (boxes[:, 2] <= paper.width - 5).all() and (boxes[:, 3] <= paper.height - 5).all()
     )
 
-    markers = np.array([extent(mark) for mark in sheet.marks if isinstance(mark, Marker)])
+    markers = np.array([extent(mark) for mark in sheet.marks if isinstance(mark, PrintedMarker)])
     left, top, right, bottom = *markers[:, :2].min(0), *markers[:, 2:].max(0)
     assert (right - left, bottom - top) == pytest.approx((board.width * 1000, board.height * 1000))
     quiet = max(5.0, board.marker_length * 1000 / (markers.shape[1] + 2)) - 1e-9
-    others = np.array([extent(mark) for mark in sheet.marks if not isinstance(mark, Marker)])
+    others = np.array([extent(mark) for mark in sheet.marks if not isinstance(mark, PrintedMarker)])
     gaps = np.max([left - others[:, 2], others[:, 0] - right, top - others[:, 3], others[:, 1] - bottom], axis=0)
     assert gaps.min() >= min(quiet, 5.0)
 

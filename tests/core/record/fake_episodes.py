@@ -11,7 +11,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import image_name, lowdim_name
 from yamsim_cli.core.dataset.ledger import Ledger
 from yamsim_cli.core.dataset.writer import OpenMode
-from yamsim_cli.core.record.collect import Watch
+from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.recorder import RecordReport, record
 from yamsim_cli.core.resources import Locations
@@ -104,7 +104,7 @@ class Recording:
             self.meshes,
             Output(self.path, mode, self.stage),
             executor or Inline(),
-            Watch(lambda done, wanted, attempts: None, self.warnings.append),
+            Notifier(lambda done, wanted, attempts: None, self.warnings.append),
             self.stop,
         )
 

@@ -13,7 +13,7 @@ from ..errors import ResourceError
 from ..images.image import Image
 from ..images.png import encode_png
 from .image import WHITE
-from .sheet import LINE_WIDTH, Bar, Line, Marker, Sheet, Text
+from .sheet import LINE_WIDTH, Bar, Line, PrintedMarker, Sheet, Text
 
 _POINTS_PER_MM = 72 / 25.4
 _PX_PER_MM = 600 / 25.4
@@ -45,7 +45,7 @@ def pdf_bytes(sheets: Sequence[Sheet]) -> bytes:
         canvas.setLineWidth(LINE_WIDTH)
         for mark in sheet.marks:
             match mark:
-                case Marker():
+                case PrintedMarker():
                     # One path a marker: viewers smooth each path by itself, and cells apart would show seams.
                     path = canvas.beginPath()
                     for x, y, width in _runs(mark):
@@ -77,7 +77,7 @@ def png_bytes(sheet: Sheet) -> bytes:
     return encode_png(image, px_per_mm * 1000)
 
 
-def _runs(marker: Marker) -> Iterator[tuple[float, float, float]]:
+def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
     """Black cells side by side, as (left, top, width)."""
     for row, cells in enumerate(marker.black):
         # +1 where a run begins, -1 behind its end.
@@ -89,13 +89,13 @@ def _runs(marker: Marker) -> Iterator[tuple[float, float, float]]:
 def _raster(sheet: Sheet) -> tuple[Image, float]:
     """A page as a grey image, and its pixels per millimetre."""
     cell_px = _cell_px(sheet)
-    cell = next(mark.cell for mark in sheet.marks if isinstance(mark, Marker))
+    cell = next(mark.cell for mark in sheet.marks if isinstance(mark, PrintedMarker))
     scale = cell_px / cell
     image = np.full((round(sheet.paper.height * scale), round(sheet.paper.width * scale)), WHITE, dtype=np.uint8)
     thickness = max(1, round(LINE_WIDTH * scale))
     for mark in sheet.marks:
         match mark:
-            case Marker():
+            case PrintedMarker():
                 pixels = mark.black.repeat(cell_px, 0).repeat(cell_px, 1)
                 top, left = round(mark.y * scale), round(mark.x * scale)
                 image[top : top + len(pixels), left : left + len(pixels)][pixels] = 0
@@ -115,7 +115,7 @@ def _raster(sheet: Sheet) -> tuple[Image, float]:
 
 def _cell_px(sheet: Sheet) -> int:
     """Pixels a marker cell: near 600 dpi, where the markers' places come closest to whole pixels."""
-    markers = [mark for mark in sheet.marks if isinstance(mark, Marker)]
+    markers = [mark for mark in sheet.marks if isinstance(mark, PrintedMarker)]
     cell = markers[0].cell
     offsets = np.array([(mark.x - markers[0].x, mark.y - markers[0].y) for mark in markers]) / cell
     wanted = cell * _PX_PER_MM

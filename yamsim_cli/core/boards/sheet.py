@@ -34,7 +34,7 @@ PAPERS: Mapping[str, Paper] = {
 
 
 @dataclass(frozen=True)
-class Marker:
+class PrintedMarker:
     """Square cells from the top left corner (x, y), each `cell` wide: `black` (k, k) says which are printed."""
 
     x: float
@@ -75,7 +75,7 @@ class Text:
     align: Literal["left", "right", "centre"] = "left"
 
 
-Mark = Marker | Bar | Line | Text
+Mark = PrintedMarker | Bar | Line | Text
 
 LINE_WIDTH = 0.15
 
@@ -165,7 +165,7 @@ def _markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) ->
     # From the `board` frame (origin at the centre, y up) to the page (y down).
     corners = 1000 * (board.corners()[:, 0, :2] * (1, -1) + (board.width / 2, board.height / 2))
     for (x, y), black in zip(corners, cells, strict=True):
-        yield Marker(left + float(x), top + float(y), board.marker_length * 1000 / len(black), black)
+        yield PrintedMarker(left + float(x), top + float(y), board.marker_length * 1000 / len(black), black)
 
 
 def _crop_marks(left: float, top: float, width: float, height: float, quiet: float) -> Iterator[Mark]:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from ..dataset.faults import explain
 from ..errors import InterruptedJobError, PartialJobError, UsageError
-from ..files import Stage, staged_directory
+from ..files import StagedDirectory, staged_directory
 
 
 @contextmanager
-def export_directory(final: Path, *, overwrite: bool) -> Iterator[Stage]:
+def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
     """A directory to fill in the block, which appears as `final` when the block ends well.
 
     Args:

@@ -62,7 +62,7 @@ class Sink(Protocol):
 
 
 @dataclass(frozen=True)
-class Watch:
+class Notifier:
     """Who is told how a recording goes.
 
     Attributes:
@@ -81,7 +81,7 @@ class Collector:
         hopeless: see `prospects.hopeless`.
     """
 
-    def __init__(self, config: RecordConfig, sink: Sink, watch: Watch, stop: Stop, hopeless: Hopeless) -> None:
+    def __init__(self, config: RecordConfig, sink: Sink, watch: Notifier, stop: Stop, hopeless: Hopeless) -> None:
         self._config = config
         self._patience = Patience(config, hopeless)
         self._sink = sink

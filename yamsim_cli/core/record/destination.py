@@ -18,7 +18,7 @@ from ..files import nearest_directory
 from ..mounts import Mount, network_mount, read_mounts
 from ..tasks.kinds import kind_of
 from ..workers.stop import Stop
-from .collect import Sink, Watch
+from .collect import Notifier, Sink
 
 # To make, write, flush and close a file. Source: measured over sshfs, 60 ms a file at 10 ms a round trip.
 _ROUND_TRIPS_A_FILE = 6
@@ -62,7 +62,7 @@ class Destination:
             return ""
         return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
 
-    def finish(self, watch: Watch, stop: Stop) -> None:
+    def finish(self, watch: Notifier, stop: Stop) -> None:
         """Wait until everything has arrived, and write the manifest.
 
         Raises:
@@ -91,7 +91,7 @@ def as_said(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
 
 
 @contextlib.contextmanager
-def open_destination(config: RecordConfig, output: Output, watch: Watch) -> Iterator[Destination]:
+def open_destination(config: RecordConfig, output: Output, watch: Notifier) -> Iterator[Destination]:
     """Open an output for the block; nobody else can record into it.
 
     Raises:
@@ -123,7 +123,7 @@ def open_destination(config: RecordConfig, output: Output, watch: Watch) -> Iter
         yield destination
 
 
-def _look_at_mounts(config: RecordConfig, output: Output, watch: Watch) -> Mount | None:
+def _look_at_mounts(config: RecordConfig, output: Output, watch: Notifier) -> Mount | None:
     """The network mount that the output is on, if it is; warns of what that costs."""
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
@@ -145,7 +145,7 @@ def _look_at_mounts(config: RecordConfig, output: Output, watch: Watch) -> Mount
 
 
 def _check_space(
-    config: RecordConfig, place: Path, entries: Mapping[int, ManifestEntry], episodes: int, watch: Watch
+    config: RecordConfig, place: Path, entries: Mapping[int, ManifestEntry], episodes: int, watch: Notifier
 ) -> None:
     """Refuse what cannot fit, and warn of what may not."""
     if episodes <= 0:

@@ -15,7 +15,7 @@ from ..errors import InterruptedJobError, PartialJobError
 from ..resources import Locations
 from ..scene.build import noting_meshes
 from ..workers.stop import Stop
-from .collect import Collector, Watch
+from .collect import Collector, Notifier
 from .destination import Destination, Output, open_destination
 from .executors import Executors
 from .prospects import GaveUpError, hopeless
@@ -38,7 +38,7 @@ def record(
     meshes: Mapping[str, Path | None],
     output: Output,
     executors: Executors,
-    watch: Watch,
+    watch: Notifier,
     stop: Stop,
 ) -> RecordReport:
     """Record until the dataset holds `config.episodes` successful episodes; see `collect` for what each one is.

@@ -29,7 +29,7 @@ MONTAGE = "views.png"
 
 
 @dataclass(frozen=True)
-class Stage:
+class ViewScene:
     """A rig at rest, ready to be drawn from each view.
 
     Attributes:
@@ -59,7 +59,7 @@ def set_stage(
     size: tuple[int, int],
     locations: Locations,
     meshes: Meshes,
-) -> Stage:
+) -> ViewScene:
     """Compose a rig with a camera for each view, placed by the rig's extent.
 
     Args:
@@ -77,7 +77,7 @@ def set_stage(
         )
     apply_quality(spec, quality, size)
     model = compile_spec(spec)
-    return Stage(model, _at_home(model), cameras, size, quality.fine_size(size))
+    return ViewScene(model, _at_home(model), cameras, size, quality.fine_size(size))
 
 
 def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
@@ -87,7 +87,7 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-def render_views(rig: RigConfig, stage: Stage) -> dict[str, Image]:
+def render_views(rig: RigConfig, stage: ViewScene) -> dict[str, Image]:
     """File name -> RGB image (height, width, 3): every view with its names written in, and the montage.
 
     Raises:

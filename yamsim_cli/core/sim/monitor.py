@@ -19,7 +19,7 @@ def object_pose(data: mujoco.MjData, name: str) -> Array:
     return pose(body.xpos, body.xmat.reshape(3, 3))
 
 
-class Watch:
+class MotionMonitor:
     """Looks at every physics step, and at the object at the start of every control tick in which it is held.
 
     Args:

@@ -12,7 +12,7 @@ from ..config.task import Timing
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
 from ..types import Actions, Holds, JointPath, Layout, Motion, Phases, StepState
-from .monitor import Watch, object_pose
+from .monitor import MotionMonitor, object_pose
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def simulate(
     if see:
         see(data)
     steps = timing.physics_steps_per_tick
-    watch = Watch(scene, data, carried, phases, steps * len(actions.ctrl))
+    watch = MotionMonitor(scene, data, carried, phases, steps * len(actions.ctrl))
     states: list[StepState] = []
     for tick, ctrl in enumerate(actions.ctrl):
         # mj_step leaves the poses of the step before.

@@ -14,7 +14,7 @@ from .body import Body
 from .grasps import grasp
 from .hollows import fit_hollow
 from .scan import Scan
-from .solids import Fit, fit_solid
+from .solids import SolidFit, fit_solid
 
 # Deeper vessels have things put in them, flatter ones on them, m.
 _IN = 0.03
@@ -50,7 +50,7 @@ class Description:
 
     yaml: str
     data: dict[str, Any]
-    fit: Fit
+    fit: SolidFit
 
 
 def describe(thing: Thing, scan: Scan) -> Description:
@@ -93,7 +93,7 @@ def describe(thing: Thing, scan: Scan) -> Description:
     return Description(_comment(thing, parts, fit) + dump_yaml(data), data, fit)
 
 
-def _comment(thing: Thing, parts: tuple[Primitive, ...], fit: Fit) -> str:
+def _comment(thing: Thing, parts: tuple[Primitive, ...], fit: SolidFit) -> str:
     kinds = [part.type for part in parts]
     made = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     return (

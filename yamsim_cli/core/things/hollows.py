@@ -9,7 +9,7 @@ import numpy as np
 from ..config.primitives import Cylinder, Primitive, Ring
 from ..geometry.se3 import Array
 from .scan import Scan
-from .solids import Fit, measure
+from .solids import SolidFit, measure
 
 # What is at least this deep, as a share of its height, and so round, is a vessel; m.
 _DEEP = 0.3
@@ -28,7 +28,7 @@ _SEGMENTS = 24
 _LEAST_WALL = 0.002
 
 
-def fit_hollow(scan: Scan) -> tuple[Fit, tuple[float, float]] | None:
+def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
     """Floor and rings of a round vessel that stands upright, about its axis; None if it is none.
 
     Returns:

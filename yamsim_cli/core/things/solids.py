@@ -30,7 +30,7 @@ Make = Callable[[Array], Parts]
 
 
 @dataclass(frozen=True)
-class Fit:
+class SolidFit:
     """Primitives, and how far a scan's surface is from theirs: root mean square and 99 % of it, m."""
 
     parts: Parts
@@ -38,19 +38,19 @@ class Fit:
     most: float
 
 
-def measure(parts: Parts, points: Array) -> Fit:
+def measure(parts: Parts, points: Array) -> SolidFit:
     """How well primitives fit points (n, 3) of a surface."""
     distance = np.abs(signed_distance(parts, points))
-    return Fit(parts, float(np.sqrt(np.mean(distance**2))), float(np.percentile(distance, 99)))
+    return SolidFit(parts, float(np.sqrt(np.mean(distance**2))), float(np.percentile(distance, 99)))
 
 
-def fit_solid(points: Array) -> Fit:
+def fit_solid(points: Array) -> SolidFit:
     """The ball, cylinder, block, or row of up to three capsules that comes closest to a surface (n, 3), m.
 
     Dimples and holes, such as an apple's, do not count.
     """
     points = _outside(points)
-    best: tuple[float, Fit] | None = None
+    best: tuple[float, SolidFit] | None = None
     for make, start in _candidates(points):
         parts = _laid(make(_least_squares(make, start, points)), float(points[:, 2].min()))
         fit = measure(parts, points)

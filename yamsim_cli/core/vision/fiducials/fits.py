@@ -31,7 +31,7 @@ _HOPELESS = 4.0
 
 
 @dataclass(frozen=True)
-class Fit:
+class PoseFit:
     """A pose fitted to a board's print: the markers that agree with it, and how many seen ones do not."""
 
     alignment: Alignment
@@ -77,7 +77,7 @@ def faces_camera(T_board_in_cam: Array) -> bool:
 
 def fit_pose(
     photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], T: Array
-) -> Fit | None:
+) -> PoseFit | None:
     """Fit a pose to the markers that were read, then to all whose print shows where it predicts it."""
     first = align(photo, camera, [Piece(board, np.eye(4), tuple(places))], T)
     if first is None or not faces_camera(first.T_ref_in_cam):
@@ -96,12 +96,12 @@ def fit_pose(
         if again is None or not faces_camera(again.T_ref_in_cam):
             return None
         first = again
-    return Fit(first, agreeing, len(tiles) - len(agreeing))
+    return PoseFit(first, agreeing, len(tiles) - len(agreeing))
 
 
 def rival_of(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: Fit, fits: Sequence[Fit]
-) -> Fit | None:
+    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit, fits: Sequence[PoseFit]
+) -> PoseFit | None:
     """Another pose that explains the same markers nearly as well; None where there is none."""
     piece = Piece(board, np.eye(4), fit.agreeing)
     corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
@@ -125,7 +125,7 @@ def rival_of(
             or not faces_camera(after.T_ref_in_cam)
         ):
             continue
-        rival = Fit(after, fit.agreeing, 0)
+        rival = PoseFit(after, fit.agreeing, 0)
         evidence = 0.5 * fit.alignment.pixels / _CORRELATED * math.log(rival.mean_square / fit.mean_square)
         if evidence < _MIN_EVIDENCE:
             return rival

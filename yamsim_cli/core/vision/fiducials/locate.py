@@ -20,9 +20,9 @@ from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, inverse
 from .align import Alignment, Guess, agreement, align
-from .fits import Fit, angle_between, fit_pose, rival_of, starts
+from .fits import PoseFit, angle_between, fit_pose, rival_of, starts
 from .linearize import Tile
-from .markers import Marker, find_markers, groups
+from .markers import DetectedMarker, find_markers, groups
 from .print_view import Piece
 
 Grey = NDArray[np.uint8]
@@ -89,7 +89,9 @@ class Sighting:
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[:3, :3])))
 
 
-def locate(grey: Grey, camera: CameraModel, boards: Sequence[Board]) -> tuple[list[Sighting], dict[str, list[Marker]]]:
+def locate(
+    grey: Grey, camera: CameraModel, boards: Sequence[Board]
+) -> tuple[list[Sighting], dict[str, list[DetectedMarker]]]:
     """Look for boards in a photo (height, width) that `camera` took.
 
     Returns:
@@ -104,7 +106,7 @@ def locate(grey: Grey, camera: CameraModel, boards: Sequence[Board]) -> tuple[li
 
 
 def _sighting(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, markers: Mapping[str, Sequence[Marker]]
+    photo: NDArray[np.float32], camera: CameraModel, board: Board, markers: Mapping[str, Sequence[DetectedMarker]]
 ) -> Sighting:
     found = groups(markers[board.dictionary], board, camera)
     if not found:
@@ -114,7 +116,7 @@ def _sighting(
     if len(found) > 1 and 2 * len(found[1].places) > len(best.places):
         reason = f"its markers are in {len(found)} places: hide or remove the other prints"
         return Sighting(board, ids, Status.AMBIGUOUS, reason)
-    fits: list[Fit] = []
+    fits: list[PoseFit] = []
     for T in starts(best, board, camera):
         if fit := fit_pose(photo, camera, board, best.places, T):
             fits.append(fit)
@@ -186,7 +188,9 @@ def at_pose(grey: Grey, camera: CameraModel, seen: Sighting, T_board_in_cam: Arr
     return replace(seen, T_board_in_cam=T_board_in_cam, reprojection_rms=rms)
 
 
-def _judge(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: Fit, fits: Sequence[Fit]) -> Sighting:
+def _judge(
+    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit, fits: Sequence[PoseFit]
+) -> Sighting:
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = _shift_rms(fit.alignment.tiles[0])
     covariance, shared = _uncertainty(fit.alignment, camera, np.zeros(3))

@@ -31,7 +31,7 @@ _SAME_BOARD = 0.8
 
 
 @dataclass(frozen=True)
-class Marker:
+class DetectedMarker:
     """One detected marker: its id, and its corners (4, 2) in pixels, clockwise from its own top left."""
 
     id: int
@@ -46,7 +46,7 @@ class Group:
     corners: Array
 
 
-def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Marker]]:
+def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[DetectedMarker]]:
     """All markers of some dictionaries in a photo (height, width), duplicates included.
 
     Raises:
@@ -65,7 +65,7 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Mark
         # Without any, OpenCV 4 gives None, which its type hints do not know of.
         numbers = np.asarray(() if not corners else ids, dtype=int).ravel().tolist()
         found[name] = [
-            Marker(number, (quad.reshape(4, 2).astype(np.float64) + 0.5) / factor - 0.5)
+            DetectedMarker(number, (quad.reshape(4, 2).astype(np.float64) + 0.5) / factor - 0.5)
             for number, quad in zip(numbers, corners, strict=True)
         ]
     return found
@@ -79,7 +79,7 @@ def _stretched(grey: Grey) -> Grey:
     return stretched
 
 
-def groups(markers: Sequence[Marker], board: Board, camera: CameraModel) -> list[Group]:
+def groups(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel) -> list[Group]:
     """Markers of a board, put together by where each says the board's middle is; the largest group first.
 
     A second print of the same board, or a reading that is wrong, ends up in a group of its own.
@@ -105,7 +105,7 @@ def groups(markers: Sequence[Marker], board: Board, camera: CameraModel) -> list
     ]
 
 
-def _middle(marker: Marker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
+def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
     """Where (as a viewing ray) a marker alone says the board's middle is, and its edge in the same measure."""
     seen = rays(camera, marker.corners)
     # The perspective of one small marker is mostly noise; far from it, an affine map errs less.
@@ -115,6 +115,6 @@ def _middle(marker: Marker, corners: Array, camera: CameraModel) -> tuple[Array,
     return affine[2], edge
 
 
-def seen_ids(markers: Mapping[str, Sequence[Marker]]) -> list[int]:
+def seen_ids(markers: Mapping[str, Sequence[DetectedMarker]]) -> list[int]:
     """Ids of all markers found, once each, in order: for a person who wonders why a board was not."""
     return sorted({marker.id for found in markers.values() for marker in found})
