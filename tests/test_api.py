@@ -74,3 +74,8 @@ def test_neither_typer_nor_rich_is_loaded() -> None:
 def test_evaluate_returns_what_the_command_prints() -> None:
     report = yamsim_cli.evaluate("hold_still", n=2, seed=1)
     assert (report["stats"]["n"], report["stats"]["success_rate"], len(report["trials"])) == (2, 0.0, 2)
+
+
+@pytest.mark.parametrize("name", yamsim_cli.__all__)
+def test_every_public_name_is_there(name: str) -> None:
+    assert getattr(yamsim_cli, name).__name__ == name
