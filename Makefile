@@ -15,7 +15,7 @@ PIP := $(PYTHON_BIN) -m pip install -q --disable-pip-version-check
 DEMO := out/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update lint type bench bench-fiducials build lock clean
+.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update lint type bench bench-fiducials docs build lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -89,6 +89,12 @@ bench: setup-dev gl meshes ## measure speed
 
 bench-fiducials: setup-dev gl ## measure how well boards are located, in photos whose truth is known
 	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.fiducials
+
+# Every warning is an error: a link to a page, a heading or a file that is not there among them.
+docs: setup-dev ## make the documentation's site in out/docs, with all its links checked
+	$(PYTHON_BIN) -m tools.reference
+	$(PYTHON_BIN) -m sphinx --fail-on-warning --keep-going --nitpicky -q -b html docs out/docs
+	@echo "out/docs/index.html"
 
 build: setup ## build wheel and sdist into dist/
 	rm -rf dist

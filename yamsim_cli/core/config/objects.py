@@ -20,7 +20,12 @@ class Contact(Config):
 
 
 class ObjectMesh(Config):
-    """The scan that is seen: asset set and file, and the scan's point that becomes the object's origin."""
+    """The scan that is seen: asset set and file, and the scan's point that becomes the object's origin.
+
+    Attributes:
+        castshadow: whether the scan casts a shadow. A shallow one speckles itself where light grazes it: then let
+            primitives of `look` just under its surface cast the shadow instead.
+    """
 
     set: str
     file: str
@@ -28,6 +33,7 @@ class ObjectMesh(Config):
     rgba: Rgba
     specular: float = Field(default=0.2, ge=0, le=1)
     shininess: float = Field(default=0.3, ge=0, le=1)
+    castshadow: Annotated[bool, Field(exclude_if=lambda cast: cast)] = True
 
 
 class Inertia(Config):

@@ -21,6 +21,10 @@ class ImageConfig(Config):
     jpeg_quality: int = Field(ge=1, le=100)
 
 
+# How far shadows reach unless a quality says otherwise, m.
+SHADOW_REACH = 0.8
+
+
 class RenderConfig(Config):
     """A quality: how good pictures are, and so what they cost.
 
@@ -31,6 +35,8 @@ class RenderConfig(Config):
         shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
         shadow_lights: how many of the scene's lights cast shadows, the first ones first. Each draws everything twice
             more.
+        shadow_reach_m: how far from the middle of an arm's base and table shadows reach: the nearer, the finer they are
+            drawn, and what stands farther off casts none.
         reduced_meshes: draw meshes with fewer faces where they are to be had, see `core.assets.reduction`.
         reflections: let what reflects reflect: it draws everything once more.
         slices: faces around what is round, where it is drawn as a primitive.
@@ -41,6 +47,8 @@ class RenderConfig(Config):
     supersampling: float = Field(ge=1, le=4)
     shadow_map_px: int = Field(ge=0, le=8192)
     shadow_lights: int = Field(ge=0, le=8)
+    # Left out where it is what it was before it could be chosen, so that older datasets say what they always said.
+    shadow_reach_m: Annotated[float, Field(ge=0.2, le=5, exclude_if=lambda reach: reach == SHADOW_REACH)] = SHADOW_REACH
     reduced_meshes: bool
     reflections: bool
     slices: int = Field(ge=8, le=128, multiple_of=4)

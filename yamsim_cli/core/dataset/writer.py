@@ -151,7 +151,7 @@ class DatasetWriter:
             more = f"; and {len(changed) - _SHOWN_CHANGES} more" if len(changed) > _SHOWN_CHANGES else ""
             raise ConfigError(
                 f"{self.path} was recorded with another configuration: {'; '.join(changed[:_SHOWN_CHANGES])}{more}; "
-                "run with the same values, or record into another --out"
+                f"run with the same values (--config {self.path / CONFIG} has them), or record into another --out"
             )
 
     def _take_up(self, found: Found, attempt: AttemptRecord | None) -> None:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from ..config.objects import ObjectConfig
+from ..config.record import SHADOW_REACH
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import SimulationError
@@ -19,9 +20,6 @@ from .objects import add_object
 from .robot import HOME, JOINTS, arm_spec, gripper
 from .robot import Meshes as Meshes
 from .surroundings import add_background, add_lights, add_table
-
-# How far from the middle of its base and its table an arm stretches, seen along any of the lights, m.
-_REACH = 0.8
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ def compose(
     visual.map.znear = 0.01
     visual.map.zfar = 20.0
     # The tighter, the sharper the shadows; what stands farther off casts none.
-    visual.map.shadowclip = _REACH + max(float(np.linalg.norm(T[:3, 3] - stand)) for T in bases)
+    visual.map.shadowclip = SHADOW_REACH + max(float(np.linalg.norm(T[:3, 3] - stand)) for T in bases)
     # Lights are directional, so a flat face is lit evenly, and cutting it up gives nothing.
     visual.quality.numquads = 1
     return spec

@@ -58,6 +58,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None, *, 
             contype=0,
             conaffinity=0,
             mass=0,
+            castshadow=item.mesh.castshadow,
         )
 
 
