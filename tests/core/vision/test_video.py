@@ -15,6 +15,7 @@ import pytest
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.vision.renderer import Image
 from yamsim_cli.core.vision.video import VideoWriter
+from yamsim_cli.core.vision.yuv import BT601, BT709, Matrix
 
 av = pytest.importorskip("av", reason="yamsim[video] is not installed")
 
@@ -51,18 +52,32 @@ def test_every_frame_is_there_at_its_exact_time(
         assert stream.duration * stream.time_base == 20 * (exact or given)
 
 
-def test_colours_come_back_and_say_how_they_are_meant(tmp_path: Path) -> None:
+def as_tagged(frame: Any) -> np.ndarray:
+    """A decoded frame in RGB, by its tag: before version 17 PyAV looks at that only where the matrix is to change."""
+    other = BT601.tag if frame.colorspace == BT709.tag else BT709.tag
+    found: np.ndarray = frame.reformat(
+        format="rgb24", src_colorspace=frame.colorspace, dst_colorspace=other
+    ).to_ndarray()
+    return found
+
+
+@pytest.mark.parametrize("matrix", [BT601, BT709])
+def test_colours_come_back_and_say_how_they_are_meant(tmp_path: Path, matrix: Matrix) -> None:
     colours = np.array([(200, 30, 30), (30, 180, 40), (40, 50, 210), (235, 235, 235), (10, 10, 10)], np.uint8)
     image = colours.repeat(32, axis=0)[None].repeat(64, axis=0)
-    with VideoWriter(tmp_path / "c.mp4", 0.1) as video:
+    with VideoWriter(tmp_path / "c.mp4", 0.1, matrix=matrix) as video:
         for _ in range(3):
             video.write(image)
     with av.open(str(tmp_path / "c.mp4")) as container:
         frame = list(container.decode(video=0))[2]
         context = container.streams.video[0].codec_context
-        assert (context.colorspace, context.color_primaries, context.color_trc, context.color_range) == (1, 1, 1, 1)
-    middles = frame.to_ndarray(format="rgb24")[32, 16::32].astype(int)
-    assert np.abs(middles - colours).max() <= 4
+        tags = (context.colorspace, context.color_primaries, context.color_trc, context.color_range)
+        assert tags == (matrix.tag, 1, 1, 1)
+    assert frame.colorspace == matrix.tag
+    assert np.abs(as_tagged(frame)[32, 16::32].astype(int) - colours).max() <= 4
+    if matrix is BT601:
+        # Whether the tag is looked at or not.
+        assert np.abs(frame.to_ndarray(format="rgb24")[32, 16::32].astype(int) - colours).max() <= 4
 
 
 def test_odd_sides_are_made_even_without_losing_a_pixel(tmp_path: Path) -> None:
