@@ -139,8 +139,6 @@ def test_videos_are_described_so_that_lerobot_encodes_them_alike(export: Path) -
     }
     assert told == same
     with av.open(str(next(export.glob("videos/*scene_camera/*/*.mp4")))) as container:
-        # A new scene may begin with a further key frame.
-        assert all([packet.is_keyframe for packet in container.demux(video=0) if packet.size][::2])
         # BT.601, which decoders that overlook the tag take videos for.
         assert container.streams.video[0].codec_context.colorspace == 6
 
