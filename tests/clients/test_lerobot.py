@@ -103,6 +103,9 @@ class LeRobot:
             "--num_workers=0",
             "--batch_size=2",
             "--steps=2",
+            # A small one: what counts is that it starts.
+            *("--policy.dim_model=64", "--policy.n_heads=4", "--policy.dim_feedforward=128"),
+            *("--policy.chunk_size=8", "--policy.n_action_steps=8"),
             f"--output_dir={out}",
         )
         trained: dict[str, Any] = json.loads((out / "checkpoints/000002/pretrained_model/config.json").read_text())

@@ -175,7 +175,7 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
         "video.crf": int(ENCODER["crf"]),
         "video.preset": ENCODER["preset"],
         "video.fast_decode": 0,
-        "video.extra_options": {"bf": ENCODER["bf"]},
+        "video.extra_options": {key: ENCODER[key] for key in ("bf", "mbtree")},
     }
     return {
         "dtype": "video",
