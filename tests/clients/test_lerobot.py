@@ -96,6 +96,8 @@ class LeRobot:
         self.program(
             "lerobot-train",
             f"--dataset.repo_id=local/{name}",
+            # Its default needs FFmpeg's libraries, which it does not bring.
+            "--dataset.video_backend=pyav",
             "--policy.type=act",
             "--policy.push_to_hub=false",
             "--policy.device=cpu",

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from av.container import OutputContainer
     from av.video.stream import VideoStream
 
-# Of 57 recorded frames at 640 x 480: 43.7 dB; the preset medium gains 0.4 dB. With mbtree the same images gave different
+# Of 57 recorded frames at 640 x 480: 43.7 dB; the preset medium gains 0.4 dB. With mbtree the same images gave other
 # bytes now and then: 3 outcomes of 60 encodings at 224 x 224, 20 of 100 at 24 x 16; without it always the same.
 ENCODER = {"preset": "veryfast", "crf": "21", "bf": "0", "mbtree": "0"}
 
