@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.clients.environments import Interpreter, NotToBeHadError
+from tests.clients.environments import Interpreter, NotToBeHadError, checkout, commit
 from tests.clients.rows import ROWS
 
 # Row -> the version that a test of this process ran.
@@ -24,10 +24,12 @@ def client(request: pytest.FixtureRequest) -> Callable[[str], Interpreter]:
         marker = "client_heavy" if row.heavy else "client"
         assert request.node.get_closest_marker(marker), f"a test of {name} needs the marker {marker}"
         try:
+            repository = checkout(row.checkout) if row.checkout else None
             interpreter = row.environment.make()
         except NotToBeHadError as reason:
             pytest.skip(str(reason))
-        request.node.stash.setdefault(_VERSIONS, {})[name] = interpreter.version(row.distribution)
+        version = commit(repository) if repository else interpreter.version(row.distribution)
+        request.node.stash.setdefault(_VERSIONS, {})[name] = version
         return interpreter
 
     return open_client

@@ -112,6 +112,28 @@ class Interpreter:
         return done.stdout.strip()
 
 
+def checkout(variable: str) -> Path:
+    """The repository whose path a variable holds.
+
+    Raises:
+        NotToBeHadError: the variable is not set, or names no repository.
+    """
+    path = os.environ.get(variable, "")
+    if not path:
+        raise NotToBeHadError(f"{variable} does not name a checkout, with its submodules")
+    if not Path(path).is_dir():
+        raise NotToBeHadError(f"{variable} names {path}, which is no directory")
+    return Path(path).resolve()
+
+
+def commit(repository: Path) -> str:
+    """The commit that a repository is at, in short."""
+    command = ["git", "-C", str(repository), "rev-parse", "--short", "HEAD"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{repository} is no git repository: {done.stderr}"
+    return done.stdout.strip()
+
+
 def find_python(version: str) -> Path:
     """The Python of a version, such as 3.12: on the path, or among pyenv's; the tests' own for an empty text.
 

@@ -17,6 +17,7 @@ class Row:
         opens: what it is given, and what it does with that.
         environment: where it runs.
         heavy: takes many minutes or gigabytes: `make test-clients-heavy` runs it, by hand.
+        checkout: the variable that holds its repository's path, where no registry has it; its version is the commit.
     """
 
     client: str
@@ -24,47 +25,56 @@ class Row:
     opens: str
     environment: Environment = field(default_factory=Environment)
     heavy: bool = False
+    checkout: str = ""
 
+
+_SCENES = "`compose-xml`: all rigs and tasks load and rest; recorded episodes move as in MuJoCo 4"
+_RRD = "`export rerun`: verified; joints, commands, pictures, cameras and poses read as they were recorded"
+_ENVS = "`yamsim/PickPlace-v0`: passes its checker, and runs in processes of its own, with images"
+_VIDEOS = "writes our videos and exports, as the newest does: their tests pass with it"
+_LEROBOT = (
+    "`export lerobot`: every frame read; episodes deleted, split and merged, features removed; training starts on both"
+)
 
 # Key, as tests give it to the fixture `client` -> row.
 ROWS: dict[str, Row] = {
-    "av-15": Row(
-        "PyAV 15",
-        "av",
-        "the tests of videos and of their exports, with it in place of the newest",
-        Environment("av-15", beside=True),
+    "mujoco-3.3": Row("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
+    "mujoco-3.11": Row("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11")),
+    "mujoco-3.17": Row("MuJoCo 3.17", "mujoco", _SCENES, Environment("mujoco-3.17")),
+    "mujoco-4": Row("MuJoCo 4", "mujoco", "`compose-xml`: the same; recorded episodes move as they were recorded"),
+    "dm_control": Row(
+        "dm_control",
+        "dm_control",
+        "`compose-xml`: parsed by `mjcf.from_path`, stepped (with MuJoCo 3.17); rigs without boards attached",
+        Environment("dm_control"),
     ),
-    "av-16": Row(
-        "PyAV 16",
-        "av",
-        "the tests of videos and of their exports, with it in place of the newest",
-        Environment("av-16", beside=True),
+    "raiden": Row(
+        client="TRI's raiden, of its repository",
+        distribution="raiden",
+        opens="`export raiden`: shards it, shows it, plays it by its own kinematics, and converts to the same frames",
+        environment=Environment("raiden", python="3.11"),
+        heavy=True,
+        checkout="YAMSIM_RAIDEN",
     ),
-    "av-17": Row(
-        "PyAV 17",
-        "av",
-        "the tests of videos and of their exports, with it in place of the newest",
-        Environment("av-17", beside=True),
-    ),
+    "rerun-0.30": Row("rerun 0.30", "rerun-sdk", _RRD, Environment("rerun-0.30")),
+    "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
+    "gymnasium-1.0": Row("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
+    "gymnasium": Row("gymnasium", "gymnasium", _ENVS),
+    "av-15": Row("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
+    "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True)),
+    "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True)),
     "lerobot": Row(
         "LeRobot 0.6",
         "lerobot",
-        "reads every frame of `export lerobot`; deletes, splits, merges, removes features; trains on the outcome; "
-        "shares an environment with `yamsim[lerobot,video]`",
+        f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
-    "lerobot-0.4": Row(
-        "LeRobot 0.4",
-        "lerobot",
-        "reads every frame of `export lerobot`; deletes, splits, merges, removes features; trains on the outcome",
-        Environment("lerobot-0.4", "3.11"),
-        heavy=True,
-    ),
+    "lerobot-0.4": Row("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
     "lerobot-doctor": Row(
         "lerobot-doctor",
         "lerobot-doctor",
-        "checks `export lerobot` and finds no failure",
+        "`export lerobot`: checked, without a failure",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
