@@ -61,9 +61,9 @@ class Sighting:
         reason: why not, for a person; empty with a pose.
         T_board_in_cam: pose (4, 4) of the `board` frame (origin at the centre, z out of the paper), or None.
         covariance: (6, 6) of a small rotation (rad) about the board's centre and of its shift (m), both along the
-            camera's axes: noise, and what focal length and print scale are known to.
-        shared: (6, 2) the part of it that is the same mistake for all boards of a photo: what one standard deviation of
-            the focal length and one of the print scale do to the pose.
+            camera's axes: noise, and what the lens and the print's scale are known to.
+        shared: (6, k) the part of it that is the same mistake for all boards of a photo: what one standard deviation of
+            each mistake does to the pose; first the focal length's, last the print scale's.
         reprojection_rms: root mean square of how far (px) each marker's picture lies from where the pose puts it.
         blur: about the photo's blur, sigma in px; of a board that fills the photo, at most so much.
     """
@@ -216,15 +216,15 @@ def _shift_rms(tiles: Mapping[int, Tile]) -> float:
 
 
 def _uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
-    """Covariance (6, 6) of a turn about a point (3,) of the reference frame and of its shift; its shared part (6, 2).
+    """Covariance (6, 6) of a turn about a point (3,) of the reference frame and of its shift; its shared part (6, k).
 
-    The noise's, inflated, with what the uncertainties of focal length and print scale add.
+    The noise's, inflated, with what the uncertainties of the lens and of the print's scale add.
     """
     x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
     # A turn w about the centre moves the point by w x r.
     moved = np.eye(6)
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
-    scales = [camera.focal_sigma * alignment.by_focal, _PRINT_SIGMA * alignment.by_print]
-    shared: Array = moved @ np.column_stack(scales)
+    mistakes = [alignment.by_lens @ camera.mistakes, _PRINT_SIGMA * alignment.by_print]
+    shared: Array = moved @ np.column_stack(mistakes)
     covariance: Array = moved @ alignment.covariance @ moved.T * INFLATION**2 + shared @ shared.T
     return covariance, shared
