@@ -18,6 +18,7 @@ from yamsim_cli.core.vision.lens import project_points
 
 # Webcams at VGA to phones of 12 megapixels.
 SIZES = ((640, 480), (1280, 720), (1920, 1080), (4032, 3024))
+SIZE_SHARES = (0.35, 0.3, 0.25, 0.1)
 # Focal lengths, px, and in image widths: wide webcams to phones, and one lens in ten is a longer one.
 FOCALS = (400.0, 4000.0)
 WIDTHS, LONG_WIDTHS, LONG = (0.62, 1.3), (1.3, 5.5), 0.1
@@ -71,7 +72,7 @@ class View:
 def random_camera(rng: np.random.Generator, lens: Lens) -> CameraModel:
     """A camera of some size and focal length; `focal_sigma` is left as it is."""
     while True:
-        width, height = SIZES[rng.integers(len(SIZES))]
+        width, height = SIZES[rng.choice(len(SIZES), p=SIZE_SHARES)]
         low, high = LONG_WIDTHS if rng.random() < LONG else WIDTHS
         focal = width * math.exp(rng.uniform(math.log(low), math.log(high)))
         if not FOCALS[0] <= focal <= FOCALS[1]:

@@ -64,7 +64,7 @@ def refine(
             move = correction(pulls, centre, information, step)
             step += move.step
             poses.update({k: move.applied(poses[k]) for k in group})
-    arms = tuple(_moved(arm, poses[k], grey, result.camera) if k in poses else arm for k, arm in enumerate(result.arms))
+    arms = tuple(_moved(arm, poses[k], grey, result.lens.camera) if k in poses else arm for k, arm in enumerate(result.arms))
     return replace(result, arms=arms)
 
 

@@ -88,16 +88,18 @@ def _nothing_found(results: Sequence[PhotoResult], rig: RigConfig) -> str:
 
 
 def _plain_result(result: PhotoResult, rig: RigConfig) -> dict[str, Any]:
-    camera = result.camera
+    camera, focal = result.lens.camera, result.lens.focal
     return {
         "image": str(result.path),
         "camera": {
-            "source": result.camera_source,
+            "source": result.lens.source,
             "K": [list(row) for row in camera.K],
             "distortion": list(camera.distortion),
             "width": camera.width,
             "height": camera.height,
             "focal_sigma": camera.focal_sigma,
+            "focal_low": focal.low,
+            "focal_high": focal.high,
         },
         "joints": result.joints_source,
         "ids_seen": list(result.ids),

@@ -42,7 +42,7 @@ _FAR = 3.72
 _USUAL = 0.5 / math.tan(math.radians(30.0))
 _USUAL_SIGMA = 0.35
 
-NO_BOARD = "no board tells the focal length"
+_NO_BOARD = "no board tells the focal length"
 _ADVICE = "photograph the board from a slant, or give --camera"
 
 
@@ -60,6 +60,12 @@ class FocalEstimate:
     low: float | None
     high: float | None
     reason: str = ""
+
+
+def known_focal(camera: CameraModel) -> FocalEstimate:
+    """What is said of a camera that somebody calibrated."""
+    wide = math.exp(math.sqrt(_CHI_95) * camera.focal_sigma)
+    return FocalEstimate(camera, camera.focal / wide, camera.focal * wide)
 
 
 def outlines_in(grey: Grey, boards: Sequence[Board]) -> list[Outline]:
@@ -87,7 +93,7 @@ def estimate_focal(outlines: Sequence[Outline], size: tuple[int, int]) -> FocalE
     width, height = size
     usual = CameraModel.pinhole(width, height, _USUAL * max(size), _USUAL_SIGMA)
     if not outlines:
-        return FocalEstimate(usual, None, None, NO_BOARD)
+        return FocalEstimate(usual, None, None, _NO_BOARD)
     lowest, highest = (max(size) / share for share in _FOCALS[::-1])
     spread = np.geomspace(1 / _FOCALS[1], 1 / _FOCALS[0], _NODES)
     for _ in range(_MOST_ZOOMS):

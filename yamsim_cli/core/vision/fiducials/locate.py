@@ -103,12 +103,37 @@ def locate(grey: Grey, camera: CameraModel, boards: Sequence[Board]) -> tuple[li
     return [_sighting(photo, camera, board, markers) for board in boards], markers
 
 
+def unlocated(
+    grey: Grey, camera: CameraModel, boards: Sequence[Board], reason: str
+) -> tuple[list[Sighting], dict[str, list[Marker]]]:
+    """Boards in a photo (height, width) whose camera is not known well enough for any pose: which are seen, and why not.
+
+    Args:
+        camera: any, to put markers together.
+        reason: why no pose is given, for a person.
+
+    Returns:
+        As `locate`.
+    """
+    markers = find_markers(grey, sorted({board.dictionary for board in boards}))
+    sightings = []
+    for board in boards:
+        found = groups(markers[board.dictionary], board, camera)
+        ids = tuple(sorted(board.ids[k] for k in found[0].places)) if found else ()
+        sightings.append(Sighting(board, ids, Status.POOR_FIT, reason) if ids else _not_found(board))
+    return sightings, markers
+
+
+def _not_found(board: Board) -> Sighting:
+    return Sighting(board, (), Status.NOT_FOUND, "none of its markers was found")
+
+
 def _sighting(
     photo: NDArray[np.float32], camera: CameraModel, board: Board, markers: Mapping[str, Sequence[Marker]]
 ) -> Sighting:
     found = groups(markers[board.dictionary], board, camera)
     if not found:
-        return Sighting(board, (), Status.NOT_FOUND, "none of its markers was found")
+        return _not_found(board)
     best = found[0]
     ids = tuple(sorted(board.ids[k] for k in best.places))
     if len(found) > 1 and 2 * len(found[1].places) > len(best.places):
