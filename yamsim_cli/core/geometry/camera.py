@@ -74,10 +74,12 @@ class CameraModel:
 
     @property
     def mistakes(self) -> Array:
-        """What independent mistakes of one standard deviation each do to what `doubt` is about: columns (4, k)."""
-        if not self.doubt:
-            return np.array([[self.focal_sigma], [0.0], [0.0], [0.0]])
-        return np.linalg.cholesky(np.array(self.doubt))
+        """What independent mistakes of one standard deviation each do to what is doubted, in columns.
+
+        Returns:
+            (1, 1) for the focal length's logarithm alone, or (4, 4) for all that `doubt` is about.
+        """
+        return np.linalg.cholesky(np.array(self.doubt)) if self.doubt else np.array([[self.focal_sigma]])
 
     def scaled(self, factor: float) -> CameraModel:
         """The camera of this one's images resized by `factor`; pixel centres at whole numbers before and after."""

@@ -112,7 +112,7 @@ class Overlayer:
                 draw_board(picture, camera, arm.sighting.board, arm.sighting.T_board_in_cam)
         if mask is not None:
             result = replace(result, iou=overlap(labels, mask, photo.path))
-        write_lines(picture, captions(result), (picture != image).any(axis=2))
+        write_lines(picture, captions(result), _changed(picture, image))
         return Overlay(result, picture, labels)
 
     def _drawer_for(self, camera: CameraModel) -> ArmDrawer:
@@ -134,6 +134,14 @@ class Overlayer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _changed(picture: Image, image: Image) -> NDArray[np.bool_]:
+    """Which pixels (height, width) of a picture are no longer the photo's; channel by channel, which is much faster."""
+    red, green, blue = (picture[..., k] != image[..., k] for k in range(3))
+    red |= green
+    red |= blue
+    return red
 
 
 def captions(result: PhotoResult) -> list[str]:

@@ -140,18 +140,21 @@ class _Cameras:
             return Lens.known(self._request.camera, "file")
         size = image.shape[0], image.shape[1]
         if size not in self._estimated:
-            self._estimated[size] = unknown_lens(self._images(size), size, self._rig)
+            self._estimated[size] = unknown_lens(self._images(photo, image), size, self._rig)
         return self._estimated[size]
 
-    def _images(self, size: tuple[int, int]) -> Iterator[Image]:
-        """One after the other, all photos of a size (height, width) that can be read."""
+    def _images(self, known: Photo, image: Image) -> Iterator[Image]:
+        """One after the other, all photos of the size of one that is known already, if they can be read."""
         for photo in self._request.photos:
+            if photo.path == known.path:
+                yield image
+                continue
             try:
-                image = read_image(photo.path)
+                other = read_image(photo.path)
             except ResourceError:
                 continue
-            if image.shape[:2] == size:
-                yield image
+            if other.shape[:2] == image.shape[:2]:
+                yield other
 
 
 def _refuse_overwriting(request: OverlayRequest, stems: Sequence[str], inputs: Sequence[Path]) -> None:

@@ -69,7 +69,7 @@ def linearized(
     slopes = np.stack([cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)], axis=-1) / 32
     curvature = cv2.Laplacian(grey, cv2.CV_32F, ksize=1)
     by_own_px = -slopes.reshape(-1, 2)[use].astype(np.float64)
-    by_ray = np.einsum("ni,nij->nj", by_own_px, view.px_per_ray[use])
+    by_ray = (by_own_px[:, None, :] @ view.px_per_ray[use])[:, 0]
     pixels = Pixels(drawing.at[use], view.centre_rays[use], by_ray, by_own_px / view.coarser)
     # Blur spreads as heat does.
     by_blur = blur * curvature.ravel()[use] / view.coarser

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, inverse
-from .align import Alignment, Guess, agreement, align
+from .align import INFLATION, Alignment, Guess, agreement, align
 from .fits import Fit, angle_between, fit_pose, rival_of, starts
 from .linearize import Tile
 from .markers import Marker, find_markers, groups
@@ -33,9 +33,6 @@ _USUAL_BLUR = 0.9
 _MAX_TURN_SIGMA = math.radians(3.0)
 _MAX_SHIFT_SIGMA = 0.03  # of the distance
 
-# The photo's noise is not all there is: how far the truth lies from the found pose, over what noise alone explains.
-# Source: `make bench-fiducials`, 95 % of squared distances against those of a normal distribution.
-INFLATION = 2.0
 # What a printed board's scale is known to where nobody measured it. A printer stretches by a few tenths of a percent.
 _PRINT_SIGMA = 0.0025
 # A print that would have to be so much larger or smaller is none: the boards do not lie where they are said to.

@@ -19,17 +19,17 @@ from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array
 from ..lens import rays
-from .align import BLUR_RANGE
+from .align import BLUR_RANGE, INFLATION
 from .descent import System, descend, weighed
 from .fits import SAME_PRINT
 from .linearize import Pixels, linearized
 from .markers import Group
 from .print_view import Piece, PrintView, view_print
 
-# The photo's noise is not all there is: how far the truth lies from the points found, over what noise alone explains,
-# and what no photo tells better, px. Source: `make bench-fiducials`.
-INFLATION = 2.0
-_LEAST_PX = 0.0
+# How far each point is off in a photo without noise, in the pixels that are compared: these stand for an area, and
+# drawing it by a few points errs. Source: 350 outlines of random views; with it and the noise alone, 95 % of squared
+# distances are within those of a normal distribution, in sharp and blurred, small and large photos.
+_LEAST_PX = 0.003
 
 _USUAL_BLUR = 0.9
 
@@ -156,5 +156,5 @@ class _PlaneProblem:
             return None
         by = self._by_points(state)
         points = self._rays(state) * camera.focal + (camera.K[0][2], camera.K[1][2])
-        noise = by @ covariance @ by.T * INFLATION**2 + _LEAST_PX**2 * np.eye(8)
+        noise = by @ covariance @ by.T * INFLATION**2 + (_LEAST_PX * self._view.coarser) ** 2 * np.eye(8)
         return Outline(self._view.piece.board, self._on_board, points, noise, markers)
