@@ -22,17 +22,23 @@ from .perspective import Profile, profile
 
 Grey = NDArray[np.uint8]
 
-# Focal lengths that are looked at, in image widths: wider than any lens without much distortion, and longer than any
-# that a robot is filmed with.
-_FOCALS = (0.25, 16.0)
+# Focal lengths that are looked at, in image widths: from wider than any lens without much distortion, 100 degrees, to
+# longer than any that a robot is filmed with.
+_FOCALS = (0.42, 16.0)
 _NODES = 57
+# So many valleys of likely ones, at most, are looked into.
+_VALLEYS = 3
 # The valley of likely ones is looked at closer until so many of the nodes lie in it.
-_NODES_INSIDE = 9
+_NODES_INSIDE = 24
 _MOST_ZOOMS = 6
 
 # Chi squared that a 95 % interval goes up to, of one degree of freedom; and how far its valley is looked at.
 _CHI_95 = 3.84
 _CHI_AROUND = 16.0
+# However many boards are seen, what lenses do beyond that is left out, and moves the logarithm of the focal length so
+# much. Source: 120 times five photos by lenses with distortion; errors had an rms of 0.2 and 0.3 %, what the outlines
+# alone leave open was 0.1 %.
+_LEAST_SIGMA = 0.003
 # A wider interval (ratio of its ends) is no answer: what is off by so much is not near enough to a normal distribution.
 _WIDEST = 1.5
 # Of outlines that one lens explains, one in ten thousand is farther off (standard deviations).
@@ -94,22 +100,40 @@ def estimate_focal(outlines: Sequence[Outline], size: tuple[int, int]) -> FocalE
     usual = CameraModel.pinhole(width, height, _USUAL * max(size), _USUAL_SIGMA)
     if not outlines:
         return FocalEstimate(usual, None, None, _NO_BOARD)
-    lowest, highest = (max(size) / share for share in _FOCALS[::-1])
-    spread = np.geomspace(1 / _FOCALS[1], 1 / _FOCALS[0], _NODES)
-    for _ in range(_MOST_ZOOMS):
-        found = profile(outlines, size, spread)
-        inside = np.flatnonzero(found.misfit < found.misfit.min() + _CHI_AROUND)
-        first, last = max(inside[0] - 1, 0), min(inside[-1] + 1, _NODES - 1)
-        if len(inside) >= _NODES_INSIDE * 3 or (first, last) == (0, _NODES - 1):
-            break
-        spread = np.geomspace(spread[first], spread[last], _NODES)
+    found = _deepest(outlines, size, profile(outlines, size, np.geomspace(1 / _FOCALS[1], 1 / _FOCALS[0], _NODES)))
     low, high = _interval(found, size)
     refused = _reason(found, len(outlines), low, high)
     return FocalEstimate(usual if refused else _camera(found, size), low, high, refused)
 
 
+def _deepest(outlines: Sequence[Outline], size: tuple[int, int], wide: Profile) -> Profile:
+    """The profile around the best focal length: valleys may be narrower than the nodes are apart, so several are tried."""
+    misfit = np.pad(wide.misfit, 1, constant_values=math.inf)
+    bottoms = np.flatnonzero((misfit[1:-1] <= misfit[:-2]) & (misfit[1:-1] <= misfit[2:]))
+    bottoms = bottoms[np.argsort(wide.misfit[bottoms])][:_VALLEYS]
+    closest = [_closer(outlines, size, wide, int(bottom)) for bottom in bottoms]
+    return min(closest, key=lambda found: float(found.misfit.min()))
+
+
+def _closer(outlines: Sequence[Outline], size: tuple[int, int], found: Profile, bottom: int) -> Profile:
+    """The profile over a valley alone, with enough nodes in it."""
+    for _ in range(_MOST_ZOOMS):
+        last_node = len(found.spread) - 1
+        likely = found.misfit < found.misfit[bottom] + _CHI_AROUND
+        # The valley's own nodes, up to the ridges at its sides.
+        first = bottom - int(np.argmin(np.append(likely[bottom::-1], False)))
+        last = bottom + int(np.argmin(np.append(likely[bottom:], False)))
+        first, last = max(first, 0), min(last, last_node)
+        if last - first > _NODES_INSIDE or (first, last) == (0, last_node):
+            break
+        found = profile(outlines, size, np.geomspace(found.spread[first], found.spread[last], _NODES))
+        bottom = int(np.argmin(found.misfit))
+    return found
+
+
 def _interval(found: Profile, size: tuple[int, int]) -> tuple[float | None, float | None]:
     """Ends of what is less than `_CHI_95` worse than the best, px; None where the search ends before it."""
+    best = math.log(found.spread[np.argmin(found.misfit)])
     over = found.misfit - found.misfit.min() - _CHI_95
     inside = np.flatnonzero(over <= 0)
     ends: list[float | None] = []
@@ -119,7 +143,8 @@ def _interval(found: Profile, size: tuple[int, int]) -> tuple[float | None, floa
             continue
         part = over[edge] / (over[edge] - over[beyond])
         log = (1 - part) * math.log(found.spread[edge]) + part * math.log(found.spread[beyond])
-        ends.append(max(size) / math.exp(log))
+        off = math.copysign(math.hypot(log - best, math.sqrt(_CHI_95) * _LEAST_SIGMA), log - best)
+        ends.append(max(size) / math.exp(best + off))
     return ends[0], ends[1]
 
 
@@ -149,7 +174,7 @@ def _camera(found: Profile, size: tuple[int, int]) -> CameraModel:
     off = -np.log(found.spread / found.spread[best])
     likely = np.exp(-0.5 * (found.misfit - found.misfit[best]))
     # About the likeliest, not about the mean: where the valley is lopsided, that counts.
-    variance = float((likely * off**2).sum() / likely.sum())
+    variance = float((likely * off**2).sum() / likely.sum()) + _LEAST_SIGMA**2
     # In focal lengths instead of image widths.
     units = np.array([found.spread[best], found.spread[best], 1.0])
     lens = found.lens * units

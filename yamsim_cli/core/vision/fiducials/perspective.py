@@ -8,6 +8,7 @@ board takes the pose that explains its outline best, and what is left over (chi 
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,11 +24,21 @@ from .outline import Outline
 CENTRE_SIGMA = 0.01
 BEND_SIGMA = 0.05
 _LENS_SIGMAS = np.array([CENTRE_SIGMA, CENTRE_SIGMA, BEND_SIGMA])
-# How often the lens is looked for anew once the poses have followed it, and the longest step, standard deviations.
-_LENS_ROUNDS = 3
-_LENS_STEP = 3.0
+# How often the lens is looked for anew once the poses have followed it.
+_LENS_ROUNDS = 25
 
-_STEPS = 8
+# Steps at most, and a gain (of chi squared) that is none.
+_STEPS, _NO_GAIN = 30, 1e-3
+# Points along a board's edge at which distortion is taken.
+_GRID = 5
+# A board's picture of less than this (longer sides squared) is seen edge-on.
+_EDGE_ON = 1e-6
+# Distortion with k1 = 1 that moves a point by so many longer sides is none.
+_MOST_BEND = 3.0
+# The longest turn of one step, rad.
+_MOST_TURN = 0.5
+# Chi squared of what cannot be.
+_NEVER = 1e12
 
 
 @dataclass(frozen=True)
@@ -56,12 +67,22 @@ def profile(outlines: Sequence[Outline], size: tuple[int, int], spread: Array) -
         spread: the longer side over the focal length, for each (n,).
     """
     fits = [_poses(outline, size, spread) for outline in outlines]
-    lens = np.zeros((len(spread), 3))
+    lens, damping = np.zeros((len(spread), 3)), np.full(len(spread), 1e-3)
+    known = _Evidence.chosen(fits, lens)
+    cost = known.cost(lens)
     for _ in range(_LENS_ROUNDS):
-        chosen = _Evidence.chosen([[_evidence(fit, lens) for fit in pair] for pair in fits], lens)
-        misfit, step, covariance = chosen.best(lens)
-        lens = lens + np.clip(step, -_LENS_STEP * _LENS_SIGMAS, _LENS_STEP * _LENS_SIGMAS)
-    return Profile(spread, misfit, lens, covariance)
+        step, gain = known.step(lens, damping)
+        if not (gain > _NO_GAIN).any():
+            break
+        for fit in itertools.chain.from_iterable(fits):
+            fit.keep()
+        trial = _Evidence.chosen(fits, lens + step)
+        better = trial.cost(lens + step) < cost
+        for fit in itertools.chain.from_iterable(fits):
+            fit.return_where(~better)
+        known, lens = trial.where(better, known), np.where(better[:, None], lens + step, lens)
+        cost, damping = known.cost(lens), np.where(better, damping / 8, damping * 8)
+    return Profile(spread, cost, lens, known.covariance())
 
 
 @dataclass(frozen=True)
@@ -81,6 +102,17 @@ class _Evidence:
             self.information + other.information, self.gradient + other.gradient, self.misfit + other.misfit
         )
 
+    @classmethod
+    def of(cls, fit: _Poses, lens: Array) -> _Evidence:
+        """What one board says, once its poses have followed the lens."""
+        fit.descend(lens)
+        residual, by_pose, by_lens = fit.equations()
+        # What the pose makes up for is no word on the lens.
+        q, _ = np.linalg.qr(by_pose)
+        own = by_lens - q @ (np.swapaxes(q, 1, 2) @ by_lens)
+        left = residual - (q @ (np.swapaxes(q, 1, 2) @ residual[..., None]))[..., 0]
+        return cls(np.swapaxes(own, 1, 2) @ own, np.einsum("nij,ni->nj", own, left), (left**2).sum(axis=1))
+
     def where(self, take: NDArray[np.bool_], other: _Evidence) -> _Evidence:
         """This one for some focal lengths, another for the rest."""
         return _Evidence(
@@ -89,36 +121,32 @@ class _Evidence:
             np.where(take, self.misfit, other.misfit),
         )
 
-    def best(self, lens: Array) -> tuple[Array, Array, Array]:
-        """Chi squared with the best lens, the step (n, 3) there from `lens`, and its covariance."""
+    def cost(self, lens: Array) -> Array:
+        """Chi squared (n,) with the lens that it was made for, and how unusual that is."""
+        cost = self.misfit + (lens**2 / _LENS_SIGMAS**2).sum(axis=1)
+        return np.where(np.isfinite(cost), cost, _NEVER)
+
+    def covariance(self) -> Array:
+        """Of the lens (n, 3, 3), with what lenses usually are."""
+        covariance: Array = np.linalg.inv(np.nan_to_num(self.information) + np.diag(_LENS_SIGMAS**-2.0))
+        return covariance
+
+    def step(self, lens: Array, damping: Array) -> tuple[Array, Array]:
+        """The lens' step (n, 3) that Levenberg and Marquardt take, and what it promises (n,)."""
         prior = _LENS_SIGMAS**-2.0
-        covariance = np.linalg.inv(self.information + np.diag(prior))
-        gradient = self.gradient + prior * lens
-        step = -np.einsum("nij,nj->ni", covariance, gradient)
-        return self.misfit + (prior * lens**2).sum(axis=1) + (gradient * step).sum(axis=1), step, covariance
+        normal = np.nan_to_num(self.information) + np.diag(prior)
+        gradient = np.nan_to_num(self.gradient + prior * lens)
+        diagonal = np.einsum("nii->ni", normal)
+        damped = normal + damping[:, None, None] * np.eye(3) * diagonal[:, None, :]
+        step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
+        return step, -(gradient * step).sum(axis=1) - 0.5 * np.einsum("ni,nij,nj->n", step, normal, step)
 
     @classmethod
-    def chosen(cls, pairs: Sequence[Sequence[_Evidence]], lens: Array) -> _Evidence:
-        """All boards together, each in that of its two poses which goes best with the others."""
-        taken = [one.where(one.misfit <= two.misfit, two) for one, two in pairs]
-        total = functools.reduce(cls.__add__, taken)
-        for k, pair in enumerate(pairs):
-            others = functools.reduce(cls.__add__, taken[:k] + taken[k + 1 :]) if len(taken) > 1 else None
-            sums = [one if others is None else others + one for one in pair]
-            first = sums[0].best(lens)[0] <= sums[1].best(lens)[0]
-            taken[k], total = pair[0].where(first, pair[1]), sums[0].where(first, sums[1])
-        return total
-
-
-def _evidence(fit: _Poses, lens: Array) -> _Evidence:
-    fit.descend(lens)
-    residual, by_pose, by_lens = fit.equations()
-    # What the pose makes up for is no word on the lens.
-    q, _ = np.linalg.qr(by_pose)
-    own = by_lens - q @ (np.swapaxes(q, 1, 2) @ by_lens)
-    return _Evidence(
-        np.swapaxes(own, 1, 2) @ own, np.einsum("nij,ni->nj", own, residual), (residual**2).sum(axis=1)
-    )
+    def chosen(cls, fits: Sequence[Sequence[_Poses]], lens: Array) -> _Evidence:
+        """All boards together, each in the better of its two poses."""
+        pairs = [[cls.of(fit, lens) for fit in pair] for pair in fits]
+        taken = [one.where(one.misfit <= np.nan_to_num(two.misfit, nan=_NEVER), two) for one, two in pairs]
+        return functools.reduce(cls.__add__, taken)
 
 
 def _poses(outline: Outline, size: tuple[int, int], spread: Array) -> list[_Poses]:
@@ -152,6 +180,25 @@ def _starts(on_board: Array, seen: Array, spread: Array) -> list[tuple[Array, Ar
     return starts
 
 
+def _flat_moves(points: Array) -> Array:
+    """How points (k, 2) of a plane are moved by each of the eight ways in which flat maps differ: (2 k, 8)."""
+    x, y = points.T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    across, down = (one, zero, x, y, zero, zero, x * x, x * y), (zero, one, zero, zero, x, y, x * y, y * y)
+    moves: Array = np.stack([np.stack(across, axis=-1), np.stack(down, axis=-1)], axis=1).reshape(-1, 8)
+    return moves
+
+
+def _inverses(matrices: Array) -> Array:
+    """Inverses of (..., 2, 2); huge where there is none, as of a board that is seen edge-on."""
+    a, b, c, d = (matrices[..., row, column] for row in (0, 1) for column in (0, 1))
+    determinant = a * d - b * c
+    determinant = np.where(np.abs(determinant) < _EDGE_ON, _EDGE_ON, determinant)
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    inverses: Array = adjugate / determinant[..., None, None]
+    return inverses
+
+
 class _Poses:
     """A pose of one board for each of n focal lengths, all refined at once.
 
@@ -165,22 +212,29 @@ class _Poses:
         self._on_board, self._seen, self._whiten, self._spread = on_board, seen, whiten, spread
         self._turns, self._middles, self._sizes = turns, middles, sizes
         self._lens = np.zeros((len(spread), 3))
+        line = np.linspace(-0.5, 0.5, _GRID)
+        self._grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
 
     def descend(self, lens: Array) -> None:
         """Levenberg and Marquardt's steps, seen through a lens (n, 3)."""
         self._lens = lens
         damping = np.full(len(self._spread), 1e-3)
-        residual, by_pose, _ = self.equations()
+        residual, by_pose, by_lens = self.equations()
+        # What distortion does hardly changes on the way.
+        bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2)
         cost = (residual**2).sum(axis=1)
         for _ in range(_STEPS):
             normal = np.swapaxes(by_pose, 1, 2) @ by_pose
             diagonal = np.einsum("nii->ni", normal)
-            normal = normal + damping[:, None, None] * np.eye(6) * diagonal[:, None, :]
+            normal = normal + damping[:, None, None] * np.eye(6) * (diagonal[:, None, :] + 1e-9)
             step = -np.linalg.solve(normal, np.einsum("nij,ni->nj", by_pose, residual)[..., None])[..., 0]
+            step = np.nan_to_num(step, posinf=0.0, neginf=0.0)
             before = self._turns, self._middles, self._sizes
             self._move(step)
-            trial, trial_by_pose, _ = self.equations()
-            better = (trial**2).sum(axis=1) < cost
+            trial, trial_by_pose, _ = self.equations(bend)
+            gain = cost - (trial**2).sum(axis=1)
+            better = gain > 0
             self._turns = np.where(better[:, None, None], self._turns, before[0])
             self._middles = np.where(better[:, None], self._middles, before[1])
             self._sizes = np.where(better, self._sizes, before[2])
@@ -188,20 +242,63 @@ class _Poses:
             by_pose = np.where(better[:, None, None], trial_by_pose, by_pose)
             cost = (residual**2).sum(axis=1)
             damping = np.where(better, damping / 8, damping * 8)
+            if (gain < _NO_GAIN).all():
+                break
+
+    def keep(self) -> None:
+        """Remember the poses."""
+        self._kept = self._turns, self._middles, self._sizes
+
+    def return_where(self, worse: NDArray[np.bool_]) -> None:
+        """Take the remembered poses again, at some focal lengths."""
+        turns, middles, sizes = self._kept
+        self._turns = np.where(worse[:, None, None], turns, self._turns)
+        self._middles = np.where(worse[:, None], middles, self._middles)
+        self._sizes = np.where(worse, sizes, self._sizes)
 
     def _move(self, step: Array) -> None:
         angle = np.linalg.norm(step[:, :3], axis=1)
         axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
+        angle = np.minimum(angle, _MOST_TURN)
         cross = np.zeros((len(step), 3, 3))
         cross[:, [2, 0, 1], [1, 2, 0]] = axis
         cross[:, [1, 2, 0], [2, 0, 1]] = -axis
         sine, cosine = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
         self._turns = (np.eye(3) + sine * cross + cosine * cross @ cross) @ self._turns
-        self._middles = self._middles + step[:, 3:5]
+        self._middles = self._middles + np.clip(step[:, 3:5], -1, 1)
         self._sizes = self._sizes * np.exp(np.clip(step[:, 5], -1, 1))
 
-    def equations(self) -> tuple[Array, Array, Array]:
-        """Residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3)."""
+    def _bend(self, at: Array, turned: Array, w: Array) -> Array:
+        """How far (n, 4, 2) distortion with k1 = 1 moves the four points of the outline.
+
+        The outline is the flat map nearest to what is seen of the whole board, which distortion curves: so it is taken
+        all over the board, and the flat part of it goes to the four points.
+        """
+        spread = self._spread[:, None]
+        on_grid = self._grid @ np.swapaxes(self._turns[:, :, :2], 1, 2) * self._sizes[:, None, None]
+        w_grid = np.maximum(1 + spread * on_grid[..., 2], 1e-3)
+        grid = (self._middles[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
+        moved = grid * ((grid**2).sum(axis=-1) * spread**2)[..., None]
+        on_board = (_inverses(self._by_board(grid, w_grid)) @ moved[..., None])[..., 0]
+        flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
+        moved_points = (self._by_board(at, w) @ flat[..., None])[..., 0]
+        # Of a board seen edge-on, rounding makes anything.
+        possible = np.abs(moved_points).max(axis=(1, 2)) < _MOST_BEND
+        return np.where(possible[:, None, None], moved_points, 0.0)
+
+    def _by_board(self, at: Array, w: Array) -> Array:
+        """Derivative (n, k, 2, 2) of places in the picture by places on the board."""
+        axes = self._turns[:, None, :, :2] * self._sizes[:, None, None, None]
+        by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
+        by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
+        return by
+
+    def equations(self, bend: Array | None = None) -> tuple[Array, Array, Array]:
+        """Residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
+
+        Args:
+            bend: how far (n, 4, 2) distortion with k1 = 1 moves the points, if it is known.
+        """
         turned = self._on_board @ np.swapaxes(self._turns[:, :, :2], 1, 2) * self._sizes[:, None, None]
         x, y, z = (turned[..., k] for k in range(3))
         spread = self._spread[:, None]
@@ -218,11 +315,8 @@ class _Poses:
         by_pose[..., 5] = (turned[..., :2] - at * (w - 1)[..., None]) / w[..., None]
         by_lens = np.zeros((n, 4, 2, 3))
         by_lens[..., 0, 0] = by_lens[..., 1, 1] = 1.0
-        squared = (at**2).sum(axis=-1)[..., None] * spread[..., None] ** 2
-        by_lens[..., 2] = at * squared
+        by_lens[..., 2] = self._bend(at, turned, w) if bend is None else bend
         k1 = self._lens[:, None, None, 2]
-        bent = at * (1 + k1 * squared) + self._lens[:, None, :2]
-        outwards = 2 * k1 * spread[..., None] ** 2 * at
-        by_pose = by_pose * (1 + k1 * squared)[..., None] + outwards[..., None] * (at[..., None, :] @ by_pose)
+        bent = at + k1 * by_lens[..., 2] + self._lens[:, None, :2]
         residual = (bent - self._seen).reshape(n, 8) @ self._whiten.T
         return residual, self._whiten @ by_pose.reshape(n, 8, 6), self._whiten @ by_lens.reshape(n, 8, 3)
