@@ -25,11 +25,11 @@ Grey = NDArray[np.uint8]
 # Focal lengths that are looked at, in image widths: from wider than any lens without much distortion, 100 degrees, to
 # longer than any that a robot is filmed with.
 _FOCALS = (0.42, 16.0)
-_NODES = 57
+_NODES, _NODES_CLOSE = 57, 33
 # So many valleys of likely ones, at most, are looked into.
 _VALLEYS = 3
 # The valley of likely ones is looked at closer until so many of the nodes lie in it.
-_NODES_INSIDE = 24
+_NODES_INSIDE = 14
 _MOST_ZOOMS = 6
 
 # Chi squared that a 95 % interval goes up to, of one degree of freedom; and how far its valley is looked at.
@@ -110,9 +110,15 @@ def _deepest(outlines: Sequence[Outline], size: tuple[int, int], wide: Profile) 
     """The profile around the best focal length: valleys may be narrower than the nodes are apart, so several are tried."""
     misfit = np.pad(wide.misfit, 1, constant_values=math.inf)
     bottoms = np.flatnonzero((misfit[1:-1] <= misfit[:-2]) & (misfit[1:-1] <= misfit[2:]))
-    bottoms = bottoms[np.argsort(wide.misfit[bottoms])][:_VALLEYS]
-    closest = [_closer(outlines, size, wide, int(bottom)) for bottom in bottoms]
-    return min(closest, key=lambda found: float(found.misfit.min()))
+    ends = np.isin(bottoms, (0, len(wide.spread) - 1))
+    # An end is as deep as it seems, so it comes last, and counts only if it is no worse than what the valleys hold.
+    inner, found = bottoms[~ends], []
+    for bottom in inner[np.argsort(wide.misfit[inner])][:_VALLEYS]:
+        found.append(_closer(outlines, size, wide, int(bottom)))
+    for bottom in bottoms[ends]:
+        if all(wide.misfit[bottom] < one.misfit.min() + _CHI_AROUND for one in found):
+            found.append(_closer(outlines, size, wide, int(bottom)))
+    return min(found, key=lambda one: float(one.misfit.min()))
 
 
 def _closer(outlines: Sequence[Outline], size: tuple[int, int], found: Profile, bottom: int) -> Profile:
@@ -126,7 +132,7 @@ def _closer(outlines: Sequence[Outline], size: tuple[int, int], found: Profile, 
         first, last = max(first, 0), min(last, last_node)
         if last - first > _NODES_INSIDE or (first, last) == (0, last_node):
             break
-        found = profile(outlines, size, np.geomspace(found.spread[first], found.spread[last], _NODES))
+        found = profile(outlines, size, np.geomspace(found.spread[first], found.spread[last], _NODES_CLOSE), found)
         bottom = int(np.argmin(found.misfit))
     return found
 

@@ -24,10 +24,12 @@ from .outline import Outline
 CENTRE_SIGMA = 0.01
 BEND_SIGMA = 0.05
 _LENS_SIGMAS = np.array([CENTRE_SIGMA, CENTRE_SIGMA, BEND_SIGMA])
-# How often the lens is looked for anew once the poses have followed it.
-_LENS_ROUNDS = 25
+# How often the lens is looked for anew once the poses have followed it: at most, and in vain.
+_LENS_ROUNDS, _IDLE_ROUNDS = 25, 2
 
-# Steps at most, and a gain (of chi squared) that is none.
+# Where chi squared is so much worse than the best, it is no matter by how much; elsewhere, so little is no gain.
+_LIKELY, _LITTLE_GAIN = 150.0, 0.03
+# A pose's steps at most, and a gain (of chi squared, beside its own size) that is none.
 _STEPS, _NO_GAIN = 30, 1e-3
 # Points along a board's edge at which distortion is taken.
 _GRID = 5
@@ -58,30 +60,37 @@ class Profile:
     lens_covariance: Array
 
 
-def profile(outlines: Sequence[Outline], size: tuple[int, int], spread: Array) -> Profile:
+def profile(
+    outlines: Sequence[Outline], size: tuple[int, int], spread: Array, near: Profile | None = None
+) -> Profile:
     """Explain outlines of boards by each of several focal lengths.
 
     Args:
         outlines: of one camera's photos, all of them together.
         size: of its photos, width and height in px.
         spread: the longer side over the focal length, for each (n,).
+        near: what is known already of focal lengths between these.
     """
     fits = [_poses(outline, size, spread) for outline in outlines]
     lens, damping = np.zeros((len(spread), 3)), np.full(len(spread), 1e-3)
+    if near is not None:
+        lens = np.column_stack([np.interp(spread, near.spread, near.lens[:, k]) for k in range(3)])
     known = _Evidence.chosen(fits, lens)
-    cost = known.cost(lens)
+    cost, idle = known.cost(lens), 0
     for _ in range(_LENS_ROUNDS):
-        step, gain = known.step(lens, damping)
-        if not (gain > _NO_GAIN).any():
-            break
+        step = known.step(lens, damping)
         for fit in itertools.chain.from_iterable(fits):
             fit.keep()
         trial = _Evidence.chosen(fits, lens + step)
-        better = trial.cost(lens + step) < cost
+        gain = cost - trial.cost(lens + step)
+        better = gain > 0
         for fit in itertools.chain.from_iterable(fits):
             fit.return_where(~better)
         known, lens = trial.where(better, known), np.where(better[:, None], lens + step, lens)
-        cost, damping = known.cost(lens), np.where(better, damping / 8, damping * 8)
+        cost, damping = np.where(better, cost - gain, cost), np.where(better, damping / 8, damping * 8)
+        idle = 0 if (gain[cost < cost.min() + _LIKELY] > _LITTLE_GAIN).any() else idle + 1
+        if idle == _IDLE_ROUNDS:
+            break
     return Profile(spread, cost, lens, known.covariance())
 
 
@@ -131,15 +140,14 @@ class _Evidence:
         covariance: Array = np.linalg.inv(np.nan_to_num(self.information) + np.diag(_LENS_SIGMAS**-2.0))
         return covariance
 
-    def step(self, lens: Array, damping: Array) -> tuple[Array, Array]:
-        """The lens' step (n, 3) that Levenberg and Marquardt take, and what it promises (n,)."""
+    def step(self, lens: Array, damping: Array) -> Array:
+        """The lens' step (n, 3) that Levenberg and Marquardt take."""
         prior = _LENS_SIGMAS**-2.0
         normal = np.nan_to_num(self.information) + np.diag(prior)
         gradient = np.nan_to_num(self.gradient + prior * lens)
-        diagonal = np.einsum("nii->ni", normal)
-        damped = normal + damping[:, None, None] * np.eye(3) * diagonal[:, None, :]
-        step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
-        return step, -(gradient * step).sum(axis=1) - 0.5 * np.einsum("ni,nij,nj->n", step, normal, step)
+        normal += damping[:, None, None] * np.eye(3) * np.einsum("nii->ni", normal)[:, None, :]
+        step: Array = -np.linalg.solve(normal, gradient[..., None])[..., 0]
+        return step
 
     @classmethod
     def chosen(cls, fits: Sequence[Sequence[_Poses]], lens: Array) -> _Evidence:
@@ -242,7 +250,7 @@ class _Poses:
             by_pose = np.where(better[:, None, None], trial_by_pose, by_pose)
             cost = (residual**2).sum(axis=1)
             damping = np.where(better, damping / 8, damping * 8)
-            if (gain < _NO_GAIN).all():
+            if (gain < _NO_GAIN * (1 + cost)).all():
                 break
 
     def keep(self) -> None:
