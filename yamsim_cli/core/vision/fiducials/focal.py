@@ -162,13 +162,13 @@ def _reason(found: Profile, boards: int, low: float | None, high: float | None) 
     if found.misfit.min() > most:
         return "no one focal length explains the boards: a lens with much distortion, or bent prints; give --camera"
     if low is None and high is None:
-        return f"any focal length explains it equally well: {_ADVICE}"
+        return f"any focal length explains the photo equally well: {_ADVICE}"
     if high is None:
-        return f"any focal length from {low:.0f} px up explains it: {_ADVICE}"
+        return f"any focal length from {low:.0f} px up explains the photo: {_ADVICE}"
     if low is None:
-        return f"any focal length up to {high:.0f} px explains it: {_ADVICE}"
+        return f"any focal length up to {high:.0f} px explains the photo: {_ADVICE}"
     if high > _WIDEST * low:
-        return f"its focal length is anything from {low:.0f} to {high:.0f} px: {_ADVICE}"
+        return f"the focal length may be anything from {low:.0f} to {high:.0f} px: {_ADVICE}"
     return ""
 
 
