@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
-from ...geometry.se3 import Array
 from .markers import find_markers, groups
 from .outline import Outline, outline_of
 from .perspective import Profile, profile
@@ -189,9 +188,8 @@ def _camera(found: Profile, size: tuple[int, int]) -> CameraModel:
     doubt[1:, 1:] = found.lens_covariance[best] * np.outer(units, units)
     along = np.append(1.0, slope)
     doubt += variance * np.outer(along, along)
-    cx, cy = (width - 1) / 2 + focal * lens[best, 0], (height - 1) / 2 + focal * lens[best, 1]
+    right, down, bend = lens[best].tolist()
+    cx, cy = (width - 1) / 2 + focal * right, (height - 1) / 2 + focal * down
     K = ((focal, 0.0, cx), (0.0, focal, cy), (0.0, 0.0, 1.0))
-    rows: Array = doubt
-    return CameraModel(
-        width, height, K, (float(lens[best, 2]), 0.0, 0.0, 0.0), math.sqrt(variance), tuple(map(tuple, rows.tolist()))
-    )
+    rows = tuple(tuple(row) for row in doubt.tolist())
+    return CameraModel(width, height, K, (bend, 0.0, 0.0, 0.0), math.sqrt(variance), rows)
