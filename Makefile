@@ -15,10 +15,10 @@ PIP := $(PYTHON_BIN) -m pip install -q --disable-pip-version-check
 DEMO := out/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-all golden-update lint type bench bench-fiducials build lock clean
+.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update lint type bench bench-fiducials docs build lock clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-15s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(READY) ## make .venv with the locked versions and this checkout in it (needs Python 3.11+)
 
@@ -56,13 +56,23 @@ demo: gl meshes ## record four episodes into out/demo and summarize them
 	@echo "Look at $$(find $(DEMO) -name '*.jpg' | LC_ALL=C sort | head -n 1), or all of $(DEMO)/"
 
 test: setup-dev gl meshes ## run the tests, without the slow ones and those that need the internet
-	$(PYTHON_BIN) -m pytest -n auto -m "not slow and not network" $(PYTEST_ARGS)
+	$(PYTHON_BIN) -m pytest -n auto -m "not slow and not network and not client and not client_heavy" $(PYTEST_ARGS)
 
 test-slow: setup-dev gl meshes test-programs ## run the rest: the slow ones, and those that need the internet or other programs
-	$(PYTHON_BIN) -m pytest -n auto -m "slow or network" $(PYTEST_ARGS)
+	$(PYTHON_BIN) -m pytest -n auto -m "(slow or network) and not client and not client_heavy" $(PYTEST_ARGS)
 
-test-all: setup-dev gl meshes test-programs ## run all tests
-	$(PYTHON_BIN) -m pytest -n auto $(PYTEST_ARGS)
+# Each client has an environment of its own in .venv-clients, made once. What was found lies in out/clients.jsonl, from which
+# `python -m tests.clients.table` brings README's table up to date.
+test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute
+	rm -f out/clients.jsonl
+	$(PYTHON_BIN) -m pytest -n auto -m client $(PYTEST_ARGS)
+
+test-clients-heavy: setup-dev gl meshes ## the same with LeRobot and torch, and with raiden's checkout in $YAMSIM_RAIDEN (gigabytes)
+	rm -f out/clients.jsonl
+	$(PYTHON_BIN) -m pytest -m client_heavy $(PYTEST_ARGS)
+
+test-all: setup-dev gl meshes test-programs ## run all tests but those of heavy clients
+	$(PYTHON_BIN) -m pytest -n auto -m "not client_heavy" $(PYTEST_ARGS)
 
 golden-update: setup-dev gl ## make today's pictures the golden ones: look at each before committing
 	$(PYTHON_BIN) -m tests.golden.update
@@ -80,6 +90,12 @@ bench: setup-dev gl meshes ## measure speed
 bench-fiducials: setup-dev gl ## measure how well boards are located, in photos whose truth is known
 	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.fiducials
 
+# Every warning is an error: a link to a page, a heading or a file that is not there among them.
+docs: setup-dev ## make the documentation's site in out/docs, with all its links checked
+	$(PYTHON_BIN) -m tools.reference
+	$(PYTHON_BIN) -m sphinx --fail-on-warning --keep-going --nitpicky -q -b html docs out/docs
+	@echo "out/docs/index.html"
+
 build: setup ## build wheel and sdist into dist/
 	rm -rf dist
 	$(PYTHON_BIN) -m hatchling build
@@ -87,13 +103,14 @@ build: setup ## build wheel and sdist into dist/
 # uv reads no configuration and no UV_* index here, so the hashes are those of the public index, for all platforms.
 # The rest is compiled under the first lock's versions, so that one environment holds both.
 COMPILE = env -u UV_INDEX -u UV_DEFAULT_INDEX -u UV_INDEX_URL -u UV_EXTRA_INDEX_URL -u UV_FIND_LINKS \
-    $(UV) pip compile pyproject.toml --universal --fork-strategy fewest \
+    $(UV) pip compile --universal --fork-strategy fewest \
     --generate-hashes --no-config --no-header --no-annotate --no-emit-index-url --no-emit-find-links --quiet $(LOCK_ARGS)
 
-lock: ## renew requirements.lock and requirements-dev.lock from pyproject.toml (needs uv)
-	$(COMPILE) --group build --extra print --extra video --extra view --output-file requirements.lock
-	$(COMPILE) --group dev --all-extras --constraint requirements.lock --output-file requirements-dev.lock
+lock: ## renew requirements.lock, requirements-dev.lock and those of clients (needs uv)
+	$(COMPILE) pyproject.toml --group build --extra print --extra video --extra view --output-file requirements.lock
+	$(COMPILE) pyproject.toml --group dev --all-extras --constraint requirements.lock --output-file requirements-dev.lock
+	for file in tests/clients/requirements/*.in; do $(COMPILE) "$$file" --output-file "$${file%.in}.txt" || exit; done
 
-clean: ## remove what make made: .venv, dist, caches and out/demo, never a dataset of yours
-	rm -rf $(VENV) dist build $(DEMO) .hypothesis .mypy_cache .pytest_cache .ruff_cache
+clean: ## remove what make made: .venv, .venv-clients, dist, caches and out/demo, never a dataset of yours
+	rm -rf $(VENV) .venv-clients dist build $(DEMO) .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find yamsim_cli tests -name __pycache__ -type d -prune -exec rm -rf {} +

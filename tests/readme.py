@@ -24,10 +24,10 @@ class Block:
         return [line for line in lines if line]
 
 
-def blocks() -> list[Block]:
-    """All of them, in order."""
+def blocks(page: str = TEXT) -> list[Block]:
+    """All of them, in order; of another page, if its text is given."""
     found, section = [], ""
-    for match in re.finditer(r"^```(\w*)\n(.*?)^```$|^#+ ([^\n]+)$", TEXT, re.MULTILINE | re.DOTALL):
+    for match in re.finditer(r"^```(\w*)\n(.*?)^```$|^#+ ([^\n]+)$", page, re.MULTILINE | re.DOTALL):
         language, text, heading = match.groups()
         if heading is None:
             found.append(Block(section, language, text))

@@ -14,12 +14,14 @@ PACKAGE = Path(__file__).resolve().parents[1] / "yamsim_cli"
 FLOORS: dict[str, int] = {
     "core.errors": 1,
     "core.files": 2,
+    "core.stray_forks": 2,
     "core.mounts": 2,
     "core.machine": 2,
     "core.resources": 2,
     "core.gl": 2,
     "core.geometry": 2,
     "core.randomized": 2,
+    "core.drawn": 2,
     "core.types": 3,
     "core.config": 3,
     "core.assets": 3,
@@ -39,6 +41,7 @@ FLOORS: dict[str, int] = {
     "commands": 7,
     "api": 8,
     "gym_env": 8,
+    "kinematics": 8,
     "main": 8,
     "__main__": 9,
 }

@@ -5,7 +5,6 @@ Errors are `yamsim_cli.core.errors.YamsimError`, with the text that the command 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,7 @@ from .commands.session import scene_meshes
 from .commands.settings import drawn_config, undrawn_config
 
 if TYPE_CHECKING:
-    from .core.dataset.reader import StoredEpisode
+    from .core.dataset.reader import StoredEpisodes
     from .core.jobs.record import RecordReport
 
 
@@ -77,13 +76,18 @@ def record(
     return run(settings, where, scene_meshes(settings, where), output, executors, watch, Stop())
 
 
-def open_dataset(path: str | Path) -> Iterator[StoredEpisode]:
-    """The episodes of a dataset one by one; each has `record`, `frames()` and `image(camera, number)`."""
-    from .core.dataset.layout import episode_directories
-    from .core.dataset.reader import open_episode
+def open_dataset(path: str | Path) -> StoredEpisodes:
+    """The episodes of a dataset, a sequence: `len(it)`, `it[0]`, `it[-1]`, `it[10:20]`, and `for episode in it`.
 
-    for _, directory in episode_directories(Path(path)):
-        yield open_episode(directory)
+    Each has `record`, `frames()` and `image(camera, number)`. Which there are is settled here; their files are read
+    when they are asked for.
+
+    Raises:
+        DatasetError: there is no dataset at `path`.
+    """
+    from .core.dataset.reader import open_episodes
+
+    return open_episodes(Path(path))
 
 
 def evaluate(

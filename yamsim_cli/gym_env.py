@@ -34,6 +34,9 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     `reset(seed=S)` starts from trial 0 of seed S, `reset(seed=S, options={"trial": k})` from trial k, the layout that
     `pickplace batch --seed S` has there, and every further `reset()` from the next one.
 
+    Environments that draw in processes of their own (`AsyncVectorEnv`): give `context="forkserver"` or `"spawn"`.
+    Linux's default up to Python 3.13 forks: in a process forked from one that has drawn, drawing is a `ResourceError`.
+
     Args:
         observation: "state" tells where the objects are, and draws nothing; "images" shows them.
         size: width and height of images, px.
@@ -76,7 +79,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             self._config = task_config(config, where, **given)
 
         from .core.jobs.episode import EpisodeRunner
-        from .core.jobs.trials import policy_cameras
+        from .core.jobs.observation import policy_cameras
         from .core.policies.base import SCENE, WRIST
         from .core.sim.replica import Replica
         from .core.tasks.kinds import kind_of

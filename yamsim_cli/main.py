@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import platform
+import re
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.exceptions import TyperException
@@ -27,7 +29,7 @@ from .commands.summarize import summarize
 from .commands.teleop import teleop
 from .commands.verify import verify
 from .commands.view import view
-from .core.errors import YamsimError
+from .core.errors import ResourceError, YamsimError
 
 app = typer.Typer(
     name="yamsim",
@@ -98,15 +100,32 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
             raise KeyboardInterrupt
     except YamsimError as error:
         _fail(str(error), error.exit_code)
+    except OSError as error:
+        # Raised by merely asking whether a file is there, so wherever a path of the user's is looked at first.
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        _fail(
+            f"{error.filename} is no path: a name may have 255 bytes, and a whole path 4,095", ResourceError.exit_code
+        )
     except TyperException as error:
         if message := error.format_message():
-            _fail(f"{message.rstrip('.')}; see yamsim --help", error.exit_code)
+            _fail(f"{message.rstrip('.')}{_decimal_point(error)}; see yamsim --help", error.exit_code)
         sys.exit(error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         if len(sys.argv) > 1 and sys.argv[1] in _ENDED_BY_SIGNAL:
             sys.exit(0)
         _fail("interrupted", _INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _decimal_point(error: TyperException) -> str:
+    """What to tell of a number that was given with a decimal comma; empty if it was not."""
+    # What Typer checks a value by.
+    checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
+    given = str(checked[0].get("input")) if checked else ""
+    if not re.fullmatch(r"[-+]?[0-9]+,[0-9]+", given):
+        return ""
+    return f": {given!r} has a decimal comma; write {given.replace(',', '.')}"
 
 
 def _fail(message: str, code: int) -> NoReturn:

@@ -17,11 +17,14 @@ import sys
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
 from .core.errors import ResourceError
-from .core.policies.loading import check_policy, reset_policy, wanted_images
-from .core.policies.wire import PROTOCOL, WireError, pack, require_msgpack, unpack
+from .core.policies.faults import fault_of
+from .core.policies.loading import check_policy, reset_policy, wanted_images, wanted_state
+from .core.policies.wire import PROTOCOL, UnsendableError, WireError, pack, require_msgpack, sendable, unpack
+from .core.stray_forks import forks_end_here
 
 LOOPBACK = "127.0.0.1"
 
@@ -62,14 +65,16 @@ class PolicyServer(ThreadingHTTPServer):
         host, port = self.server_address[:2]
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}"
 
-    def answer(self, what: str, message: Any) -> dict[str, Any]:
-        """Answer a message; what goes wrong is an answer too."""
+    def answer(self, what: str, message: Any) -> bytes:
+        """Answer a message, as bytes; what goes wrong is an answer too."""
         with self._one_at_a_time:
             try:
-                return self._answer(what, message)
+                # A fork of this process would answer the client a second time.
+                with forks_end_here():
+                    return pack(self._answer(what, message))
             # The policy may raise anything; the client is told, and the server goes on.
             except Exception as error:  # noqa: BLE001
-                return {"error": f"{type(error).__name__}: {error}"}
+                return _fault(error)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Pass over clients that went without a word, as a worker does that is ended: nothing is lost with them."""
@@ -85,17 +90,30 @@ class PolicyServer(ThreadingHTTPServer):
             policy = check_policy(self._make(), "of the server")
             session = secrets.token_hex(8)
             self._sessions[session] = policy
-            return {"session": session, "images": list(wanted_images(policy)), "ticks": getattr(policy, "ticks", 1)}
+            asks = {"images": list(wanted_images(policy)), "wants": list(wanted_state(policy))}
+            return {"session": session, **asks, "ticks": getattr(policy, "ticks", 1)}
         policy = self._sessions[message["session"]]
         if what == "reset":
             reset_policy(policy, message["seed"])
             return {}
         if what == "act":
-            return {"action": dict(policy(message["observation"]))}
+            return {"action": sendable(policy(message["observation"]))}
         if what == "close":
             del self._sessions[message["session"]]
             return {}
         raise WireError(f"there is no /{what}")
+
+
+def _fault(error: Exception) -> bytes:
+    """What went wrong, as an answer."""
+    if isinstance(error, WireError):
+        told: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
+    else:
+        fault = fault_of(error, Path.cwd())
+        told = {"error": fault.text, "traceback": fault.traceback}
+        # Names of files may hold what is no text.
+        told = {key: text.encode(errors="backslashreplace").decode() for key, text in told.items()}
+    return pack(told)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -111,10 +129,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(413)
             return
         try:
-            answer = self.server.answer(self.path.strip("/"), unpack(self.rfile.read(int(length))))
+            data = self.server.answer(self.path.strip("/"), unpack(self.rfile.read(int(length))))
         except WireError as error:
-            answer = {"error": str(error)}
-        data = pack(answer)
+            data = _fault(error)
         self.send_response(200)
         self.send_header("Content-Type", "application/msgpack")
         self.send_header("Content-Length", str(len(data)))

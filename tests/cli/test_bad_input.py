@@ -34,8 +34,32 @@ USAGE, CONFIG, MISSING = 2, 3, 4
         (["summarize", "nowhere"], MISSING, ["nowhere", "yamsim record"]),
         (["summarize", "."], MISSING, ["no episodes", "yamsim record"]),
         (["summarize", ".", "--threshold", "0"], USAGE, ["--threshold", "0"]),
+        (["export", "raiden", "x", "out", "--fps", "0"], USAGE, ["--fps", "'0'", "1..500", "such as 30, or source"]),
+        (["export", "raiden", "x", "out", "--fps", "fast"], USAGE, ["--fps", "'fast'", "or source"]),
+        (
+            ["export", "raiden", "x", "out", "--fps", "source", "--pictures", "draw"],
+            USAGE,
+            ["--pictures draw", "--fps"],
+        ),
+        (["export", "raiden", "x", "out", "--images", "bmp"], USAGE, ["--images", "'bmp'", "'png', 'jpg'"]),
+        (["export", "raiden", "x", "out", "--hand-frame", "tcp"], USAGE, ["--hand-frame", "'tcp'", "'yamsim', 'i2rt'"]),
+        (["export", "raiden", "x", "out", "--pictures", "nearest"], MISSING, ["x is not a directory"]),
+        (["record", "--out", "x" * 300], MISSING, ["cannot be written", "255 bytes", "choose another --out"]),
+        (["summarize", "x" * 300], MISSING, ["cannot be read", "too long", "yamsim record"]),
+        (["verify", "x" * 300], MISSING, ["is no path", "255 bytes"]),
+        (["replay", "x" * 300], MISSING, ["is no path", "255 bytes"]),
         (["config", "show", "rigs", "nothing"], CONFIG, ["'nothing'", "valid:", "single"]),
         (["config", "show", "nonsense", "x"], CONFIG, ["'nonsense'", "valid:", "rigs"]),
+        (["config", "show", "record"], USAGE, ["say which one; valid: default"]),
+        (["config", "show", "rigs"], USAGE, ["say which one; valid: bimanual, russet, single, single_linear"]),
+        (
+            ["record", "--rig", "russet", "--task", "handover", "--grasp", "contact"],
+            USAGE,
+            ["--grasp: task 'handover'"],
+        ),
+        (["pickplace", "batch", "--threshold", "0,05"], USAGE, ["--threshold", "'0,05'", "write 0.05"]),
+        (["pickplace", "batch", "--threshold", "50"], USAGE, ["--threshold: 50.0", "in mm? Then give 0.05"]),
+        (["compose-xml", "--rig", "bimanual", "--margin", "591"], USAGE, ["--margin: 591.0", "in mm? Then give 0.591"]),
         (["assets", "fetch", "nonsense"], USAGE, ["'nonsense'", "valid:", "ycb"]),
         (["nonsense"], USAGE, ["nonsense"]),
     ],
@@ -70,6 +94,32 @@ def test_output_that_is_in_the_way_is_left_alone(tmp_path: Path) -> None:
     assert [path.name for path in precious.parent.iterdir()] == ["precious.txt"]
 
 
+@pytest.mark.parametrize("command", [["record", "--n", "1"], ["compose-xml"]], ids=lambda command: command[0])
+def test_where_one_stands_is_not_moved_aside(command: list[str], tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("keep me")
+    run = yamsim(*command, "--out", ".", "--overwrite", cwd=tmp_path)
+    assert run.code == USAGE
+    assert f"{tmp_path} cannot be moved aside, because you are in it: run from another directory" in run.message
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "told"),
+    [
+        (["record", "--n", "1"], USAGE, "is not a directory: it is a link to gone, where nothing is; move it aside"),
+        (["render-views", "--size", "64x48"], MISSING, "cannot be written: it is a link to gone, where nothing is"),
+        (["compose-xml"], USAGE, "exists; move it aside with --overwrite"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else None,
+)
+def test_a_link_that_leads_nowhere_is_named(command: list[str], code: int, told: str, tmp_path: Path) -> None:
+    (tmp_path / "out").symlink_to("gone")
+    run = yamsim(*command, "--out", "out", cwd=tmp_path)
+    assert run.code == code
+    assert f"out {told}" in run.message
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
 def test_resuming_what_is_no_dataset_leaves_it_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("keep me")
     run = yamsim("record", "--n", "1", "--out", tmp_path, "--resume")
@@ -91,6 +141,12 @@ def test_no_gl_backend_is_said_before_anything_is_made(tmp_path: Path) -> None:
     assert "no OpenGL backend" in run.message
     assert "apt-get install" in run.message
     assert not (tmp_path / "d").exists()
+
+
+def test_without_opengl_an_export_says_what_needs_none(tmp_path: Path) -> None:
+    run = yamsim("export", "raiden", tmp_path, tmp_path / "out", env={"MUJOCO_GL": "glfw", "DISPLAY": ""})
+    assert run.code == MISSING
+    assert run.message.endswith("or draw nothing, with --pictures nearest or --fps source")
 
 
 def test_help_needs_nothing_heavy(tmp_path: Path) -> None:

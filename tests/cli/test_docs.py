@@ -15,6 +15,7 @@ import typer
 from tests.e2e import readme_lines
 from tests.readme import TEXT as README
 from tests.readme import shell_blocks
+from tools import reference
 from yamsim_cli.main import app
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -126,3 +127,9 @@ def test_readme_names_every_extra() -> None:
 def test_a_line_that_would_fail_does_not_parse(line: str) -> None:
     with pytest.raises(typer.exceptions.TyperException):
         parse(line)
+
+
+@pytest.mark.parametrize("name", reference.pages())
+def test_reference_pages_say_what_the_code_says(name: str) -> None:
+    text = (reference.PAGES / name).read_text(encoding="utf-8")
+    assert text == reference.pages()[name], "stale: python -m tools.reference"

@@ -35,19 +35,58 @@ def test_a_policy_in_a_file_is_counted_and_its_prints_stay_out_of_the_report(tmp
 
 def test_the_table_tells_rate_causes_and_errors() -> None:
     run = yamsim("eval", "--policy", f"{SAMPLES}:Faulty", "--n", "2", "--workers", "1")
-    assert run.code == 0, run.err
     for text in ("0 of 2 (0.0%; 95 % interval 0.0% to", "failed: policy_raised", "KeyError: 'no such thing'"):
         assert text in run.out
+    # Folded by the table, the last line of the user's code.
+    assert "sample_policies.py:" in "".join(run.out.split())
+    assert "incall)" in "".join(run.out.replace("_", "").split())
+
+
+def test_an_evaluation_in_which_no_trial_ran_is_no_success(tmp_path: Path) -> None:
+    out = tmp_path / "report.json"
+    run = yamsim("eval", "--policy", f"{SAMPLES}:Faulty", "--n", "3", "--workers", "1", "--out", out, "--json")
+    assert run.code == 6
+    # Whole, and nothing else on stdout.
+    assert run.json["stats"]["ended"] == {"policy_raised": 1, "policy_invalid": 2}
+    assert json.loads(out.read_text()) == run.json
+    first, second, _ = run.json["trials"]
+    assert first["traceback"].startswith("Traceback (most recent call last):")
+    assert first["traceback"].endswith("KeyError: 'no such thing'\n")
+    assert second["traceback"] is None
+    last = run.err.splitlines()[-1]
+    assert last.startswith("yamsim: no trial of ")
+    assert "(policy_raised 1, policy_invalid 2), so its success was not measured; trial 0: KeyError: 'no such" in last
+
+
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        (("pickplace", "batch", "--threshold", "0.0035", "--seed", "2", "--n", "4"), 4),
+        (("eval", "--policy", "hold_still", "--time-limit", "0.1", "--n", "1"), 1),
+    ],
+)
+def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: int) -> None:
+    run = yamsim(*words, "--workers", "1", "--min-success", "0.9", "--json")
+    assert run.code == 5
+    counts = run.json.get("stats", run.json)
+    assert counts["success_rate"] < 0.9
+    assert run.err.splitlines()[-1] == (
+        f"yamsim: {counts['n_success']} of {count} trials succeeded, a share of {counts['success_rate']:g}: "
+        "--min-success asks for 0.9"
+    )
+    share = f"{counts['success_rate']}"
+    assert yamsim(*words, "--workers", "1", "--min-success", share).code == 0
 
 
 @pytest.mark.parametrize(
     ("flags", "code", "told"),
     [
         (("--policy", "nothing"), 2, "give scripted, hold_still, replay:DATASET"),
-        (("--policy", "scripted", "--task", "handover"), 3, "needs two arms"),
+        (("--policy", "scripted", "--task", "handover"), 2, "--task: task 'handover' needs two arms"),
         (("--policy", "scripted", "--overwrite"), 2, "give --video"),
         (("--policy", "http://127.0.0.1:9"), 4, "no policy answers there"),
         (("--policy", "replay:nowhere"), 2, "there are no episodes"),
+        (("--policy", "scripted", "--min-success", "90"), 2, "'--min-success'"),
     ],
 )
 def test_what_cannot_be_run_is_one_line(flags: tuple[str, ...], code: int, told: str) -> None:

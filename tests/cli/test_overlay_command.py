@@ -20,6 +20,16 @@ from yamsim_cli.core.resources import Locations
 pytestmark = pytest.mark.render
 
 CAMERA = "width: 640\nheight: 480\nK: [[600, 0, 319.5], [0, 600, 239.5], [0, 0, 1]]\n"
+# The same camera as raiden saves it, beside another.
+RAIDEN = {
+    "cameras": {
+        name: {"intrinsics": {"camera_matrix": K, "distortion_coeffs": [0.0] * 5, "image_size": [640, 480]}}
+        for name, K in {
+            "left_wrist_camera": [[450.0, 0, 320.0], [0, 450.0, 240.0], [0, 0, 1]],
+            "scene_camera": [[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]],
+        }.items()
+    }
+}
 JOINTS = "arm1: [0.9, 1.3, 1.1, -0.2, 0.1, 0.3, 0.03]\n"
 
 
@@ -44,6 +54,7 @@ def folder(tmp_path: Path, boards_photo: Path) -> Path:
     path.mkdir()
     (path / "photo.png").write_bytes(boards_photo.read_bytes())
     (path / "camera.yaml").write_text(CAMERA)
+    (path / "calibration_results.json").write_text(json.dumps(RAIDEN))
     (path / "joints.yaml").write_text(JOINTS)
     return path
 
@@ -53,7 +64,8 @@ def no_complaints(run: Run) -> bool:
     return all(line.startswith(("The meshes of ", "overlays: ")) for line in run.err.splitlines())
 
 
-def test_as_the_readme_has_it(folder: Path) -> None:
+@pytest.mark.parametrize("camera", ["camera.yaml", "calibration_results.json:scene_camera"])
+def test_as_the_readme_has_it(folder: Path, camera: str) -> None:
     run = yamsim(
         "overlay",
         "--img",
@@ -61,7 +73,7 @@ def test_as_the_readme_has_it(folder: Path) -> None:
         "--rig",
         "russet",
         "--camera",
-        "camera.yaml",
+        camera,
         "--joints",
         "joints.yaml",
         cwd=folder,
@@ -187,6 +199,7 @@ def test_limits_end_with_4(folder: Path) -> None:
         (["--img", "photo.png", "--opacity", "2"], 2, "--opacity"),
         (["--img", "photo.png", "--rig", "nothing"], 3, "unknown rig 'nothing'"),
         (["--img", "photo.png", "--camera", "none.yaml"], 3, "camera config file none.yaml does not exist"),
+        (["--img", "photo.png", "--camera", "calibration_results.json"], 3, "2 cameras are in it: name one, as in"),
         (["--img", "photo.png", "--camera", "no"], 3, "unknown camera 'no'; valid: example_640x480"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
@@ -244,3 +257,39 @@ def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path
         assert arm["T_board_in_cam"] is None
         assert np.array(arm["T_base_in_cam"]).shape == (4, 4)
         assert arm["edge_residual_px"] < 0.6
+
+
+def test_an_episode_is_drawn_with_its_own_rig(tmp_path: Path) -> None:
+    """Without --rig: two arms, as they were recorded, and not the one of the default."""
+    out = tmp_path / "two"
+    run = yamsim(
+        "record",
+        "--n",
+        "1",
+        "--workers",
+        "1",
+        "--rig",
+        "russet",
+        "--size",
+        "192x144",
+        "--quality",
+        "fast",
+        "--out",
+        out,
+    )
+    assert run.code == 0, run.err
+    episode = out / "ep_000000"
+    for file in [*episode.glob("rgb/*/*.jpg"), *episode.glob("lowdim/*.pkl")]:
+        if int(file.stem):
+            file.unlink()
+    drawn = yamsim("overlay", "--episode", episode, "--out", tmp_path / "o", "--json")
+    assert drawn.code == 0, drawn.err
+    (image,) = drawn.json["images"]
+    assert [arm["name"] for arm in image["arms"]] == ["arm1", "arm2"]
+    assert [arm["status"] for arm in image["arms"]] == ["recorded", "recorded"]
+    assert all(arm["edge_residual_px"] < 1.0 for arm in image["arms"])
+    # What is asked for is done.
+    other = yamsim("overlay", "--episode", episode, "--rig", "single", "--out", tmp_path / "s", "--json")
+    assert (other.code, "rig 'single'" in other.err) in ((3, True), (0, False))
+    moved = yamsim("overlay", "--episode", episode, "--margin", "0.6", "--out", tmp_path / "m")
+    assert (moved.code, "an episode's arms stand as they were recorded" in moved.message) == (2, True)

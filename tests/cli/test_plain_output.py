@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pty
 import subprocess
@@ -92,6 +93,49 @@ def test_tables_fit_80_columns_and_lose_nothing(capsys: pytest.CaptureFixture[st
             assert "".join(LONG.split()) in "".join(out.split())
     print_text("ok", f"packages: {'numpy 2.4.6, ' * 20}", "green")
     assert plain_and_narrow(capsys.readouterr().out)
+
+
+FILES = ("an_object_with_a_name.stl", "i2rt_yam_linear_4310", "1,234.5 MB")
+
+
+@pytest.mark.parametrize("width", [32, 40, 59])
+def test_a_narrow_terminal_breaks_no_words(width: int) -> None:
+    listed = listing(["name", "set", "size"], title="Files", numbers_from=2)
+    listed.add_row(*FILES)
+    listed.add_row("other.stl", "", "2 kB")
+    told = [("distance from the centre", "median 123.4 mm, p95 234.5 mm"), ("task", "pickplace on single_linear")]
+    for table, words in ((listed, " ".join(FILES)), (facts(told), " ".join(map(" ".join, told)))):
+        console = Console(width=width, color_system=None, record=True, file=io.StringIO())
+        console.print(table)
+        lines = console.export_text().splitlines()
+        assert max(map(cell_len, lines)) <= width
+        assert set(words.split()) <= {word for line in lines for word in line.split()}
+
+
+def test_values_stand_under_long_names_and_beside_short_ones() -> None:
+    console = Console(width=40, color_system=None, record=True, file=io.StringIO())
+    console.print(facts([("distance from the centre", "median 123.4 mm")]))
+    console.print(facts([("size", "1.0 MB"), ("seed", "0")]))
+    told = [line.rstrip() for line in console.export_text().splitlines()]
+    assert told == ["distance from the centre", "  median 123.4 mm", "size  1.0 MB", "seed  0"]
+
+
+def test_a_narrow_terminal_has_all_problems(capsys: pytest.CaptureFixture[str]) -> None:
+    listed = listing(["problem", "times", "what, where, and what to do"], title="1 error", numbers_to=2, whole=True)
+    listed.add_row("manifest.missing", "1", "manifest.json: the manifest is missing")
+    console = Console(width=40, color_system=None, file=sys.stdout)
+    console.print(listed)
+    told = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert told == [
+        "",
+        "1 error",
+        "manifest.missing",
+        "  times",
+        "    1",
+        "  what, where, and what to do",
+        "    manifest.json: the manifest is",
+        "    missing",
+    ]
 
 
 def test_a_pipe_has_no_colours() -> None:

@@ -44,14 +44,14 @@ def test_compose_xml_folder_and_zip(tmp_path: Path) -> None:
     [
         (["compose-xml", "--rig", "nothing"], 3, "'nothing'"),
         (["compose-xml", "--rig", "bimanual", "--margin", "-1"], 2, "--margin"),
-        (["record", "--arm", "left", "--n", "1"], 3, "rig 'single' has only a right one"),
+        (["record", "--arm", "left", "--n", "1"], 2, "--arm: arm 'left': rig 'single' has only a right one"),
         (
             ["pickplace", "batch", "--rig", "bimanual", "--arm", "middle"],
             2,
             "'middle' is not valid: must be 'left' or 'right'",
         ),
-        (["record", "--task", "handover", "--n", "1"], 3, "needs two arms, and rig 'single' has one"),
-        (["record", "--task", "handover", "--rig", "russet", "--arm", "left"], 3, "leave out arm 'left'"),
+        (["record", "--task", "handover", "--n", "1"], 2, "--task: task 'handover' needs two arms, and rig 'single'"),
+        (["record", "--task", "handover", "--rig", "russet", "--arm", "left"], 2, "leave out arm 'left'"),
         (["compose-xml", "--task", "nothing"], 3, "'nothing'"),
         (["render-views", "--quality", "superb"], 3, "valid: auto, balanced, fast, high"),
         (["render-views", "--size", "9999x10"], 2, "16..4096"),

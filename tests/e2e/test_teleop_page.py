@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -29,6 +32,8 @@ from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.target_fields import heading_of
 from yamsim_cli.core.viewers.viewpoint import FOV_DEG
+
+REPOSITORY = Path(__file__).parents[2]
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]
 
@@ -193,3 +198,53 @@ def test_what_is_done_on_the_page_is_an_episode(
     assert summary.code == 0, summary.out
     verified = yamsim("verify", str(out), "--json")
     assert (verified.code, json.loads(verified.out)["max_error"]) == (0, 0)
+
+
+def test_a_page_that_is_closed_pauses_its_recording(
+    config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path
+) -> None:
+    with driving(config, locations, tmp_path / "d") as (url, session):
+        browser.resize(900, 700)
+        browser.open(url)
+        wait_until(lambda: "not recording" in browser.text())
+        browser.click("Start recording")
+        wait_until(lambda: session.recording)
+        browser.open("about:blank")
+        wait_until(lambda: session.paused)
+        before = session.status.seconds
+        time.sleep(1)
+        assert session.status.seconds == before
+        browser.open(url)
+        wait_until(lambda: "nobody was watching" in browser.text())
+        browser.click("Play")
+        wait_until(lambda: session.status.seconds > before)
+
+
+def test_a_page_whose_server_is_killed_says_so(browser: Browser, tmp_path: Path, screens: Path) -> None:
+    command = ["teleop", "--out", str(tmp_path / "d"), "--port", "0", "--quality", "fast", "--size", "64x48"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "yamsim_cli", *command],
+        cwd=REPOSITORY,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stderr is not None
+        url = ""
+        while not url:
+            found = re.search(r"http://127\.0\.0\.1:\d+", process.stderr.readline())
+            url = found[0] if found else ""
+        browser.resize(900, 700)
+        browser.open(url)
+        wait_until(lambda: "not recording" in browser.text())
+        browser.click("Start recording")
+        wait_until(lambda: re.search(r"recording \d", browser.text()))
+        assert "Disconnected" not in browser.text()
+    finally:
+        process.kill()
+        process.communicate()
+    wait_until(lambda: "Disconnected" in browser.text())
+    browser.screenshot(screens / "teleop_killed.png")
+    assert list((tmp_path / "d" / ".recordings").glob("*.jsonl"))

@@ -11,11 +11,9 @@ import typer
 from yamsim_cli.core.errors import ResourceError
 
 from .import_object import import_object
-from .tables import file_size, listing
+from .tables import Listing, file_size, listing
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
 
 app = typer.Typer(help="List and fetch the robot and object meshes, and import objects.", no_args_is_help=True)
@@ -136,7 +134,7 @@ def _fetch_with_progress(
     return report, reduced
 
 
-def _table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> Table:
+def _table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> Listing:
     table = listing([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
     for item in items:
         table.add_row(*(_shown(column, item[column]) for column in columns))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from yamsim_cli.core.errors import UsageError
+
 from .console import note, print_json, print_line
 from .session import Json, Margin, RigName, locations, resolve_meshes, rig_config, skip_gl
-from .settings import task_config
+from .settings import Grasp, task_config
 
 
 def compose_xml(
@@ -22,14 +24,21 @@ def compose_xml(
     ] = True,
     task: Annotated[str | None, typer.Option(help="Also the task's table and objects: pickplace.")] = None,
     seed: Annotated[int, typer.Option(help="Where the task's objects stand.")] = 0,
+    grasp: Grasp = None,
+    mujoco: Annotated[
+        Literal["3.3", "4"],
+        typer.Option(help="Oldest MuJoCo to read it; 3.3: dm_control too, without what 4 says of shadows."),
+    ] = "3.3",
     as_zip: Annotated[bool, typer.Option("--zip", help="One zip file instead of a folder.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
     json: Json = False,
 ) -> None:
-    """Write scene.xml and every mesh and texture it needs, loadable by plain MuJoCo anywhere.
+    """Write scene.xml and every mesh and texture it needs, loadable by plain MuJoCo (3.3 and newer) anywhere.
 
     Example: yamsim compose-xml --rig russet --out russet_scene
     """
+    if grasp is not None and task is None:
+        raise UsageError("--grasp says how a task's object is held: give --task too, or leave it out")
     where = locations()
     settings = rig_config(rig, where, margin)
     skip_gl()
@@ -44,12 +53,12 @@ def compose_xml(
         meshes = resolve_meshes(mesh_sets(settings), where)
         spec, model = rig_spec(settings, scene, Contents(boards, background), where, meshes)
     else:
-        config = task_config("default", where, rig=rig, margin=margin, task=task, seed=seed)
+        config = task_config("default", where, rig=rig, margin=margin, task=task, seed=seed, grasp=grasp)
         objects = (config.task.object, config.task.target)
         meshes = resolve_meshes(mesh_sets(settings, objects), where)
         spec, model = task_spec(config, Contents(boards, background, objects), where, meshes)
     target = out.with_name(f"{out.name}.zip") if as_zip and out.suffix != ".zip" else out
-    report = write_scene(spec, model, target, as_zip=as_zip, overwrite=overwrite)
+    report = write_scene(spec, model, target, as_zip=as_zip, overwrite=overwrite, reader=mujoco)
     if report.moved_aside:
         note(f"What was in {target} is now in {report.moved_aside}.")
     if json:

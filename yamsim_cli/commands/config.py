@@ -42,10 +42,23 @@ def list_configs(json: Json = False) -> None:
         print_line(f"They are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
 
 
+def _named(context: typer.Context, name: str) -> str:
+    """A config's name, which has to be given; asked for here, where it can be told which ones there are."""
+    kind = context.params.get("kind", "")
+    if name or context.resilient_parsing:
+        return name
+    from yamsim_cli.core.config.loader import model_of
+
+    model_of(kind)
+    raise typer.BadParameter(f"say which one; valid: {', '.join(locations().config_names(kind)) or 'none'}")
+
+
 @app.command()
 def show(
     kind: Kind,
-    name: Annotated[str, typer.Argument(help="A config's name or a YAML file.", show_default=False)],
+    name: Annotated[
+        str, typer.Argument(help="A config's name or a YAML file.", show_default=False, callback=_named)
+    ] = "",
     json: Json = False,
 ) -> None:
     """Show a config as it is used: references resolved, defaults filled in.
@@ -64,11 +77,13 @@ def show(
 
 @app.command()
 def validate(
-    file: Annotated[Path, typer.Argument(help="The YAML file.", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="The file.", show_default=False)],
     kind: Annotated[str | None, typer.Option(help="Its kind; by default the name of its folder.")] = None,
     json: Json = False,
 ) -> None:
-    """Check a YAML file; exit code 3 and one line naming file, key and value if it is not valid.
+    """Check a file; exit code 3 and one line naming file, key and value if it is not valid.
+
+    It is YAML; that of a camera may be another program's, and of several each is checked, or FILE:CAMERA.
 
     Example: yamsim config validate my_rig.yaml --kind rigs
     """
@@ -77,11 +92,15 @@ def validate(
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in KINDS:
         raise UsageError(f"{file} is in no folder named after a kind of config; say --kind: {', '.join(KINDS)}")
-    validate_file(model_of(guessed), file, locations())
+    model, where = model_of(guessed), locations()
+    parts = model.within(file)
+    for part in parts:
+        validate_file(model, part, where)
     if json:
-        print_json({"valid": True, "kind": guessed, "path": str(file)})
+        print_json({"valid": True, "kind": guessed, "path": str(file), "parts": list(map(str, parts))})
     else:
-        print_line(f"{file} is a valid {guessed.removesuffix('s')} config")
+        for part in parts:
+            print_line(f"{part} is a valid {guessed.removesuffix('s')} config")
 
 
 @app.command()

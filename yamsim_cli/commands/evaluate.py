@@ -16,6 +16,7 @@ from .settings import (
     Arm,
     ConfigOption,
     Grasp,
+    MinSuccess,
     Object,
     Quality,
     Randomize,
@@ -52,6 +53,7 @@ def evaluate(
     trial_timeout: Annotated[
         float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
     ] = 600.0,
+    min_success: MinSuccess = None,
     out: ReportFile = None,
     video: Annotated[
         Path | None, typer.Option(help="Film failures: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
@@ -71,6 +73,8 @@ def evaluate(
     json: Json = False,
 ) -> None:
     """Run a policy on randomized trials, the same that `pickplace batch` has for a seed, and count its successes.
+
+    Exit code 6 if the policy failed in every trial before its end, so that nothing was measured.
 
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """
@@ -99,6 +103,7 @@ def evaluate(
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.jobs import evaluate as evaluation
     from yamsim_cli.core.jobs.batch import write_report
+    from yamsim_cli.core.jobs.tally import require_success
     from yamsim_cli.core.jobs.trials import PolicyChoice
 
     films = films_at(video, settings, overwrite=overwrite) if video else None
@@ -120,3 +125,5 @@ def evaluate(
         print_json(report)
     else:
         print_table(evaluation_table(report))
+    evaluation.require_run(report)
+    require_success(report["stats"], min_success)

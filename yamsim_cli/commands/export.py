@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import counted
+from yamsim_cli.core.errors import ResourceError, UsageError, counted
 
 from .console import note, print_json, print_line, progress_bar
-from .session import Json, locations, skip_gl
+from .session import Json, locations, scene_meshes, skip_gl, use_gl
 
 if TYPE_CHECKING:
     from yamsim_cli.core.jobs.exports.source import Exported, Source
     from yamsim_cli.core.resources import Locations
+
+# As many as there are physics steps.
+_MOST_FPS = 500
 
 app = typer.Typer(help="Write a dataset in the formats of others.", no_args_is_help=True)
 
@@ -31,18 +34,58 @@ def _export() -> None:
 
 @app.command()
 def raiden(
-    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
+    dataset: Dataset,
+    out: Out,
+    fps: Annotated[
+        str, typer.Option(metavar="RATE", help="Frames a second, or `source`: the recorded frames and no others.")
+    ] = "30",
+    pictures: Annotated[
+        Literal["draw", "nearest"] | None,
+        typer.Option(
+            help="Pictures at those times: drawn anew, or the nearest recorded ones, which repeat.  [default: draw]",
+            show_default=False,
+        ),
+    ] = None,
+    images: Annotated[
+        Literal["png", "jpg"],
+        typer.Option(help="Files of pictures; raiden reads PNG alone. jpg with --fps source is what was recorded."),
+    ] = "png",
+    single: Annotated[bool, typer.Option("--single", help="Arrays of one arm: 7 and 13 wide, not 14 and 26.")] = False,
+    hand_frame: Annotated[
+        Literal["yamsim", "i2rt"],
+        typer.Option(help="Hand poses as the simulated arm has them, or as raiden's kinematics of the same joints do."),
+    ] = "yamsim",
+    workers: Annotated[int, typer.Option(min=1, help="Processes that draw.")] = 2,
+    episodes: Episodes = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
 ) -> None:
-    """The converted layout of the real stack (TRI's raiden), a lone arm as the left one; images and depth as they are.
+    """The converted layout of the real stack (TRI's raiden), at 30 frames a second; a lone arm is the left one.
 
     Example: yamsim export raiden dataset/ real_layout/
     """
-    source, where = _source(dataset, episodes)
+    from yamsim_cli.core.jobs.exports.raiden_options import RaidenOptions
+
+    if fps == "source" and pictures:
+        raise UsageError(f"--pictures {pictures} is for other times than the recorded ones: leave out --fps source")
+    options = RaidenOptions(_rate(fps), pictures or "draw", images, single, hand_frame)
+    where = locations()
+    if options.draws:
+        where = _drawing(where)
+    else:
+        skip_gl()
 
     from yamsim_cli.core.jobs.exports.raiden import export_raiden
+    from yamsim_cli.core.jobs.exports.source import open_source
 
+    source = open_source(dataset, episodes, where)
+    meshes = scene_meshes(source.config, where) if options.draws else {}
     with progress_bar("exporting", "episodes") as advance:
-        done = export_raiden(source, out, where, lambda n, total: advance(n, total, ""), overwrite=overwrite)
+
+        def progress(n: int, total: int) -> None:
+            advance(n, total, "")
+
+        done = export_raiden(source, out, where, progress, options, meshes, workers=workers, overwrite=overwrite)
     _show(done, json)
 
 
@@ -113,6 +156,27 @@ def rerun(
     with progress_bar("exporting", "episodes") as advance:
         done = export_rerun(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
     _show(done, json)
+
+
+def _rate(text: str) -> float | None:
+    """Frames a second; None for the recorded ones."""
+    if text == "source":
+        return None
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = 0.0
+    if not 1 <= rate <= _MOST_FPS:
+        raise UsageError(f"--fps {text!r} is not valid: give a number in 1..{_MOST_FPS}, such as 30, or source")
+    return rate
+
+
+def _drawing(where: Locations) -> Locations:
+    """Settle on what draws; where nothing does, say what can be exported without."""
+    try:
+        return use_gl(where, workers=True)
+    except ResourceError as error:
+        raise ResourceError(f"{error}; or draw nothing, with --pictures nearest or --fps source") from None
 
 
 def _source(dataset: Path, episodes: str | None) -> tuple[Source, Locations]:

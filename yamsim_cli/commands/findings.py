@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich import box
 from rich.console import Group, RenderableType
 from rich.constrain import Constrain
-from rich.table import Table
 from rich.text import Text
 
 from yamsim_cli.core.dataset.checks.problem import printable
 
-from .tables import facts, file_size, listing
+from .tables import Facts, Listing, facts, file_size, listing
 
 _WIDTH = 80
 
@@ -31,7 +29,7 @@ def findings(report: Mapping[str, Any]) -> RenderableType:
     return Constrain(Group(*parts), _WIDTH)
 
 
-def _figures(report: Mapping[str, Any]) -> Table:
+def _figures(report: Mapping[str, Any]) -> Facts:
     rows: list[tuple[str, str]] = []
 
     def row(name: str, value: str) -> None:
@@ -57,7 +55,7 @@ def _figures(report: Mapping[str, Any]) -> Table:
 _SPREAD = {"median": "median", "p95": "95 %", "max": "most"}
 
 
-def _rates(report: Mapping[str, Any]) -> Table:
+def _rates(report: Mapping[str, Any]) -> Listing:
     attempts = report["attempts"]
     table = listing(["within", "episodes", *(["all attempts"] if attempts["n"] else [])], title="Success")
     for limit, rate in report["success_rate"].items():
@@ -68,7 +66,7 @@ def _rates(report: Mapping[str, Any]) -> Table:
     return table
 
 
-def _workspace(workspace: Mapping[str, Any]) -> Table:
+def _workspace(workspace: Mapping[str, Any]) -> Listing:
     table = listing(["m", "x", "y", "cells hit", "outside"], title="Workspace")
     if found := workspace["box"]:
         table.add_row("sampled from", _span(found["x"]), _span(found["y"]), "", "")
@@ -89,10 +87,9 @@ def _problems(report: Mapping[str, Any]) -> RenderableType:
     for problem in report["problems"]:
         groups.setdefault(problem["code"], []).append(problem)
     counts = (_count(report["errors"], "error"), _count(report["warnings"], "warning"))
-    table = Table(box=box.SIMPLE, title=", ".join(counts), title_justify="left", title_style="bold", pad_edge=False)
-    table.add_column("problem", no_wrap=True)
-    table.add_column("", justify="right")
-    table.add_column("what, where, and what to do", overflow="fold")
+    table = listing(
+        ["problem", "times", "what, where, and what to do"], title=", ".join(counts), numbers_to=2, whole=True
+    )
     for code, problems in sorted(groups.items(), key=lambda group: group[1][0]["severity"]):
         style = "red" if problems[0]["severity"] == "error" else "yellow"
         table.add_row(Text(code, style=style), f"{len(problems):,}", _explained(problems))

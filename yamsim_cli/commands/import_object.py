@@ -20,7 +20,7 @@ def import_object(
     ],
     name: Annotated[str | None, typer.Option(help="With an STL: what the object is called.")] = None,
     mass: Annotated[
-        float | None, typer.Option(min=1e-4, max=50, help="In kg; by default a YCB object's published one.")
+        float | None, typer.Option(min=5e-4, max=50, help="In kg; by default a YCB object's published one.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="The YAML file to write.  [default: $YAMSIM_DATA_DIR/configs/objects/NAME.yaml]")

@@ -10,18 +10,26 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line, progress_bar
-from .session import Json, Margin, RigName, locations, resolve_meshes, rig_config, use_gl
+from .session import Json, Margin, locations, resolve_meshes, rig_config, use_gl
 
 if TYPE_CHECKING:
+    from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.jobs.overlay_report import OverlayReport
+    from yamsim_cli.core.resources import Locations
 
 
 def overlay(
     img: Annotated[list[Path] | None, typer.Option(help="A photo or a folder of photos; may be repeated.")] = None,
-    rig: RigName = "single",
+    rig: Annotated[
+        str | None,
+        typer.Option(help="A name from configs/rigs/ or a YAML file.  [default: single; of an episode, its own]"),
+    ] = None,
     camera: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help="Calibration: ours, OpenCV's or ROS's YAML; else estimated."),
+        typer.Option(
+            metavar="NAME|FILE[:CAMERA]",
+            help="Calibration: ours, or a file of OpenCV, ROS, Kalibr or raiden; else estimated.",
+        ),
     ] = None,
     joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
     episode: Annotated[
@@ -54,7 +62,7 @@ def overlay(
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
     where = locations()
-    settings = rig_config(rig, where, margin)
+    settings = _rig(rig, episode, margin, where)
 
     from yamsim_cli.core.config.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
@@ -100,6 +108,18 @@ def overlay(
     else:
         _tell(report)
     report.check()
+
+
+def _rig(name: str | None, episode: Path | None, margin: float | None, where: Locations) -> RigConfig:
+    """The named rig; without a name, the one that an episode's dataset was recorded with."""
+    from yamsim_cli.core.dataset.layout import CONFIG
+    from yamsim_cli.core.dataset.reader import dataset_config
+
+    if name is None and episode is not None and ((dataset := episode.resolve().parent) / CONFIG).is_file():
+        if margin is not None:
+            raise UsageError(f"--margin {margin:g}: an episode's arms stand as they were recorded; give --rig with it")
+        return dataset_config(dataset, where).rig
+    return rig_config(name or "single", where, margin)
 
 
 def _tell(report: OverlayReport) -> None:

@@ -17,6 +17,7 @@ from .settings import (
     Arm,
     ConfigOption,
     Grasp,
+    MinSuccess,
     Object,
     ReportFile,
     Rig,
@@ -46,6 +47,7 @@ def batch(
     grasp: Grasp = None,
     arm: Arm = None,
     workers: Workers = None,
+    min_success: MinSuccess = None,
     out: ReportFile = None,
     html: Annotated[Path | None, typer.Option(help="Also write a page with plots, over the sampling box too.")] = None,
     video: Annotated[
@@ -89,6 +91,7 @@ def batch(
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.jobs.batch import run_batch, write_report
     from yamsim_cli.core.jobs.films import film_trials
+    from yamsim_cli.core.jobs.tally import require_success
 
     films = films_at(video, settings, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
@@ -111,3 +114,4 @@ def batch(
         print_json(report)
     else:
         print_table(trials_table(report))
+    require_success(report, min_success)

@@ -60,8 +60,12 @@ def parse_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+# What `skip_gl` writes. MuJoCo takes it as it takes "disabled", which a user may have set and which is then kept to.
+_NO_GL = "off"
+
+
 def use_gl(where: Locations, *, workers: bool = False) -> Locations:
-    """Settle on an OpenGL backend that works, for this process and its workers; before mujoco is imported.
+    """Settle on an OpenGL backend that works, for this process and its workers; rather before mujoco is imported.
 
     Args:
         workers: several processes draw, so that none may take more than one core: Mesa's software renderer would start
@@ -70,11 +74,13 @@ def use_gl(where: Locations, *, workers: bool = False) -> Locations:
     Returns:
         `where`, with the quality that suits the backend as `auto`.
     """
-    from yamsim_cli.core.gl import find_backend
+    from yamsim_cli.core.gl import bind_backend, find_backend
 
-    backend = find_backend(os.environ)
+    environ = {name: value for name, value in os.environ.items() if (name, value) != ("MUJOCO_GL", _NO_GL)}
+    backend = find_backend(environ)
     if backend.name is not None:
         os.environ["MUJOCO_GL"] = backend.name
+        bind_backend(backend.name)
     if workers and backend.software:
         os.environ.setdefault("LP_NUM_THREADS", "0")
     return replace(where, auto_quality="balanced" if backend.software else "high")
@@ -82,7 +88,7 @@ def use_gl(where: Locations, *, workers: bool = False) -> Locations:
 
 def skip_gl() -> None:
     """Keep MuJoCo from loading any OpenGL: nothing will be drawn."""
-    os.environ.setdefault("MUJOCO_GL", "disabled")
+    os.environ.setdefault("MUJOCO_GL", _NO_GL)
 
 
 def resolve_meshes(names: Iterable[str], where: Locations, *, reduced: bool = False) -> dict[str, Path | None]:

@@ -55,6 +55,12 @@ Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pix
 Quality = Annotated[
     str | None, typer.Option(help="fast, balanced, high, auto (by what draws), or a YAML file.  [default: auto]")
 ]
+MinSuccess = Annotated[
+    float | None,
+    typer.Option(
+        "--min-success", min=0, max=1, metavar="SHARE", help="Exit 5 if a smaller share of the trials succeeds."
+    ),
+]
 ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
 
 # What each flag sets. A task comes before its parts.
@@ -90,6 +96,7 @@ def task_config(name: str, where: Locations, **given: Any) -> RecordConfig:
     Raises:
         ConfigError, UsageError: a value is not valid; what cannot be demonstrated is told before anything is made.
     """
+    from yamsim_cli.core.config.limits import check_start
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.record import RecordConfig
     from yamsim_cli.core.tasks.kinds import kind_of
@@ -106,6 +113,7 @@ def task_config(name: str, where: Locations, **given: Any) -> RecordConfig:
     }
     config = load_config(RecordConfig, "record", name, where, overrides)
     kind_of(config.task)
+    check_start(config, where)
     return config
 
 

@@ -42,7 +42,12 @@ def teleop(
     wrist: Wrist = None,
     size: Size = None,
     quality: Quality = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Add to a dataset that is there.")] = False,
+    time_limit: Annotated[
+        float, typer.Option(min=1, max=3600, help="Of a recording, s: then it is stopped and judged.")
+    ] = 600.0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Add to a dataset; what a killed session left there is judged first.")
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
     port: Port = None,
     host: Host = None,
@@ -76,8 +81,7 @@ def teleop(
     from yamsim_cli.core.jobs.teleop_run import check_page, open_seat, run_page, run_stream
     from yamsim_cli.core.jobs.teleop_stream import read_stream
 
-    sides = [arm.side for arm in settings.rig.arms]
-    commands = None if stream is None else read_stream(stream, sides)
+    commands = None if stream is None else read_stream(stream, settings, where)
     page = None if commands else page_address(port, host)
     if page is not None:
         check_page(page)
@@ -88,7 +92,7 @@ def teleop(
         sys.stderr.flush()
 
     meshes = scene_meshes(settings, where)
-    with stoppable(_ENDING) as stop, open_seat(settings, where, meshes, out, mode, note) as seat:
+    with stoppable(_ENDING) as stop, open_seat(settings, where, meshes, out, mode, note, time_limit=time_limit) as seat:
         if page is None:
             assert commands is not None
             report = run_stream(seat, commands, stop, realtime=realtime)

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 from .tables import facts
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from .tables import Facts
 
 
-def trials_table(report: dict[str, Any]) -> Table:
+def trials_table(report: dict[str, Any]) -> Facts:
     """What `jobs.batch.run_batch` reports, as a table."""
     return facts([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
-def evaluation_table(report: dict[str, Any]) -> Table:
+def evaluation_table(report: dict[str, Any]) -> Facts:
     """What `jobs.evaluate.summary` reports, as a table."""
     return facts([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
 

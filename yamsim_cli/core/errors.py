@@ -64,6 +64,17 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
+def ranges(numbers: Iterable[int]) -> str:
+    """Numbers in order, runs of them joined: ``"0-4, 7, 9-10"``."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ", ".join(str(first) if first == last else f"{first}-{last}" for first, last in runs)
+
+
 def suggest(value: str, valid: Iterable[str]) -> str:
     """Say which values would have been valid, with the closest first named when one is close.
 

@@ -18,6 +18,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from .errors import UsageError
+
+# What the system says of a path that something is in the way of; of anything else, what it says is enough.
+_OF_PATHS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
+
 # Flushing waits for the disk, and does not hold the interpreter.
 _FLUSHERS = 16
 
@@ -168,9 +173,12 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Stage]
         overwrite: move what is at `final` aside, once the new directory is whole.
 
     Raises:
+        UsageError: `final` is to be moved aside, and this process is in it.
         FileExistsError: `final` exists, and not as an empty directory.
         OSError: the tree could not be written; nothing appeared under `final`.
     """
+    final = _named(final)
+    _require_elsewhere(final)
     stage = Stage(final.with_name(f".{final.name}.{uuid.uuid4().hex}.part"))
     stage.path.mkdir()
     try:
@@ -178,7 +186,7 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Stage]
         _fsync_tree(stage.path)
         if final.is_dir() and not any(final.iterdir()):
             final.rmdir()
-        if overwrite and final.exists():
+        if overwrite and os.path.lexists(final):
             stage.moved_aside = move_aside(final)
         # rename(2) refuses a non-empty target, and would silently replace a file.
         if final.exists():
@@ -203,8 +211,58 @@ def _fsync(path: Path) -> None:
         os.fsync(descriptor)
 
 
+def nearest_directory(path: Path) -> Path:
+    """The directory at `path`, or the first one around it that is there."""
+    # Not Path.is_dir, which raises where a name is too long or a directory may not be looked into.
+    return next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
+
+
+def obstacle(path: Path) -> str | None:
+    """What keeps a directory from being at `path`, such as `it is a file`; None if nothing is known to."""
+    try:
+        path.lstat()
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            return "it is too long: a name may have 255 bytes, and a whole path 4,095"
+    for place in (path, *path.parents):
+        if os.path.isdir(place):
+            return None
+        if os.path.lexists(place):
+            name = "it" if place == path else str(place)
+            if os.path.exists(place):
+                return f"{name} is {'a file' if os.path.isfile(place) else 'no directory'}"
+            return f"{name} is a link to {os.readlink(place)}, where nothing is"
+    return None
+
+
+def refusal(error: OSError, path: Path) -> str:
+    """Why a directory cannot be made or filled at `path`, as a clause."""
+    found = obstacle(path) if error.errno in _OF_PATHS else None
+    return found or error.strerror or str(error)
+
+
+def _named(path: Path) -> Path:
+    """The same place by a path that has a name, which `.` and `..` have not."""
+    return path.resolve() if path.name in ("", "..") else path
+
+
+def _require_elsewhere(path: Path) -> None:
+    """Refuse to give another name to the directory that this process is in, or to one around it."""
+    if not path.is_symlink() and Path.cwd().is_relative_to(path.resolve()):
+        raise UsageError(
+            f"{path} cannot be moved aside, because you are in it: run from another directory, or write elsewhere"
+        )
+
+
 def move_aside(path: Path) -> Path:
-    """Rename what is at `path` to the first free `<name>.old-<n>` beside it, and say where it went."""
+    """Rename what is at `path` to the first free `<name>.old-<n>` beside it, and say where it went.
+
+    Raises:
+        UsageError: it is the directory that this process is in, or one around that; whoever started it is in it too.
+        OSError: it cannot be renamed.
+    """
+    path = _named(path)
+    _require_elsewhere(path)
     number = 1
     while (target := path.with_name(f"{path.name}.old-{number}")).exists():
         number += 1

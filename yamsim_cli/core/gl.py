@@ -6,6 +6,7 @@ limit, so that a driver that hangs or crashes costs a message and nothing else.
 
 from __future__ import annotations
 
+import importlib
 import re
 import subprocess
 import sys
@@ -89,6 +90,16 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Ba
         f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {INSTALL_GL}; "
         "yamsim doctor looks into it"
     )
+
+
+def bind_backend(name: str) -> None:
+    """Let MuJoCo use a backend that was chosen once MuJoCo had been imported, as by a notebook.
+
+    Args:
+        name: the value that `MUJOCO_GL` has by now.
+    """
+    if (mujoco := sys.modules.get("mujoco")) and name in LINUX_BACKENDS:
+        mujoco.GLContext = importlib.import_module(f"mujoco.{name}").GLContext  # type: ignore[attr-defined]
 
 
 def probe_backend(name: str, environ: Mapping[str, str]) -> Backend | str:

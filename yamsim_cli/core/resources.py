@@ -15,6 +15,10 @@ AUTO = ("quality", "auto")
 # The asset set of the user's own meshes: a folder of that name among the fetched ones, in no lock.
 IMPORTED = "imported"
 
+# What a config file's name ends in. Cameras may come from other programs.
+_ENDINGS = (".yaml", ".yml")
+_CAMERA_ENDINGS = (*_ENDINGS, ".json", ".xml")
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -22,6 +26,14 @@ def _built_in() -> Path:
     """The data shipped with this yamsim: `_data` inside an installed wheel, else the checkout's top level."""
     packaged = _PACKAGE / "_data"
     return packaged if packaged.is_dir() else _PACKAGE.parent
+
+
+def camera_file(name: str) -> tuple[Path, str] | None:
+    """The file that `FILE` or `FILE:CAMERA` names, and the camera, empty without one; None if it names no file."""
+    if name.endswith(_CAMERA_ENDINGS):
+        return Path(name), ""
+    file, _, camera = name.rpartition(":")
+    return (Path(file), camera) if file.endswith(_CAMERA_ENDINGS) else None
 
 
 @dataclass(frozen=True)
@@ -69,24 +81,31 @@ class Locations:
         return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
 
     def config_file(self, kind: str, name: str) -> Path:
-        """The YAML file of a named config, or of a path the user gave (anything ending in `.yaml` or `.yml`).
+        """The file of a named config, or of a path the user gave (anything ending in `.yaml` or `.yml`).
 
-        A number in front, as in `013_apple`, may be left out.
+        A number in front, as in `013_apple`, may be left out. A camera's file may also end in `.json` or `.xml`, and
+        have one of its cameras' names behind it, as in `calibration.json:left`: then so has the path that comes back.
 
         Raises:
             ConfigError: no such config; the message lists the names there are.
         """
-        if name.endswith((".yaml", ".yml")):
-            path = Path(name)
-            if path.is_file():
+        path = Path(name)
+        file = path if name.endswith(_ENDINGS) else None
+        if kind == "cameras" and (found := camera_file(name)):
+            file = found[0]
+        if file is not None:
+            if file.is_file():
                 return path
-            raise ConfigError(f"{kind.removesuffix('s')} config file {name} does not exist")
+            raise ConfigError(f"{kind.removesuffix('s')} config file {file} does not exist")
         if name not in self.config_names(kind):
             name = self._numbered(kind, name) or name
         if name not in self.config_names(kind):
-            raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {suggest(name, self.config_names(kind))}")
-        found = self.auto_quality if (kind, name) == AUTO else name
-        return self.file(f"configs/{kind}/{found}.yaml")
+            endings = _CAMERA_ENDINGS if kind == "cameras" else _ENDINGS
+            hint = f"; the name of a file has to end in {' or '.join(endings)}" if path.is_file() else ""
+            valid = suggest(name, self.config_names(kind))
+            raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{hint}")
+        chosen = self.auto_quality if (kind, name) == AUTO else name
+        return self.file(f"configs/{kind}/{chosen}.yaml")
 
     def _numbered(self, kind: str, name: str) -> str | None:
         """The only config whose name is a number and this name, as `013_apple` for `apple`; None if there is none."""

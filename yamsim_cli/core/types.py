@@ -193,11 +193,13 @@ class Motion:
         margins: how near it came to what the arm can do.
         lost: when the fingers first did not both touch the object that they were to hold, s; None if they always did.
         collision: what touched what it must not, and when; None if nothing did.
+        breakdown: what broke physics, and when; None if nothing did.
     """
 
     margins: Margins
     lost: float | None
     collision: str | None
+    breakdown: str | None = None
 
 
 @dataclass(frozen=True)

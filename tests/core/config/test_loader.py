@@ -126,7 +126,7 @@ def test_an_unknown_key_of_a_list_item_has_the_items_number_in_its_path(puck):
 @pytest.mark.parametrize(
     ("old", "new", "start"),
     [
-        ("mass_g: 10", "mass_g: -10", "puck.yaml:2: inertia.mass_g: -10 is not valid: must be greater than 0"),
+        ("mass_g: 10", "mass_g: -10", "puck.yaml:2: inertia.mass_g: -10 is not valid: must lie in 0.5..50000 g"),
         ("mass_g: 10", "mass_g: heavy", "puck.yaml:2: inertia.mass_g: 'heavy' is not valid: must be a valid number"),
         ("radius: 0.02", "radius: 0", "puck.yaml:4: collision[0].radius: 0 is not valid: must be greater than 0"),
         ("rest_height: 0", "rest_height:", "puck.yaml:5: rest_height: None is not valid: must be a valid number"),
@@ -142,7 +142,7 @@ def test_an_unknown_key_of_a_list_item_has_the_items_number_in_its_path(puck):
             "origin: [0, .nan, 0]",
             "puck.yaml:1: mesh.origin[1]: nan is not valid: must be a finite",
         ),
-        ("origin: [0, 0, 0]", "origin: [0, 0]", "puck.yaml:1: mesh.origin[2]: missing; add it"),
+        ("origin: [0, 0, 0]", "origin: [0, 0]", "puck.yaml:1: mesh.origin: has 2 values; give [x, y, z]"),
         (
             "rest_height: 0",
             "rest_height: 0\ncontact: 5",
@@ -291,3 +291,106 @@ def test_faults_of_the_yaml_itself_come_through(tmp_path, locations):
 def test_an_unknown_name_lists_the_configs(locations):
     message = refusal(load_config, TaskConfig, "tasks", "pickplaec", locations)
     assert message.startswith("unknown task 'pickplaec'; did you mean 'pickplace'? valid: ")
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ({("arm",): ("--arm", "left")}, "--arm: arm 'left': rig 'single' has only a right one; leave `arm` out"),
+        ({("task",): ("--task", "handover")}, "--task: task 'handover' needs two arms, and rig 'single' has one"),
+        ({("grasp",): ("--grasp", "contact")}, "--grasp: grasp 'contact' needs a gripper with pads"),
+        (
+            {("rig",): ("--rig", "single_linear"), ("task", "object"): ("--object", "025_mug"),
+             ("grasp",): ("--grasp", "weld"), ("randomization",): ("--randomize", "default")},
+            "--object: distractors and the task's objects must all differ: mug, plate",
+        ),
+        ({("task", "object"): ("--object", "054_softball")}, "--object: object 'softball' is too wide to be picked up"),
+        ({("task", "object"): ("--object", "029_plate")}, "--object: object 'plate' has no `grasp`"),
+        ({("task", "target"): ("--target", "011_banana")}, "--target: object and target are both 'banana'"),
+        ({("task", "target"): ("--target", "013_apple")}, "--target: target 'apple' has neither a floor"),
+    ],
+)  # fmt: skip
+def test_values_that_do_not_fit_together_blame_the_flag_that_was_given(record, flags, message):
+    assert refusal(record, None, flags, kind=UsageError).startswith(message)
+
+
+def test_values_of_a_file_that_do_not_fit_together_blame_the_likeliest(record, tmp_path):
+    message = refusal(record, {"grasp: weld": "grasp: weld\narm: left"})
+    assert message.startswith(f"{tmp_path / 'mine.yaml'}:6: arm: arm 'left': rig 'single' has only a right one")
+    message = refusal(record, {"grasp: weld": "grasp: contact"})
+    assert message.startswith(f"{tmp_path / 'mine.yaml'}:5: grasp: grasp 'contact' needs a gripper with pads")
+
+
+@pytest.fixture
+def mixed(tmp_path, locations):
+    """Two arms, the right one with the gripper with pads, the left one with the crank."""
+    text = locations.config_file("rigs", "bimanual").read_text().replace("gripper: crank", "gripper: linear_4310", 1)
+    (tmp_path / "mixed.yaml").write_text(text)
+    return {("rig",): ("--rig", str(tmp_path / "mixed.yaml"))}
+
+
+def test_the_gripper_of_an_arm_that_does_nothing_does_not_matter(record, mixed):
+    mug = {("task", "object"): ("--object", "025_mug")}
+    assert record(None, mixed | mug).task.object.name == "mug"
+    assert record(None, mixed | {("grasp",): ("--grasp", "contact")}).grasp == "contact"
+    left = {("arm",): ("--arm", "left")}
+    message = refusal(record, None, mixed | mug | left, kind=UsageError)
+    assert message.startswith("--object: object 'mug' is too wide to be picked up: 83 mm, and gripper crank")
+    message = refusal(record, None, mixed | left | {("grasp",): ("--grasp", "contact")}, kind=UsageError)
+    assert "and arm2 of rig 'mixed' has crank" in message
+    handed = {("task",): ("--task", "handover")}
+    assert record(None, mixed | handed).task.name == "handover"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("threshold: 0.05", "threshold: 0,05",
+         "success.threshold: '0,05' is not valid: a number has a decimal point; write 0.05"),
+        ("seed: 0", "seed: 1,5", "seed: '1,5' is not valid: a number has a decimal point; write 1.5"),
+        ("x: [0.30, 0.55]", "x: 0.4", "sampling.x: 0.4 is not valid: give [low, high]"),
+        ("x: [0.30, 0.55]", "x: [0.4]", "sampling.x: has 1 value; give [low, high]"),
+        ("x: [0.30, 0.55]", "x: [0,30, 0,55]",
+         "sampling.x: has 4 values; give [low, high]; a number has a decimal point, not a comma"),
+        ("x: [0.30, 0.55]", "x: [0.1, 0.2, 0.3]", "sampling.x: has 3 values; give [low, high]"),
+        ("x: [0.30, 0.55]", "x: [0.55, 0.30]", "sampling.x: [0.55, 0.3] is not valid: a range is [low, high]"),
+        ("start_joints: [0, 1.85, 1.90, -1.37, 0, 0]", "start_joints: 0", "start_joints: 0 is not valid: give a list"),
+        ("start_joints: [0, 1.85, 1.90, -1.37, 0, 0]", "start_joints: [0, 1]",
+         "start_joints: has 2 values; give a list of 6"),
+        ("size_px: [640, 480]", "size_px: 640", "image.size_px: 640 is not valid: give a list of 2"),
+    ],
+)  # fmt: skip
+def test_what_a_number_or_a_list_has_to_look_like(tmp_path, locations, old, new, message):
+    kind = "record" if ("seed" in old or "size" in old) else "tasks"
+    text = locations.config_file(kind, "default" if kind == "record" else "pickplace").read_text()
+    assert old in text
+    (tmp_path / "mine.yaml").write_text(text.replace(old, new))
+    found = refusal(validate_file, model_of(kind), tmp_path / "mine.yaml", locations)
+    assert f": {message}" in found
+    assert "tuple" not in found
+
+
+def test_the_parts_of_a_point_are_named(puck):
+    assert "mesh.origin: 0 is not valid: give [x, y, z]" in refusal(puck, "origin: [0, 0, 0]", "origin: 0")
+
+
+@pytest.mark.parametrize("kind", ["randomization", "rigs", "scenes", "objects", "quality", "record", "tasks"])
+@pytest.mark.parametrize("wanted", ["tasks", "rigs", "objects", "randomization"])
+def test_a_config_of_another_kind_is_recognized(kind, wanted, locations):
+    name = {"randomization": "default", "rigs": "single", "scenes": "tabletop", "objects": "011_banana",
+            "quality": "fast", "record": "default", "tasks": "pickplace"}[kind]  # fmt: skip
+    path = locations.config_file(kind, name)
+    if kind == wanted:
+        assert load_config(model_of(wanted), wanted, str(path), locations)
+    else:
+        message = refusal(load_config, model_of(wanted), wanted, str(path), locations)
+        assert message.startswith(f"{path}: is of the kind {kind!r}, to judge by its keys ")
+        assert message.endswith(f"give one of {wanted!r}")
+
+
+def test_a_randomization_given_as_a_task_names_the_flag(record, locations):
+    path = str(locations.config_file("randomization", "default"))
+    message = refusal(record, None, {("task",): ("--task", path)}, kind=ConfigError)
+    text = refusal(load_config, RecordConfig, "record", path, locations, {("seed",): ("--seed", 1)})
+    assert text.startswith(f"{path}: is of the kind 'randomization', to judge by its keys")
+    assert message.startswith(f"--task: task: {path}: is of the kind 'randomization'")

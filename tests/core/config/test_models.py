@@ -94,8 +94,10 @@ def test_small_types_accept_and_refuse(kind, good, bad):
 
 def test_what_decides_the_data_leaves_out_how_much_and_by_whom(config):
     data = config.data_config()
-    assert set(data) == set(RecordConfig.model_fields) - {"episodes", "workers", "arm"}
+    assert set(data) == set(RecordConfig.model_fields) - {"episodes", "workers", "arm", "meshes"}
     assert config.model_copy(update={"arm": "left"}).data_config() == data | {"arm": "left"}
+    noted = {"meshes": {"ycb": "primitives"}}
+    assert config.model_copy(update=noted).data_config() == data | noted
     other = RecordConfig.model_validate(changed(config, episodes=3, workers=7))
     assert other.data_config() == data
     assert RecordConfig.model_validate(changed(config, seed=config.seed + 1)).data_config() != data
@@ -183,11 +185,11 @@ def test_the_footprint_covers_the_ends_and_axes_of_the_collision_primitives(conf
 def test_the_footprint_knows_every_primitive(config):
     plain = config.task.target.model_dump()
     parts = {
-        "capsule": {"type": "capsule", "start": (1, 0, 0), "end": (1, 0.1, 0), "radius": 0.1},
-        "cylinder": {"type": "cylinder", "centre": (2, 3, 0), "radius": 0.2, "half_height": 0.1},
-        "ring": {"type": "ring", "inner": (0.1, 0.0), "outer": (0.3, 0.1), "thickness": 0.01, "segments": 8},
-        "sphere": {"type": "sphere", "centre": (5, 5, 0), "radius": 0.2},
-        "box": {"type": "box", "centre": (7, 7, 0), "half_size": (0.1, 0.35, 0.1), "yaw_deg": 30},
+        "capsule": {"type": "capsule", "start": (0.1, 0, 0), "end": (0.1, 0.01, 0), "radius": 0.01},
+        "cylinder": {"type": "cylinder", "centre": (0.2, 0.3, 0), "radius": 0.02, "half_height": 0.01},
+        "ring": {"type": "ring", "inner": (0.01, 0.0), "outer": (0.03, 0.01), "thickness": 0.001, "segments": 8},
+        "sphere": {"type": "sphere", "centre": (0.5, 0.5, 0), "radius": 0.02},
+        "box": {"type": "box", "centre": (0.7, 0.7, 0), "half_size": (0.01, 0.035, 0.01), "yaw_deg": 30},
     }
     annotation = ObjectConfig.model_fields["collision"].annotation
     branches = get_args(get_args(get_args(annotation)[0])[0])
@@ -195,10 +197,10 @@ def test_the_footprint_knows_every_primitive(config):
     for part in parts.values():
         assert ObjectConfig.model_validate(plain | {"collision": [part]}).footprint
     whole = ObjectConfig.model_validate(plain | {"collision": list(parts.values())})
-    assert covered(whole.footprint, around((1, 0.1), 0.1) + around((2, 3), 0.2) + around((0, 0), 0.3))
+    assert covered(whole.footprint, around((0.1, 0.01), 0.01) + around((0.2, 0.3), 0.02) + around((0, 0), 0.03))
     # The box: its corners, turned by 30 degrees.
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
-    corners = [(7 + c * x - s * y, 7 + s * x + c * y) for x in (-0.1, 0.1) for y in (-0.35, 0.35)]
+    corners = [(0.7 + c * x - s * y, 0.7 + s * x + c * y) for x in (-0.01, 0.01) for y in (-0.035, 0.035)]
     assert covered(whole.footprint, corners)
 
 

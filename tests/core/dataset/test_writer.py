@@ -8,8 +8,9 @@ import pytest
 
 from tests.core.dataset.making import CONFIG, failed_attempt, made, publish
 from yamsim_cli.core.config.document import load_yaml
+from yamsim_cli.core.dataset.ledger import LINE_LOST, Ledger
 from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json, to_json
-from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode, read_attempts
+from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 
 
@@ -68,20 +69,52 @@ def test_what_is_in_a_directory_is_never_written_over_unasked(dataset):
     assert tree(dataset) == before
 
 
-@pytest.mark.parametrize("mode", [OpenMode.NEW, OpenMode.RESUME])
-def test_a_file_in_the_place_of_the_directory_is_refused_and_kept(tmp_path, mode):
-    (tmp_path / "out").write_text("precious")
-    with pytest.raises((UsageError, ResourceError), match="out"):
-        opened(tmp_path / "out", CONFIG, mode)
-    assert (tmp_path / "out").read_text() == "precious"
+def put_in_the_way(path: Path, what: str) -> None:
+    """A file, or a link that leads nowhere."""
+    if what == "file":
+        path.write_text("precious")
+    else:
+        path.symlink_to("gone")
 
 
-def test_a_file_in_the_place_of_the_directory_can_be_moved_aside(tmp_path):
-    (tmp_path / "out").write_text("precious")
-    writer = opened(tmp_path / "out", CONFIG, OpenMode.OVERWRITE)
-    assert writer.moved_aside == tmp_path / "out.old-1"
-    assert (tmp_path / "out.old-1").read_text() == "precious"
-    assert (tmp_path / "out/config.yaml").is_file()
+@pytest.mark.parametrize(
+    ("what", "told"), [("file", "it is a file"), ("link", "it is a link to gone, where nothing is")]
+)
+class TestWhatIsNoDirectory:
+    def test_is_refused_and_kept(self, tmp_path, what, told):
+        put_in_the_way(tmp_path / "out", what)
+        with pytest.raises(UsageError) as caught:
+            opened(tmp_path / "out", CONFIG, OpenMode.NEW)
+        assert str(caught.value) == (
+            f"{tmp_path}/out is not a directory: {told}; move it aside with --overwrite, or choose another --out"
+        )
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+    def test_is_not_resumed(self, tmp_path, what, told):
+        put_in_the_way(tmp_path / "out", what)
+        with pytest.raises(UsageError) as caught:
+            opened(tmp_path / "out", CONFIG, OpenMode.RESUME)
+        assert str(caught.value) == f"{tmp_path}/out is no dataset to resume: {told}; choose another --out"
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+    def test_can_be_moved_aside(self, tmp_path, what, told):
+        put_in_the_way(tmp_path / "out", what)
+        writer = opened(tmp_path / "out", CONFIG, OpenMode.OVERWRITE)
+        assert writer.moved_aside == tmp_path / "out.old-1"
+        if what == "file":
+            assert (tmp_path / "out.old-1").read_text() == "precious"
+        else:
+            assert (tmp_path / "out.old-1").readlink() == Path("gone")
+        assert (tmp_path / "out/config.yaml").is_file()
+
+
+def test_where_one_stands_is_not_moved_aside(dataset, monkeypatch):
+    before = tree(dataset)
+    monkeypatch.chdir(dataset)
+    with pytest.raises(UsageError, match=r"dataset cannot be moved aside, because you are in it"):
+        opened(Path(), CONFIG, OpenMode.OVERWRITE)
+    assert tree(dataset) == before
+    assert resume(Path()).episodes == 3
 
 
 def test_overwriting_moves_aside_as_often_as_it_is_asked(dataset):
@@ -98,7 +131,18 @@ def test_a_place_that_cannot_be_written_is_a_resource_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ResourceError) as caught:
         opened(tmp_path / "file/dataset", CONFIG, OpenMode.NEW)
-    assert str(caught.value) == f"{tmp_path}/file/dataset cannot be written: Not a directory; choose another --out"
+    assert (
+        str(caught.value)
+        == f"{tmp_path}/file/dataset cannot be written: {tmp_path}/file is a file; choose another --out"
+    )
+
+
+@pytest.mark.parametrize("mode", OpenMode)
+def test_a_name_that_is_too_long_is_a_resource_error(tmp_path, mode):
+    with pytest.raises(
+        ResourceError, match=r"x cannot be written: it is too long: .* 255 bytes, .*; choose another --out"
+    ):
+        opened(tmp_path / ("x" * 300), CONFIG, mode)
 
 
 @pytest.mark.parametrize("mode", OpenMode)
@@ -262,7 +306,7 @@ def test_a_cut_off_last_line_of_the_ledger_is_forgotten_and_its_episode_adopted(
     lines = ledger.read_text().splitlines(keepends=True)
     whole = ledger.read_bytes()
     ledger.write_text("".join(lines[:2]) + kept)
-    assert len(read_attempts(dataset)) == 2
+    assert len(Ledger(dataset).known) == 2
     writer = resume(dataset)
     assert numbers(writer) == [(0, 0), (1, 1), (2, 2)]
     assert ledger.read_bytes() == whole
@@ -286,7 +330,7 @@ def test_a_last_line_that_only_lacks_its_end_counts(dataset):
     writer = resume(dataset)
     assert len(writer.attempts) == 3
     writer.log(failed_attempt(3))
-    assert len(read_attempts(dataset)) == 4
+    assert len(Ledger(dataset).known) == 4
 
 
 def test_a_line_cut_off_inside_a_letter_is_forgotten_too(dataset):
@@ -295,29 +339,159 @@ def test_a_line_cut_off_inside_a_letter_is_forgotten_too(dataset):
     cut = to_json(attempt).split("°".encode())[0] + "°".encode()[:1]
     with (dataset / "attempts.jsonl").open("ab") as stream:
         stream.write(cut)
-    assert len(read_attempts(dataset)) == 3
+    assert len(Ledger(dataset).known) == 3
 
 
-@pytest.mark.parametrize("damage", [b"{\n", b"\xff\xfe\n", b"null\n", b"{}\n"])
-def test_a_damaged_line_in_the_middle_of_the_ledger_is_named(dataset, damage):
+BROKEN = [b"{\n", b"\xff\xfe\n", b"null\n", b"{}\n", b"\n", b""]
+
+
+@pytest.fixture
+def with_failures(build):
+    """Attempts 0 to 5, of which 1 and 4 failed."""
+    path = build(made(0))
+    writer = resume(path)
+    for attempt, episode in enumerate((0, None, 1, 2, None, 3)):
+        if attempt and episode is None:
+            writer.log(failed_attempt(attempt))
+        elif attempt:
+            publish(writer, made(episode, attempt))
+    writer.finish()
+    return path
+
+
+def damage(dataset: Path, change) -> bytes:
+    """Spoil the ledger's lines, a list of bytes; returns what it was."""
     ledger = dataset / "attempts.jsonl"
-    lines = ledger.read_bytes().splitlines(keepends=True)
-    ledger.write_bytes(lines[0] + damage + lines[2])
-    with pytest.raises(DatasetError, match=r"attempts\.jsonl:2: "):
-        resume(dataset)
+    whole = ledger.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    change(lines)
+    ledger.write_bytes(b"".join(lines))
+    return whole
 
 
-@pytest.mark.parametrize("order", [(0, 2), (1, 2), (0, 0), (0, 2, 1)])
-def test_an_attempt_missing_from_the_ledger_is_named(dataset, order):
-    ledger = dataset / "attempts.jsonl"
-    lines = ledger.read_text().splitlines(keepends=True)
-    ledger.write_text("".join(lines[k] for k in order))
-    with pytest.raises(DatasetError, match=r"attempts\.jsonl:\d: attempt \d where \d was expected"):
-        read_attempts(dataset)
+@pytest.mark.parametrize("broken", BROKEN)
+@pytest.mark.parametrize("number", [0, 2, 3, 5])
+def test_the_line_of_an_episode_is_read_from_the_episode(with_failures, number, broken):
+    def change(lines):
+        lines[number] = broken
+
+    whole = damage(with_failures, change)
+    spoiled = (with_failures / "attempts.jsonl").read_bytes()
+    writer = resume(with_failures)
+    assert (with_failures / "attempts.jsonl").read_bytes() == whole
+    assert (writer.untold, writer.missing, len(writer.attempts), writer.episodes) == (set(), [], 6, 4)
+    kept = with_failures / ".damaged/attempts.jsonl.1"
+    if broken.strip():
+        assert kept.read_bytes() == spoiled
+        assert writer.repairs[0].startswith(f"attempts.jsonl is damaged (line {number + 1}: ")
+        assert writer.repairs[0].endswith(f"): it is mended, and kept as it was in {kept}")
+    else:
+        assert not kept.exists(), "nothing was in it that is not in the new one"
+    assert resume(with_failures).repairs == []
+
+
+@pytest.mark.parametrize("broken", BROKEN)
+def test_the_line_of_a_failure_has_to_be_made_again(with_failures, broken):
+    def change(lines):
+        lines[1] = broken
+
+    whole = damage(with_failures, change)
+    for _ in range(2):
+        writer = resume(with_failures)
+        assert writer.untold == {1}
+        assert numbers(writer) == [(0, 0), (1, None), (2, 1), (3, 2), (4, None), (5, 3)]
+        assert writer.attempts[1].outcome == LINE_LOST
+        assert writer.repairs[-1] == "what attempts.jsonl said of attempt 1 is lost, and made again"
+    writer.log(failed_attempt(1))
+    assert (writer.untold, writer.attempts[1]) == (set(), failed_attempt(1))
+    assert (with_failures / "attempts.jsonl").read_bytes() == whole
+    assert len(list(with_failures.glob(".damaged/*"))) == bool(broken.strip())
+
+
+@pytest.mark.parametrize("lost", [lambda path: path.unlink(), lambda path: path.write_bytes(b"")])
+def test_a_ledger_that_is_gone_is_built_from_the_episodes(with_failures, lost):
+    whole = (with_failures / "attempts.jsonl").read_bytes()
+    lost(with_failures / "attempts.jsonl")
+    writer = resume(with_failures)
+    assert writer.untold == {1, 4}
+    for attempt in (4, 1):
+        writer.log(failed_attempt(attempt))
+    assert (with_failures / "attempts.jsonl").read_bytes() == whole
+    assert resume(with_failures).repairs == []
+
+
+def test_other_lines_stay_the_bytes_that_they_were(with_failures):
+    """Those of an earlier version may lack a key, or have one that is unknown today."""
+
+    def change(lines):
+        lines[2] = lines[2].replace(b'"seed"', b'"mood": "good", "seed"')
+        lines[3] = b"{\n"
+
+    damage(with_failures, change)
+    resume(with_failures)
+    lines = (with_failures / "attempts.jsonl").read_bytes().splitlines(keepends=True)
+    assert b'"mood": "good"' in lines[2]
+    assert lines[3] == to_json(made(2, 3).attempt)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda lines: lines.insert(2, lines[1]), "line 3: attempt 1 is there twice"),
+        (lambda lines: lines.__setitem__(1, to_json(failed_attempt(4))), "line 5: attempt 4 is there twice"),
+        (lambda lines: lines.__setitem__(4, to_json(failed_attempt(99))), "attempt 99 is there, and 6 is not"),
+        (lambda lines: lines.__setitem__(4, to_json(failed_attempt(-4))), "line 5: attempt: -4 is no number"),
+        (
+            lambda lines: lines.__setitem__(3, to_json(made(2, 93).attempt)),
+            "attempt 93 is to be ep_000002, which is attempt 3",
+        ),
+    ],
+)
+def test_a_line_that_tells_what_cannot_be_is_left_out(with_failures, change, fault):
+    whole = damage(with_failures, change)
+    writer = resume(with_failures)
+    assert f"({fault}" in writer.repairs[0]
+    for attempt in writer.untold & {1, 4}:
+        writer.log(failed_attempt(attempt))
+    assert writer.untold == set()
+    assert (with_failures / "attempts.jsonl").read_bytes() == whole
+
+
+def test_lines_out_of_order_are_put_into_order(with_failures):
+    whole = damage(with_failures, lambda lines: lines.reverse())
+    assert resume(with_failures).repairs == []
+    assert (with_failures / "attempts.jsonl").read_bytes() == whole
+
+
+def test_what_contradicts_its_episode_is_not_resumed(with_failures):
+    damage(with_failures, lambda lines: lines.__setitem__(2, to_json(failed_attempt(2))))
+    before = tree(with_failures)
+    with pytest.raises(DatasetError, match=r"ep_000001 is attempt 2, which attempts\.jsonl tells otherwise"):
+        resume(with_failures)
+    assert tree(with_failures) == before
+
+
+def test_episodes_out_of_order_are_not_resumed(build):
+    path = build(made(0, 3), made(1, 2))
+    with pytest.raises(DatasetError, match="not in the order of their attempts"):
+        resume(path)
+
+
+def test_a_ledger_that_cannot_be_mended_stays_as_it_is(with_failures, monkeypatch, failing):
+    def change(lines):
+        lines[2] = b"{\n"
+
+    damage(with_failures, change)
+    before = tree(with_failures)
+    failing(3)
+    with pytest.raises(ResourceError, match="cannot be written"):
+        resume(with_failures)
+    monkeypatch.undo()
+    assert tree(with_failures) | before == tree(with_failures)
 
 
 def test_no_ledger_is_no_attempts(tmp_path):
-    assert read_attempts(tmp_path) == []
+    assert Ledger(tmp_path).known == {}
 
 
 def test_an_episode_published_just_before_a_crash_is_adopted(dataset):
@@ -331,10 +505,11 @@ def test_an_episode_published_just_before_a_crash_is_adopted(dataset):
     assert from_json(AttemptRecord, (dataset / "attempts.jsonl").read_text().splitlines()[-1], "x").episode == 3
 
 
-def test_an_episode_far_ahead_of_the_ledger_is_not_adopted(dataset):
+def test_an_episode_far_ahead_of_the_ledger_leaves_attempts_to_be_made_again(dataset):
     resume(dataset).publish(made(3, attempt=9).record, made(3).files)
-    with pytest.raises(DatasetError, match=r"ep_000003 is attempt 9, but attempts\.jsonl ends before it"):
-        resume(dataset)
+    writer = resume(dataset)
+    assert writer.untold == set(range(3, 9))
+    assert writer.attempts[9] == made(3, attempt=9).attempt
 
 
 def test_a_lost_manifest_is_built_again(dataset):

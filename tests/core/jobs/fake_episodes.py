@@ -9,7 +9,8 @@ from types import TracebackType
 
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.layout import image_name, lowdim_name
-from yamsim_cli.core.dataset.writer import OpenMode, read_attempts
+from yamsim_cli.core.dataset.ledger import Ledger
+from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.jobs.collect import Watch
 from yamsim_cli.core.jobs.destination import Output
 from yamsim_cli.core.jobs.executor import LostJobError
@@ -92,14 +93,15 @@ class Recording:
         self.config = config
         self.path = path
         self.stage = stage
+        self.meshes: dict[str, Path | None] = {}
         self.warnings: list[str] = []
         self.stop = Stop()
 
     def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
         return record(
             self.config.model_copy(update={"workers": workers}),
-            Locations((), Path("/nowhere")),
-            {},
+            Locations(Locations.find({}).data, Path("/nowhere")),
+            self.meshes,
             Output(self.path, mode, self.stage),
             executor or Inline(),
             Watch(lambda done, wanted, attempts: None, self.warnings.append),
@@ -110,4 +112,4 @@ class Recording:
         return self.run(executor, OpenMode.RESUME)
 
     def causes(self) -> list[str | None]:
-        return [attempt.outcome.cause for attempt in read_attempts(self.path)]
+        return [attempt.outcome.cause for attempt in Ledger(self.path).known.values()]

@@ -93,6 +93,14 @@ def test_the_disk_is_written_to_and_left_as_it_was(look: Look, tmp_path: Path) -
     assert list(out.parent.iterdir()) == []
 
 
+@pytest.mark.parametrize(("name", "told"), [("file", "it is a file"), ("x" * 300, "it is too long")])
+def test_a_place_where_no_dataset_can_be_is_a_fault(look: Look, tmp_path: Path, name: str, told: str) -> None:
+    (tmp_path / "file").touch()
+    check = look(out=tmp_path / name)["disk"]
+    assert (check.health, check.fix) == (Health.FAULT, "choose another --out")
+    assert f"{name}: {told}" in check.detail
+
+
 def test_a_disk_that_refuses_is_a_fault(look: Look, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")

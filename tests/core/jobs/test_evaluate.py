@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,17 +13,24 @@ import pytest
 
 from tests.core.jobs.undrawn import write_dataset
 from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.dataset.records import OutcomeRecord
+from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.jobs.batch import run_batch
 from yamsim_cli.core.jobs.episode import EpisodeRunner
-from yamsim_cli.core.jobs.evaluate import evaluate, summary
+from yamsim_cli.core.jobs.evaluate import Evaluation, evaluate, require_run, summary
 from yamsim_cli.core.jobs.trials import Ended, PolicyChoice, TrialResult, TrialRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.sim.closed_loop import ClosedLoop
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.types import Cause, EpisodeJob, Outcome
 
 SAMPLES = Path(__file__).parents[1] / "policies"
 N = 12
+
+
+def _line_of(code: str) -> int:
+    """Where it stands in the samples."""
+    lines = (SAMPLES / "sample_policies.py").read_text().splitlines()
+    return 1 + next(number for number, line in enumerate(lines) if line.strip() == code)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +131,7 @@ def test_what_is_still_held_at_the_end_is_let_go(config: RecordConfig, locations
 @pytest.mark.parametrize(
     ("seed", "ended", "told"),
     [
-        (0, Ended.RAISED, "KeyError: 'no such thing', after 3 ticks"),
+        (0, Ended.RAISED, "KeyError: 'no such thing' (sample_policies.py:{line}, in __call__), after 3 ticks"),
         (1, Ended.INVALID, "ctrl is not finite"),
         (2, Ended.INVALID, "ctrl has the shape (6,), not (7,)"),
         (3, Ended.SLOW, "no answer within 0.5 s, after 3 ticks"),
@@ -134,12 +142,37 @@ def test_a_fault_costs_its_trial_alone(
 ) -> None:
     result = trial("sample_policies.py:Faulty", attempt=seed, call_seconds=0.5)
     assert result.ended is ended
-    assert told in result.error
+    assert told.format(line=_line_of('raise KeyError("no such thing")')) in result.error
     assert (result.outcome.success, result.outcome.cause, result.outcome.detail) == (False, ended.value, result.error)
     # What it did until then is judged all the same.
     assert result.outcome.dxy_m is not None
     assert result.ticks == 3
     assert capsys.readouterr().out == ""
+
+
+def test_what_a_policy_raised_is_told_whole(trial: Callable[..., TrialResult], tmp_path: Path) -> None:
+    """The line of the user's that called what raised; in the traceback all of them, and none of yamsim's."""
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\n\n\ndef inverted(matrix):\n    return np.linalg.inv(matrix)\n\n\n"
+        "class Mine:\n    images = ()\n    def reset(self):\n        pass\n"
+        "    def __call__(self, observation):\n        return {'ctrl': inverted(np.zeros((2, 2)))}\n"
+    )
+    result = trial(f"{tmp_path}/mine.py:Mine")
+    assert result.error == f"LinAlgError: Singular matrix ({tmp_path}/mine.py:5, in inverted), after 0 ticks"
+    first, *_, last = result.traceback.strip().splitlines()
+    assert (first, last) == ("Traceback (most recent call last):", "numpy.linalg.LinAlgError: Singular matrix")
+    assert "return {'ctrl': inverted(np.zeros((2, 2)))}" in result.traceback
+    assert "yamsim_cli" not in result.traceback
+    assert trial("sample_policies.py:Still", time_limit=0.1).traceback == ""
+
+
+def test_a_fork_that_a_policy_leaves_behind_answers_for_no_trial(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("episodes",): 4, ("workers",): 1})
+    found = evaluate(config, locations, {}, PolicyChoice("sample_policies.py:Forker", SAMPLES), lambda *_: None)
+    assert [result.job.attempt for result in found.results] == [0, 1, 2, 3]
+    assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3)}
 
 
 def test_a_policy_that_ends_its_process_costs_its_trial_alone(
@@ -150,6 +183,24 @@ def test_a_policy_that_ends_its_process_costs_its_trial_alone(
     assert [result.ended for result in found.results] == [Ended.DONE, Ended.LOST, Ended.DONE]
     assert "ended with code 3, in each of 3 tries" in found.results[1].error
     assert summary(found, config, (0.05,))["stats"]["causes"]["policy_lost"] == 1
+
+
+@pytest.mark.parametrize(
+    ("ended", "ran"),
+    [
+        ((Ended.RAISED, Ended.DONE), True),
+        ((Ended.TIME_LIMIT, Ended.LOST), True),
+        ((Ended.RAISED, Ended.LOST), False),
+        ((Ended.SLOW, Ended.INVALID), False),
+        ((Ended.NOT_STARTED, Ended.NOT_STARTED), False),
+    ],
+)
+def test_trials_that_did_not_run_measure_nothing(ended: tuple[Ended, ...], ran: bool, config: RecordConfig) -> None:
+    outcome = OutcomeRecord.of(Outcome(False, Cause.NO_LAYOUT, "no free place"))
+    results = tuple(TrialResult(EpisodeJob(0, k), outcome, {}, how) for k, how in enumerate(ended))
+    report = summary(Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0), config, ())
+    with contextlib.nullcontext() if ran else pytest.raises(PartialJobError, match=r"no trial of mine.py .*no free"):
+        require_run(report)
 
 
 def test_a_policy_that_cannot_be_loaded_stops_the_job(

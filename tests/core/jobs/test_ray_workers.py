@@ -9,9 +9,13 @@ from typing import Any
 import pytest
 
 from tests.core.jobs.toy_runners import Toy
+from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.errors import ResourceError, SimulationError
 from yamsim_cli.core.jobs.executor import LostJobError, WorkerBugError
+from yamsim_cli.core.jobs.executors import RayCluster
 from yamsim_cli.core.jobs.ray_workers import RayPool
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import EpisodeJob
 
 
 def test_without_ray_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,6 +80,18 @@ class TestOnACluster:
                 pool.result()
             pool.submit(7)
             assert pool.result() == (7, 49)
+
+    def test_a_node_that_would_draw_otherwise_is_refused_at_the_start(
+        self, cluster: Any, config: RecordConfig, locations: Locations
+    ) -> None:
+        """As one does whose meshes, or whose yamsim, are not the recorder's."""
+        noted = config.model_copy(update={"meshes": {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}})
+        with RayCluster(cluster[0].address).open(noted, locations, {}, 1) as executor:
+            executor.submit(EpisodeJob(0, 0))
+            with pytest.raises(
+                ResourceError, match=r"^a worker on \S+ would draw other meshes .*: i2rt_yam_crank: full 0"
+            ):
+                executor.result()
 
     def test_more_workers_than_cpus_are_refused(self, open_pool: Any) -> None:
         with pytest.raises(ResourceError, match="has 2 CPUs, and 3 workers need one each"):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -11,6 +12,7 @@ import pytest
 
 from tests.core.jobs.fake_episodes import Inline, Recording, payload, tree
 from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.jobs.stop import Stop
 from yamsim_cli.core.mounts import Mount
@@ -116,6 +118,111 @@ def test_a_damaged_episode_is_made_again_and_the_user_told(recording: Recording,
     assert damaged
 
 
+def spoil(recording: Recording, *numbers: int, by: bytes = b"{\n") -> None:
+    """Put something else in the place of lines of the ledger."""
+    ledger = recording.path / "attempts.jsonl"
+    lines = ledger.read_bytes().splitlines(keepends=True)
+    for number in numbers:
+        lines[number] = by
+    ledger.write_bytes(b"".join(lines))
+
+
+def without_damaged(path: Path) -> dict[str, bytes]:
+    return {name: data for name, data in tree(path).items() if not name.startswith(".damaged/")}
+
+
+@pytest.mark.parametrize("staged", [False, True])
+@pytest.mark.parametrize("lost", [(0,), (1,), (6,), (1, 2, 4), tuple(range(7))], ids=str)
+def test_what_a_broken_line_said_is_found_out_again(
+    recording: Recording, undisturbed: dict[str, bytes], tmp_path: Path, lost: tuple[int, ...], staged: bool
+) -> None:
+    """Attempts 1 and 4 failed; the others are told by their episodes."""
+    recording.run()
+    spoil(recording, *lost)
+    spoiled = (recording.path / "attempts.jsonl").read_bytes()
+    recording.stage = tmp_path / "stage" if staged else None
+    executor = Inline()
+    report = recording.resume(executor)
+    assert sorted(executor.made) == sorted({1, 4} & set(lost))
+    assert (report.episodes, report.attempts) == (5, 7)
+    assert without_damaged(recording.path) == undisturbed
+    assert (recording.path / ".damaged/attempts.jsonl.1").read_bytes() == spoiled
+    assert "attempts.jsonl is damaged (line" in recording.warnings[0]
+
+
+def test_a_broken_line_does_not_keep_a_recording_from_going_on(
+    recording: Recording, undisturbed: dict[str, bytes]
+) -> None:
+    recording.config = recording.config.model_copy(update={"episodes": 3})
+    recording.run()
+    spoil(recording, 1)
+    recording.config = recording.config.model_copy(update={"episodes": 5})
+    recording.resume()
+    assert without_damaged(recording.path) == undisturbed
+
+
+def test_a_lost_ledger_is_made_again_from_episodes_and_seeds(
+    recording: Recording, undisturbed: dict[str, bytes]
+) -> None:
+    recording.run()
+    (recording.path / "attempts.jsonl").unlink()
+    recording.resume()
+    assert tree(recording.path) == undisturbed
+
+
+def test_a_line_and_its_episode_can_both_be_lost(recording: Recording, undisturbed: dict[str, bytes]) -> None:
+    recording.run()
+    spoil(recording, 2, 4)
+    shutil.rmtree(recording.path / "ep_000001")
+    executor = Inline()
+    recording.resume(executor)
+    assert sorted(executor.made) == [2, 4]
+    assert without_damaged(recording.path) == undisturbed
+
+
+def test_a_stop_before_a_lost_line_is_told_again_loses_nothing(
+    recording: Recording, undisturbed: dict[str, bytes]
+) -> None:
+    recording.run()
+    spoil(recording, 1, 4)
+
+    def interrupted(job: EpisodeJob) -> EpisodePayload:
+        if job.attempt == 4:
+            raise KeyboardInterrupt
+        return payload(job)
+
+    with pytest.raises(InterruptedJobError, match=r"5 of 5 episodes are whole in .*, 0 are left"):
+        recording.run(Inline(interrupted), OpenMode.RESUME, workers=1)
+    recording.resume()
+    assert without_damaged(recording.path) == undisturbed
+
+
+@pytest.mark.parametrize("again", ["lost", "well"])
+def test_an_attempt_that_lost_its_workers_stays_without_an_episode(recording: Recording, again: str) -> None:
+    """Its line is lost too; the episodes that follow show that it gave none."""
+    recording.run(Inline(lose={2}))
+    before = tree(recording.path)
+    spoil(recording, 2)
+    recording.resume(Inline(lose={2} if again == "lost" else set()))
+    assert recording.causes()[:4] == [None, "off_target", "worker_lost", None]
+    ledger = {"attempts.jsonl"}
+    now = without_damaged(recording.path)
+    assert {k: now[k] for k in now.keys() - ledger} == {k: before[k] for k in before.keys() - ledger}
+    if again == "lost":
+        assert now == before
+
+
+def test_an_attempt_that_must_have_succeeded_and_fails_now_is_named(recording: Recording) -> None:
+    recording.run()
+    spoil(recording, 2)
+    shutil.rmtree(recording.path / "ep_000001")
+    for _ in range(2):
+        with pytest.raises(DatasetError, match=r"attempt 2 gave ep_000001 once and fails now \(dropped\)"):
+            recording.resume(Inline(lambda job: EpisodePayload(job, Outcome(False, Cause.DROPPED), {})))
+        with pytest.raises(PartialJobError, match="attempt 2 cannot be made again"):
+            recording.resume(Inline(lose={2}))
+
+
 def test_a_wish_to_stop_lets_attempts_in_hand_finish_and_begins_no_other(
     recording: Recording, undisturbed: dict[str, bytes]
 ) -> None:
@@ -169,11 +276,6 @@ def test_ctrl_c_ends_it_at_once_and_loses_nothing(recording: Recording, undistur
 def test_workers_that_draw_differently_are_mentioned(recording: Recording) -> None:
     recording.run(Inline(lambda job: replace(payload(job), renderer=f"driver {job.attempt % 2}")))
     assert any("Workers draw with different OpenGL (driver" in warning for warning in recording.warnings)
-
-
-def test_a_task_that_always_fails_is_given_up(recording: Recording) -> None:
-    with pytest.raises(PartialJobError, match="gave up after 100 attempts, the last one failed as dropped: x"):
-        recording.run(Inline(lambda job: EpisodePayload(job, Outcome(False, Cause.DROPPED, "x"), {})))
 
 
 def test_a_disk_without_room_is_refused_before_anything_is_made(recording: Recording, monkeypatch: Any) -> None:

@@ -16,7 +16,8 @@ from tests.core.jobs.fake_episodes import Recording, tree
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.dataset.integrity import find_episodes
 from yamsim_cli.core.dataset.layout import CONFIG
-from yamsim_cli.core.dataset.writer import OpenMode, read_attempts
+from yamsim_cli.core.dataset.ledger import Ledger
+from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.errors import PartialJobError, ResourceError
 
 CALLS = ("open", "write", "pwrite", "fsync", "ftruncate", "rename", "replace", "mkdir", "unlink", "rmdir")
@@ -74,7 +75,7 @@ def assert_whole(path: Path) -> None:
         return
     assert all(found.fault is None for found in find_episodes(path))
     episodes = {found.number for found in find_episodes(path)}
-    logged = {attempt.episode for attempt in read_attempts(path)} - {None}
+    logged = {attempt.episode for attempt in Ledger(path).known.values()} - {None}
     assert logged <= episodes
     assert len(episodes - logged) <= 1, "the one that was published when the ledger failed"
     if episodes:

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Callable
 from concurrent.futures import wait
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,16 +20,21 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
+from tests.core.dataset.making import failed_attempt, made
 from tests.core.jobs.demonstrated import TICK, planned_lines, write_stream
 from yamsim_cli.core.config.record import RecordConfig
-from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
+from yamsim_cli.core.dataset.ledger import Ledger
+from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json
+from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.jobs.demonstrations import Demonstration, DemonstrationRunner, Desk
+from yamsim_cli.core.jobs.episode import EpisodeRunner
 from yamsim_cli.core.jobs.teleop import TeleopSession
-from yamsim_cli.core.jobs.teleop_run import Jitter, Pace
+from yamsim_cli.core.jobs.teleop_run import Jitter, Pace, open_seat
 from yamsim_cli.core.jobs.teleop_stream import Player, read_stream
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.types import Actions, Cause, EpisodeJob, EpisodePayload, Outcome
 
 
@@ -67,8 +73,13 @@ def run(session: TeleopSession, seconds: float) -> None:
         session.tick()
 
 
+def player_of(session: TeleopSession, lines: list[dict[str, Any]], folder: Path) -> Player:
+    stream = write_stream(folder / "stream.jsonl", lines)
+    return Player(read_stream(stream, session._config, Locations.find({})))
+
+
 def play(session: TeleopSession, lines: list[dict[str, Any]], folder: Path) -> None:
-    player = Player(read_stream(write_stream(folder / "stream.jsonl", lines), session.sides))
+    player = player_of(session, lines, folder)
     while not player.done:
         player.act(session, session.time)
         session.tick()
@@ -203,13 +214,102 @@ def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(
     assert actions.joints[-ticks - 1, 6] == 0.0165
 
 
+THINGS = ["007_tuna_fish_can", "008_pudding_box", "025_mug"]
+
+
+@pytest.mark.parametrize("thing", THINGS)
+def test_a_wider_gripper_opens_as_wide_as_it_goes(
+    thing: str, make_config: Callable[..., RecordConfig], locations: Locations, tray: Tray
+) -> None:
+    """The crank's fingers end at 37.5 mm; what needs more is taken by linear_4310."""
+    config = make_config({("rig",): "single_linear", ("task", "object"): thing})
+    grasp = config.task.object.grasp
+    assert grasp is not None
+    assert grasp.opening > 0.0375 - 0.003
+    session = TeleopSession(config, locations, {}, tray)
+    session.set_gripper(0.0475)
+    run(session, 1.0)
+    fingers = session._scene.arm.gripper_qpos
+    assert np.abs(session.data.qpos[fingers]) == pytest.approx(0.0475, abs=0.001)
+    assert session.status.gripper_open
+    session.toggle_gripper()
+    assert (session._arm.opening, session.status.gripper_open) == (grasp.opening, False)
+    session.toggle_gripper()
+    assert (session._arm.opening, session.status.gripper_open) == (0.0475, True)
+
+
+@pytest.mark.parametrize("thing", THINGS)
+def test_a_stream_takes_what_is_wide(
+    thing: str, make_config: Callable[..., RecordConfig], locations: Locations, tray: Tray, tmp_path: Path
+) -> None:
+    config = make_config({("rig",): "single_linear", ("task", "object"): thing, ("seed",): 1})
+    session = TeleopSession(config, locations, {}, tray)
+    play(session, planned_lines(config, locations, 0), tmp_path)
+    session.settle()
+    (demonstration,) = tray.demonstrations
+    with DemonstrationRunner(config, locations, {}, draw=False) as runner:
+        outcome = runner.run(demonstration).outcome
+    assert outcome.success, outcome.detail
+
+
+@pytest.fixture
+def varied(make_config: Callable[..., RecordConfig]) -> RecordConfig:
+    return make_config({("randomization",): "default", ("randomization", "distractors", "count"): [3, 3]})
+
+
+def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
+    varied: RecordConfig, locations: Locations, tray: Tray, tmp_path: Path
+) -> None:
+    session = TeleopSession(varied, locations, {}, tray)
+    others = [session.model.body(item.name).id for item in varied.randomization.extras]
+    wanted = session.target
+    wanted[:3, 3] += (0.08, 0.06, -0.05)
+    session.aim(wanted)
+    run(session, 2.0)
+    assert np.allclose(pinch(session)[:3, 3], wanted[:3, 3], atol=0.01), session.status.blocked
+    assert (session.data.xpos[others, 2] < -1).all()
+
+    play(session, planned_lines(varied, locations, 0, began=session.time), tmp_path)
+    session.settle()
+    (demonstration,) = tray.demonstrations
+    with DemonstrationRunner(varied, locations, {}, draw=False) as runner:
+        payload = runner.run(demonstration)
+        again = runner.run(demonstration)
+    assert payload.outcome.success, payload.outcome.detail
+    assert payload.randomized == again.randomized
+    assert set(payload.randomized.mass) == {"banana", "plate"}
+    places = np.array(list(payload.randomized.distractors.values()))
+    assert len(places) >= 2
+    assert (np.linalg.norm(places[:, :2], axis=1) > 0.2).all(), "not where the arm stands"
+
+
+def test_a_varied_demonstration_repeats_bit_for_bit(
+    varied: RecordConfig, locations: Locations, tray: Tray, tmp_path: Path
+) -> None:
+    """What was driven had the masses and the friction that it is judged with."""
+    session = TeleopSession(varied, locations, {}, tray)
+    lines, driven = planned_lines(varied, locations, 0), list[Array]()
+    player = player_of(session, lines, tmp_path)
+    while not player.done:
+        player.act(session, session.time)
+        driven.append(session.data.qpos.copy())
+        session.tick()
+    session.settle()
+    (demonstration,) = tray.demonstrations
+    with EpisodeRunner(varied, locations, {}, draw=False) as runner:
+        _, rollout = runner.demonstrate(demonstration.job, demonstration.start, demonstration.actions)
+    every = varied.task.timing.ticks_per_frame
+    for state, qpos in zip(rollout.states, driven[::every], strict=False):
+        assert np.array_equal(state.qpos, qpos)
+
+
 def test_what_is_recorded_repeats_bit_for_bit(
     session: TeleopSession, tray: Tray, config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
     """The demonstration is judged by its actions alone: they have to lead where the arm was driven."""
     driven: list[Array] = []
     lines = planned_lines(config, locations, 0)
-    player = Player(read_stream(write_stream(tmp_path / "stream.jsonl", lines[:-1]), session.sides))
+    player = player_of(session, lines[:-1], tmp_path)
     while not player.done:
         player.act(session, session.time)
         driven.append(session.data.qpos.copy())
@@ -258,12 +358,47 @@ def grasp_place(session: TeleopSession) -> Array:
         ([{"t": 0, "joints": [0] * 7}], "7 numbers; give six of one arm, or 14 of two"),
         ([{"t": 0, "joints": [0] * 14}], "14 numbers are of two arms, and there is one"),
         ([{"t": 0, "arm": "left"}], "stream.jsonl:1: arm: there is only a right one"),
+        (
+            [{"t": 0}, {"t": 1, "joints": [0, 106, 109, -78, 0, 0]}],
+            r"stream.jsonl:2: joints: arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees\? Then give 1.85",
+        ),
+        ([{"t": 0, "joints": [0, 4.6, 1, 0, 0, 0]}], r"arm1.joint2: 4.6 rad lies outside 0..3.665$"),
+        ([{"t": 0, "gripper": 37.5}], r"stream.jsonl:1: gripper: must lie in 0..0.1 m; is it in mm\? Then give 0.0375"),
+        (
+            [{"t": 0, "ee": {"position": [400, 0, 200], "quaternion": [1, 0, 0, 0]}}],
+            r"stream.jsonl:1: ee.position.0: must lie in -10..10 m; is it in mm\? Then give 0.4",
+        ),
+        ([{"t": 1.7e12}], "stream.jsonl:1: t: must lie in 0..86400 s"),
         ([], "is empty"),
     ],
 )
-def test_a_faulty_stream_is_named_by_line(lines: list[dict[str, Any]], message: str, tmp_path: Path) -> None:
+def test_a_faulty_stream_is_named_by_line(
+    lines: list[dict[str, Any]], message: str, tmp_path: Path, config: RecordConfig, locations: Locations
+) -> None:
     with pytest.raises(ConfigError, match=message):
-        read_stream(write_stream(tmp_path / "stream.jsonl", lines), ("right",))
+        read_stream(write_stream(tmp_path / "stream.jsonl", lines), config, locations)
+
+
+def test_a_leader_that_turns_a_little_farther_is_believed(
+    tmp_path: Path, config: RecordConfig, locations: Locations
+) -> None:
+    lines = [{"t": 0, "joints": [0, -0.4, 1, 0, 0, 0]}]
+    assert read_stream(write_stream(tmp_path / "stream.jsonl", lines), config, locations)
+
+
+def test_both_arms_of_a_row_are_looked_at(
+    tmp_path: Path, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    russet = make_config({("rig",): "russet"})
+    still = [0, 1, 1, 0, 0, 0]
+    for row, fault in (
+        ([*still, 0.03, *np.rad2deg(still), 0.03], r"joints: arm1.joint2: 57.3 rad .*degrees"),
+        ([*np.rad2deg(still), 0.03, *still, 0.03], r"joints: arm2.joint2: 57.3 rad .*degrees"),
+        ([*still, 0.03, *still, 37.5], r"joints: must lie in -0.02..0.1 m; is it in mm\? Then give 0.0375"),
+    ):
+        stream = write_stream(tmp_path / "stream.jsonl", [{"t": 0, "joints": list(map(float, row))}])
+        with pytest.raises(ConfigError, match=fault):
+            read_stream(stream, russet, locations)
 
 
 def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
@@ -352,6 +487,28 @@ def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config:
 
 
 @pytest.mark.render
+def test_what_a_broken_line_said_is_lost_and_nothing_else(
+    config: RecordConfig, locations: Locations, tmp_path: Path
+) -> None:
+    """A demonstration cannot be made again; its line says so from then on."""
+    out = tmp_path / "out"
+    with DatasetWriter(out, noting_meshes(config, locations, {}).data_config(), OpenMode.NEW) as writer:
+        for k in range(3):
+            writer.log(failed_attempt(k))
+    lines = (out / "attempts.jsonl").read_bytes().splitlines(keepends=True)
+    (out / "attempts.jsonl").write_bytes(b"{\n" + b"".join(lines[1:]) + to_json(made(0, 3).attempt))
+    said: list[str] = []
+    for _ in range(2):
+        with open_seat(config, locations, {}, out, OpenMode.RESUME, said.append) as seat:
+            assert seat.desk.next_attempt == 4
+    assert said[0].startswith("attempts.jsonl is damaged (line 1: ")
+    assert said[1:] == [
+        "what attempts.jsonl said of attempt 0 is lost",
+        *["ep_000000 is gone, and a demonstration cannot be made again."] * 2,
+    ]
+    assert [attempt.outcome.cause for attempt in Ledger(out).known.values()] == ["line_lost", *["off_target"] * 2, None]
+
+
 def test_a_stream_makes_a_dataset_that_summarize_and_verify_accept(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
@@ -435,7 +592,7 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
     out = tmp_path / "d"
     stream = str(write_stream(tmp_path / "s.jsonl", [{"t": 0}]))
     left = yamsim("teleop", "--arm", "left", "--input", stream, "--out", str(out))
-    assert (left.code, "rig 'single' has only a right one" in left.message) == (3, True)
+    assert (left.code, "--arm: arm 'left': rig 'single' has only a right one" in left.message) == (2, True)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

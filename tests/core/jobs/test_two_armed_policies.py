@@ -14,7 +14,8 @@ from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.jobs.batch import run_batch
 from yamsim_cli.core.jobs.evaluate import evaluate, summary
-from yamsim_cli.core.jobs.trials import PolicyChoice, TrialRunner, policy_cameras
+from yamsim_cli.core.jobs.observation import policy_cameras
+from yamsim_cli.core.jobs.trials import PolicyChoice, TrialRunner
 from yamsim_cli.core.policies.base import SCENE, WRIST
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.types import EpisodeJob

@@ -107,6 +107,23 @@ def test_an_episode_under_another_attempts_number_is_found(dataset: Path, verdic
     assert result.checks[ACTIONS].first is None
 
 
+def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
+    dataset: Path, locations: Locations, tmp_path: Path
+) -> None:
+    said = {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}
+    config = dataset_config(dataset, locations).model_copy(update={"meshes": said})
+    with EpisodeVerifier(config, locations, {}, Limits(values=0.0, images=None)) as verifier:
+        change_record(dataset / "ep_000001", meshes=said)
+        assert verifier.run((1, dataset / "ep_000001")).agrees
+        change_record(dataset / "ep_000001", meshes=said | {"i2rt_yam_crank": "primitives"})
+        result = verifier.run((1, dataset / "ep_000001"))
+        # One of an earlier version does not say.
+        assert verifier.run((0, dataset / "ep_000000")).agrees
+    told = "it shows other meshes than config.yaml says: i2rt_yam_crank: primitives here, full 000000000000 there"
+    assert result.problems == {"episode.json": told}
+    assert not result.agrees
+
+
 def test_changed_versions_are_told_and_are_no_fault(dataset: Path, verdict) -> None:
     versions = json.loads((dataset / "ep_000001" / "episode.json").read_text())["versions"]
     change_record(dataset / "ep_000001", versions=versions | {"mujoco": "3.9.9", "retired": "1"})

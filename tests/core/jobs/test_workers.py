@@ -147,6 +147,27 @@ def test_a_large_answer_arrives_whole() -> None:
         assert pool.result()[1] == bytes(30_000_000)
 
 
+def test_a_fork_of_a_worker_answers_for_nobody() -> None:
+    """Forked off in the first job, it would answer a second time, which would count for the second job."""
+    with _pool() as pool:
+        for job, result in (("fork", "forked"), (3, 9), ("fork", "forked"), (4, 16)):
+            pool.submit(job)
+            assert pool.result() == (job, result)
+
+
+def test_a_fork_that_exits_keeps_its_exit_code() -> None:
+    with _pool() as pool:
+        pool.submit("fork and exit")
+        assert pool.result()[1] == 5
+
+
+def test_answers_of_other_processes_and_for_other_jobs_are_refused() -> None:
+    with _pool() as pool:
+        for number in (1, 2):
+            pool.submit(f"forge:{number}")
+            assert pool.result()[1] == "true"
+
+
 def test_leaving_ends_workers_in_the_middle_of_a_job() -> None:
     with _pool() as pool:
         pool.submit("pid")

@@ -5,13 +5,17 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import pickle
 import signal
 import struct
+import sys
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 from yamsim_cli.core.errors import ResourceError, SimulationError
+from yamsim_cli.core.jobs.pool import Answer
+from yamsim_cli.core.jobs.serving import HEADER
 
 
 class Toy:
@@ -55,9 +59,27 @@ class Toy:
                 return lambda: "not to be pickled"
             case "large":
                 return bytes(int(argument))
+            case "fork":
+                # Both go on from here.
+                os.fork()
+                return "forked"
+            case "forge":
+                # As another process would answer, as this one would for another job, and then truly.
+                for pid, number in ((os.getpid() + 1, int(argument)), (os.getpid(), int(argument) + 1)):
+                    _pipe().send_bytes(HEADER.pack(pid, number) + pickle.dumps(Answer("forged")))
+                return "true"
+            case "fork and exit":
+                if (child := os.fork()) == 0:
+                    sys.exit(5)
+                return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
             case "once":
                 return _once(Path(argument), job)
         return _die(word)
+
+
+def _pipe() -> Connection:
+    """This worker's."""
+    return next(o for o in gc.get_objects() if isinstance(o, Connection) and o.readable and o.writable)
 
 
 def _once(flag: Path, job: str) -> str:
@@ -80,6 +102,5 @@ def _die(how: str) -> None:
             os.kill(os.getpid(), signal.SIGSTOP)
         case "half":
             # Begins an answer of a thousand bytes and never ends it.
-            pipe = next(o for o in gc.get_objects() if isinstance(o, Connection) and o.readable and o.writable)
-            os.write(pipe.fileno(), struct.pack("!i", 1000) + b"x")
+            os.write(_pipe().fileno(), struct.pack("!i", 1000) + b"x")
             time.sleep(60)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 HOME = np.array([0, 1.92, 2.22, -1.55, 0, 0, 0.0375])
+# The arm turned about its base, the fingers half closed.
+ASIDE = np.array([0.5, 1.92, 2.22, -1.55, 0, 0, 0.0175])
 
 
 class Still:
@@ -85,3 +89,97 @@ class NoReset:
 
 class AsksTooMuch(Still):
     images = ("scene", "floor")  # type: ignore[assignment]
+
+
+class AsksWrongly(Still):
+    images = "scene"  # type: ignore[assignment]
+
+
+class WantsTooMuch(Still):
+    wants = ("object",)
+
+
+class Forker(Still):
+    """Leaves a copy of its process behind in every trial, which goes on as if it were the first; counts its calls."""
+
+    def reset(self) -> None:
+        self.calls = 0
+
+    def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
+        self.calls += 1
+        if self.calls == 2 and os.fork() == 0:
+            # Should it live on all the same, not for ever.
+            signal.alarm(20)
+        return {"ctrl": HOME, "done": self.calls == 3}
+
+
+class Blind(Still):
+    """Could see, and does not look."""
+
+    images = ("scene", "wrist")  # type: ignore[assignment]
+
+
+class Knowing(Still):
+    """Is told where things are and how fast the joints move, and keeps what it was told."""
+
+    wants = ("objects", "velocities")
+    seen: ClassVar[list[Mapping[str, Any]]] = []
+
+    def reset(self) -> None:
+        self.seen.clear()
+
+    def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
+        self.seen.append(observation)
+        arms = len(observation["joints"]) // 7
+        return {"ctrl": np.tile(ASIDE, arms), "done": len(self.seen) == 12}
+
+
+class Remembering(Still):
+    """Looks at a picture only when the next one is there."""
+
+    images = ("scene",)  # type: ignore[assignment]
+    seen: ClassVar[list[Mapping[str, Any]]] = []
+
+    def reset(self) -> None:
+        self.seen.clear()
+
+    def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
+        self.seen.append(observation)
+        if len(self.seen) == 9:
+            assert self.seen[0]["scene_rgb"].std() > 5
+        return {"ctrl": ASIDE, "done": len(self.seen) == 9}
+
+
+class Swallows(Still):
+    """Goes on whatever happens when it looks."""
+
+    images = ("scene",)  # type: ignore[assignment]
+
+    def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
+        with contextlib.suppress(Exception):
+            observation["scene_rgb"]
+        return {"ctrl": HOME, "done": True}
+
+
+class OnGpu:
+    """As a tensor that no array can be made of."""
+
+    def __array__(self, *args: Any, **kwargs: Any) -> Any:
+        raise TypeError("can't convert cuda:0 device type tensor to numpy")
+
+
+class Unsendable(Still):
+    """Answers with what cannot travel; with what, it is told by the time."""
+
+    ANSWERS: ClassVar[list[Any]] = [
+        {"ctrl": object()},
+        {"ctrl": OnGpu()},
+        {"ctrl": [0.0] * 6 + [None]},
+        {"ctrl": np.array([object()])},
+        {"ctrl": HOME, "done": 1 << 80},
+        {"ctrl": HOME, 7: 1},
+        HOME,
+    ]
+
+    def __call__(self, observation: Mapping[str, Any]) -> Any:
+        return (*self.ANSWERS, {"ctrl": HOME})[int(observation["time"])]

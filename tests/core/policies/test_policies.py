@@ -10,7 +10,8 @@ import pytest
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.policies.base import InvalidActionError, read_action
-from yamsim_cli.core.policies.loading import load_policy, reset_policy, wanted_images
+from yamsim_cli.core.policies.faults import fault_of
+from yamsim_cli.core.policies.loading import load_policy, reset_policy, wanted_images, wanted_state
 from yamsim_cli.core.policies.wire import WireError, pack, unpack
 
 HERE = Path(__file__).parent
@@ -93,7 +94,9 @@ def test_a_file_with_one_policy_needs_no_class(tmp_path: Path) -> None:
             "sample_policies.py:AsksTooMuch",
             "it asks for the image 'floor'; valid: left_wrist, right_",
         ),
-        ("broken.py", "cannot be loaded: ZeroDivisionError: division by zero"),
+        ("sample_policies.py:AsksWrongly", "images is 'scene'; give a tuple, such as ('scene',)"),
+        ("sample_policies.py:WantsTooMuch", "it asks for the state 'object'; did you mean 'objects'? valid: objects, "),
+        ("broken.py", "cannot be loaded: ZeroDivisionError: division by zero (broken.py:1, in <module>)"),
     ],
 )
 def test_what_cannot_be_loaded_is_told_in_a_line(name: str, told: str, tmp_path: Path) -> None:
@@ -103,6 +106,31 @@ def test_what_cannot_be_loaded_is_told_in_a_line(name: str, told: str, tmp_path:
         load_policy(name, tmp_path)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_what_a_policy_wants_to_be_told_is_nothing_unless_it_says_so() -> None:
+    assert wanted_state(load_policy("sample_policies.py:Still", HERE)) == ()
+    assert wanted_state(load_policy("sample_policies.py:Knowing", HERE)) == ("objects", "velocities")
+
+
+class Unspeakable(Exception):  # noqa: N818
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (ValueError(), "ValueError"),
+        (ValueError("two\n  lines"), "ValueError: two lines"),
+        (ValueError("long " * 100), "ValueError: " + ("long " * 59) + "..."),
+        (Unspeakable(), "Unspeakable: its message cannot be told"),
+    ],
+)
+def test_whatever_is_raised_is_one_line(error: Exception, told: str) -> None:
+    fault = fault_of(error, HERE)
+    assert fault.text == told
+    assert type(error).__name__ in fault.traceback
 
 
 def test_messages_come_back_as_they_went() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,13 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.core.policies.sample_policies import Unsendable
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.jobs.episode import EpisodeRunner
 from yamsim_cli.core.jobs.evaluate import evaluate, summary
-from yamsim_cli.core.jobs.trials import PolicyChoice
+from yamsim_cli.core.jobs.trials import Ended, PolicyChoice, TrialRunner
+from yamsim_cli.core.policies.base import InvalidActionError
 from yamsim_cli.core.policies.loading import load_policy
 from yamsim_cli.core.policies.remote import RemoteError, RemotePolicy
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.policy_server import PolicyServer
 
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
@@ -80,9 +85,69 @@ def test_faults_are_told_as_those_of_a_policy_here(
         found = evaluate(config, locations, {}, PolicyChoice(url, HERE, call_seconds=1.0), lambda *_: None)
     told = {result.job.attempt: (result.ended.value, result.error) for result in found.results}
     assert told[0][0] == "policy_raised"
-    assert "KeyError: 'no such thing', after 3 ticks" in told[0][1]
+    assert re.fullmatch(
+        r"KeyError: 'no such thing' \(.*sample_policies.py:\d+, in __call__\), after 3 ticks", told[0][1]
+    )
+    # The server's, whole.
+    assert found.results[0].traceback.startswith("Traceback (most recent call last):")
+    assert 'raise KeyError("no such thing")' in found.results[0].traceback
+    assert "yamsim_cli" not in found.results[0].traceback
     assert [told[k][0] for k in (1, 2)] == ["policy_invalid"] * 2
     assert told[3][0] == "policy_slow"
+
+
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [
+        (0, "ctrl of the answer: object cannot be sent: only numbers, text, plain containers and arrays can"),
+        (1, "ctrl of the answer: OnGpu cannot be sent: can't convert cuda:0 device type tensor to numpy"),
+        (3, "ctrl of the answer: an array of dtype object cannot be sent: only numbers"),
+        (4, "done of the answer: "),
+        (5, "7 of the answer: "),
+        (6, "an action is a dictionary with ctrl, magnet and done, not ndarray"),
+    ],
+)
+def test_an_answer_that_cannot_be_sent_is_told_and_the_server_goes_on(number: int, told: str) -> None:
+    with served("Unsendable") as url:
+        policy = RemotePolicy(url, 5.0)
+        with pytest.raises(InvalidActionError, match=re.escape(told)):
+            policy({"time": number})
+        assert len(policy({"time": len(Unsendable.ANSWERS)})["ctrl"]) == 7
+        policy.close()
+
+
+def test_an_answer_that_cannot_be_sent_is_an_invalid_one(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("episodes",): 1, ("workers",): 1})
+    with served("Unsendable") as url:
+        found = evaluate(config, locations, {}, PolicyChoice(url, HERE), lambda *_: None)
+    assert found.results[0].ended is Ended.INVALID
+    assert found.results[0].error.startswith("ctrl of the answer: object cannot be sent")
+
+
+def test_a_fork_of_the_server_answers_nobody() -> None:
+    with served("Forker") as url:
+        policy = RemotePolicy(url, 5.0)
+        policy.reset(seed=0)
+        # A second answer to the second call would be taken for the third one's.
+        assert [bool(policy({})["done"]) for _ in range(5)] == [False, False, True, False, False]
+        policy.close()
+
+
+def test_pictures_and_state_reach_a_policy_elsewhere(
+    make_config: Callable[..., RecordConfig], locations: Locations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = np.random.default_rng(0).integers(0, 255, (8, 8, 3), dtype=np.uint8)
+    monkeypatch.setattr(EpisodeRunner, "draw", lambda self, qpos, cameras: dict.fromkeys(cameras, picture))
+    config = make_config({("episodes",): 1})
+    with served("Remembering") as url, TrialRunner(config, locations, {}, PolicyChoice(url, HERE)) as runner:
+        assert runner._policy.images == ("scene",)  # type: ignore[attr-defined]
+        result = runner.run(EpisodeJob(0, 0))
+        assert (result.ended, result.error) == (Ended.DONE, "")
+    with served("Knowing") as url, TrialRunner(config, locations, {}, PolicyChoice(url, HERE)) as runner:
+        assert runner._policy.wants == ("objects", "velocities")  # type: ignore[attr-defined]
+        assert runner.run(EpisodeJob(0, 0)).ended is Ended.DONE
 
 
 def test_clients_do_not_share_a_policy() -> None:

@@ -103,6 +103,9 @@ def test_judge(config: RecordConfig, offset: tuple[float, ...], speed: float, ca
         # The bowl's floor is 2 mm over its foot.
         ("024_bowl", 0.026, None),
         ("024_bowl", -0.005, Cause.DROPPED),
+        # What stands on it with its origin at its foot, as a mug, sinks in by a hair.
+        ("007_tuna_fish_can", 0.0164, None),
+        ("007_tuna_fish_can", 0.0150, Cause.DROPPED),
     ],
 )
 def test_what_lies_under_what_carries_it_was_dropped(

@@ -2,13 +2,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 
 import cv2
 import mujoco
 import numpy as np
 import pytest
 
+from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.record import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
@@ -208,20 +210,30 @@ def test_a_buffer_that_is_too_small_is_told(scene: CompiledScene) -> None:
         SceneRenderer(scene.model, (640, 480), (1280, 960))
 
 
-def shadows_on_flat(config: RecordConfig, locations: Locations, *, all_cast: bool = False) -> np.ndarray:
-    """Areas in pixels of the patches of table and floor that are darker than they are without shadows."""
+FLAT = ("table", "safety_plane", "floor_tiles")
+
+
+def shadows_on(
+    names: Sequence[str],
+    config: RecordConfig,
+    locations: Locations,
+    *,
+    meshes: Mapping[str, Path | None] | None = None,
+    all_cast: bool = False,
+) -> np.ndarray:
+    """Areas in pixels of the patches of some geoms that are darker than they are without shadows."""
     pictures = []
     for shadow_map in (config.render.shadow_map_px, 0):
         render = config.render.model_copy(update={"shadow_map_px": shadow_map})
-        scene = build_scene(config.model_copy(update={"render": render}), locations, {})
+        scene = build_scene(config.model_copy(update={"render": render}), locations, meshes or {})
         if all_cast:
             scene.model.geom_castshadow[:] = 1
         replica = replica_of(scene, config)
         with SceneRenderer(scene.model, SIZE, render.fine_size(SIZE)) as renderer:
             pictures.append(renderer.draw(replica.data, "scene_camera").astype(int))
             ids = renderer.segment(replica.data, "scene_camera")
-    flat = [scene.model.geom(name).id for name in ("table", "safety_plane", "floor_tiles")]
-    dark = ((pictures[1] - pictures[0]).mean(axis=2) > 10) & np.isin(ids, flat)
+    geoms = [scene.model.geom(name).id for name in names]
+    dark = ((pictures[1] - pictures[0]).mean(axis=2) > 10) & np.isin(ids, geoms)
     return cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=8)[2][1:, cv2.CC_STAT_AREA]
 
 
@@ -230,7 +242,7 @@ def test_every_preset_has_shadows_without_acne(
     preset: str, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     """On table and floor, shadows are a few patches, and no dots."""
-    areas = shadows_on_flat(make_config({("render",): preset}), locations)
+    areas = shadows_on(FLAT, make_config({("render",): preset}), locations)
     assert areas.sum() > 500
     assert areas.max() > 200
     assert (areas <= 3).sum() <= 10
@@ -238,8 +250,40 @@ def test_every_preset_has_shadows_without_acne(
 
 def test_acne_would_be_seen(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     """Were table and floor to cast shadows onto themselves, they would be full of dots."""
-    areas = shadows_on_flat(make_config({("render",): "fast"}), locations, all_cast=True)
+    areas = shadows_on(FLAT, make_config({("render",): "fast"}), locations, all_cast=True)
     assert (areas <= 3).sum() > 50
+
+
+@pytest.fixture(scope="module")
+def scans(locations: Locations) -> dict[str, Path | None]:
+    """The folder of YCB's scans."""
+    folder = AssetStore(locations.assets).resolve(load_lock(locations).sets["ycb"])
+    if folder is None:
+        pytest.skip("the scans are not here: yamsim assets fetch")
+    return {"ycb": folder}
+
+
+@pytest.mark.parametrize("preset", ["fast", "high"])
+def test_the_plate_does_not_speckle_itself(
+    preset: str, make_config: Callable[..., RecordConfig], locations: Locations, scans: dict[str, Path | None]
+) -> None:
+    """Where its scan casts a shadow, light that grazes it leaves dots on it."""
+    config = make_config({("render",): preset})
+    mesh = config.task.target.mesh.model_copy(update={"castshadow": True})
+    target = config.task.target.model_copy(update={"mesh": mesh})
+    casting = config.model_copy(update={"task": config.task.model_copy(update={"target": target})})
+    dots, speckles = (
+        int((shadows_on(["plate_look"], one, locations, meshes=scans) <= 3).sum()) for one in (config, casting)
+    )
+    assert dots * 3 <= speckles >= 5
+
+
+def test_shadows_reach_as_far_as_a_quality_says(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
+    far, near = (
+        build_scene(make_config({("render", "shadow_reach_m"): reach}), locations, {}).model.vis.map.shadowclip
+        for reach in (0.8, 0.65)
+    )
+    assert (far, near) == pytest.approx((0.8, 0.65))
 
 
 def test_one_that_nobody_closed_ends_without_a_word() -> None:

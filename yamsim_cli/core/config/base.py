@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
-if TYPE_CHECKING:
-    from .document import Document
+from .document import Document, load_yaml
 
 
 class Config(BaseModel):
@@ -18,8 +18,14 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
 
     @classmethod
-    def adopt(cls, document: Document) -> None:
-        """Rewrite the keys of other programs' files as this config's own, in place; as a rule there are none."""
+    def read(cls, path: Path) -> Document:
+        """A file of this kind, under this config's own keys. Raises as `load_yaml`."""
+        return load_yaml(path)
+
+    @classmethod
+    def within(cls, path: Path) -> tuple[Path, ...]:
+        """What `read` takes for each config in a file: as a rule it is one, and the file's own path."""
+        return (path,)
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,20 @@ class Reference:
     kind: str
 
 
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+class ConflictError(ValueError):
+    """What is wrong with several values together, and which: the first of them that was given by a flag is named.
+
+    Attributes:
+        paths: where the values stand, from the model that finds the fault; the likeliest culprit first.
+    """
+
+    def __init__(self, message: str, *paths: tuple[str | int, ...]) -> None:
+        super().__init__(message)
+        self.paths = paths
+
+
+def ordered(value: tuple[float, float]) -> tuple[float, float]:
+    """A range itself, if its ends are in order."""
     if value[0] > value[1]:
         raise ValueError(f"a range is [low, high], so {value[0]} must not be above {value[1]}")
     return value
@@ -53,7 +72,7 @@ def _rotation(value: tuple[float, float, float, float]) -> tuple[float, float, f
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Quaternion = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_rotation)]
-Range = Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_ordered)]
+Range = Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(ordered)]
 Rgba = Annotated[tuple[float, float, float, float], AfterValidator(_unit_fractions)]
 Rgb = Annotated[tuple[float, float, float], AfterValidator(_unit_fractions)]
 Positive = Annotated[FiniteFloat, Field(gt=0)]

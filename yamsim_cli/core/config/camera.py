@@ -1,40 +1,21 @@
-"""Camera files: our own, OpenCV's FileStorage and ROS's camera_info, all in YAML."""
+"""What is known of a calibrated camera; `camera_files` has the formats it is read from."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
-from ..errors import ConfigError, suggest
 from ..geometry.camera import CameraModel
 from .base import Config
-from .document import Document, KeyPath
+from .camera_files import camera_parts, read_camera
+from .document import Document
 
 Row = tuple[float, float, float]
 
 # How many distortion coefficients OpenCV's model can have.
 _COUNTS = (0, 4, 5, 8, 12, 14)
-
-# The names under which calibration programs save what we call K, distortion, width and height.
-_ALIASES = {
-    "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "mtx", "k"),
-    "distortion": (
-        "distortion_coefficients",
-        "Distortion_Coefficients",
-        "distCoeffs",
-        "dist_coeffs",
-        "dist_coeff",
-        "dist",
-        "D",
-        "d",
-    ),
-    "width": ("image_width", "image_Width", "imageWidth"),
-    "height": ("image_height", "image_Height", "imageHeight"),
-}
-
-# ROS's distortion models that are OpenCV's.
-_ROS_MODELS = ("plumb_bob", "rational_polynomial")
 
 
 class CameraConfig(Config):
@@ -95,43 +76,11 @@ class CameraConfig(Config):
         return self
 
     @classmethod
-    def adopt(cls, document: Document) -> None:
-        """Rewrite another program's camera file in our own keys, in place.
+    def read(cls, path: Path) -> Document:
+        """A camera of a file, anybody's. Raises as `read_camera`."""
+        return read_camera(path)
 
-        Raises:
-            ConfigError: its camera model is not OpenCV's pinhole.
-        """
-        data = document.data
-        if not any(alias in data for names in _ALIASES.values() for alias in names):
-            return
-        # OpenCV's own calibration program marks its other model so.
-        model = "fisheye" if data.get("fisheye_model") else data.get("distortion_model", _ROS_MODELS[0])
-        if model not in _ROS_MODELS:
-            raise ConfigError(
-                f"{document.place(('distortion_model',))}: distortion_model: {model!r} is not valid: calibrate with "
-                f"one of OpenCV's pinhole models; {suggest(str(model), _ROS_MODELS)}"
-            )
-        ours: dict[str, Any] = {}
-        places: dict[KeyPath, str] = {}
-        for key, aliases in _ALIASES.items():
-            for alias in (key, *aliases):
-                if alias in data:
-                    value = _matrix(data[alias])
-                    ours[key] = _flat(value) if key == "distortion" else value
-                    places[(key,)] = document.place((alias,))
-                    break
-        if "focal_sigma" in data:
-            ours["focal_sigma"], places[("focal_sigma",)] = data["focal_sigma"], document.place(("focal_sigma",))
-        document.data, document.places = ours, {(): document.place(()), **places}
-
-
-def _matrix(value: Any) -> Any:
-    """The numbers of a matrix saved as `{rows, cols, data}`, or the value as it is."""
-    return value["data"] if isinstance(value, dict) and "data" in value else value
-
-
-def _flat(value: Any) -> Any:
-    """Coefficients saved as a matrix of one row or column, as a list."""
-    if isinstance(value, list) and all(isinstance(part, list) for part in value):
-        return [number for part in value for number in part]
-    return value
+    @classmethod
+    def within(cls, path: Path) -> tuple[Path, ...]:
+        """`FILE:CAMERA` of each camera in a file of several, else the path itself. Raises as `read_camera`."""
+        return camera_parts(path)

@@ -21,6 +21,11 @@ KeyPath = tuple[str | int, ...]
 # Configs are written by hand; anything larger is a mistake, or an attack by repeated aliases.
 _MAX_BYTES = 1_000_000
 
+_INT = re.compile(r"^[-+]?[0-9]+$")
+_FLOAT = re.compile(
+    r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|Nan|NaN|NAN))$"
+)
+
 
 class _Loader(yaml.SafeLoader):
     """A safe loader with YAML 1.2's idea of what a plain scalar means."""
@@ -40,14 +45,8 @@ _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF")
 )
 _Loader.add_implicit_resolver("tag:yaml.org,2002:null", re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""])
-_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789"))
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(
-        r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
-    ),
-    list("-+0123456789."),
-)
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", _INT, list("-+0123456789"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
 
 
 def _decimal_int(loader: _Loader, node: yaml.ScalarNode) -> int:
@@ -56,15 +55,27 @@ def _decimal_int(loader: _Loader, node: yaml.ScalarNode) -> int:
 
 
 def _plain_float(loader: _Loader, node: yaml.ScalarNode) -> float:
-    return float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan"))
+    return _float(node.value)
+
+
+def _float(text: str) -> float:
+    return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+
+
+def number_or_text(text: str) -> int | float | str:
+    """What a plain word stands for, read as YAML's numbers are."""
+    if _INT.fullmatch(text):
+        return int(text)
+    return _float(text) if _FLOAT.fullmatch(text) else text
 
 
 def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    # OpenCV's FileStorage tags its matrices, which are mappings of rows, cols, dt and data.
+    # OpenCV's FileStorage tags its matrices: mappings of rows, cols, dt and data, or of sizes, dt and data.
     return loader.construct_mapping(node, deep=True)
 
 
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-nd-matrix", _opencv_matrix)
 _Loader.add_constructor("tag:yaml.org,2002:int", _decimal_int)
 _Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
 
@@ -128,7 +139,16 @@ def load_yaml(path: Path) -> Document:
     """Read a YAML file whose top level is a mapping.
 
     Raises:
-        ConfigError: unreadable, not YAML, a duplicate key, not a mapping, or larger than 1 MB.
+        ConfigError: unreadable, not YAML, a duplicate key, not a mapping, several documents, or larger than 1 MB.
+    """
+    return parse_yaml(read_config(path), str(path))
+
+
+def read_config(path: Path) -> bytes:
+    """A config file's bytes.
+
+    Raises:
+        ConfigError: unreadable, or larger than 1 MB.
     """
     try:
         raw = path.read_bytes()
@@ -136,29 +156,39 @@ def load_yaml(path: Path) -> Document:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     if len(raw) > _MAX_BYTES:
         raise ConfigError(f"{path}: {len(raw)} bytes is too large for a config; at most {_MAX_BYTES}")
-    return parse_yaml(raw, str(path))
+    return raw
 
 
-def parse_yaml(text: str | bytes, source: str) -> Document:
-    """Read YAML text; `source` names it in messages. Raises as `load_yaml`."""
+def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Document:
+    """Read YAML text, or JSON, which is YAML; `source` and `language` name it in messages. Raises as `load_yaml`."""
     document = Document({}, source)
     try:
         loader = _Loader(_without_opencv_header(text))
         try:
-            root = loader.get_single_node()
+            root = loader.get_node() if loader.check_node() else None
             if not isinstance(root, yaml.MappingNode) or root.tag != "tag:yaml.org,2002:map":
                 raise ConfigError(f"{source}: the top level must be a mapping of keys to values")
+            _refuse_further_documents(loader, source, language)
             _index(root, (), document)
             document.data = loader.construct_document(root)
         finally:
             loader.dispose()
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ConfigError(f"{source}{line}: not valid YAML: {error.problem}") from error
+        raise ConfigError(f"{source}{line}: not valid {language}: {error.problem}") from error
     # The last three: explicit tags on what does not fit them, and integers of thousands of digits.
     except (yaml.YAMLError, RecursionError, ValueError, KeyError, AttributeError) as error:
-        raise ConfigError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"{source}: not valid {language}: {' '.join(str(error).split())}") from error
     return document
+
+
+def _refuse_further_documents(loader: _Loader, source: str, language: str) -> None:
+    """A line `---` at the end, which `ros2 topic echo` prints after each message, begins nothing."""
+    while loader.check_node():
+        node = loader.get_node()
+        if node is not None and not (isinstance(node, yaml.ScalarNode) and node.value == ""):
+            line = node.start_mark.line + 1
+            raise ConfigError(f"{source}:{line}: not valid {language}: a second document begins here; keep one")
 
 
 def _without_opencv_header(text: str | bytes) -> str | bytes:

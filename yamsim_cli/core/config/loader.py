@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import types
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import ValidationError
 
 from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
 from .base import Config, Reference
 from .camera import CameraConfig
-from .document import Document, KeyPath, load_yaml, parse_yaml
+from .document import Document, KeyPath, parse_yaml
+from .explain import dotted, explain, kind_instead, models_in
 from .objects import ObjectConfig
 from .randomization import RandomizationConfig
 from .record import RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import SceneConfig
 from .task import TaskConfig
+from .units import AS_RECORDED
 
 KINDS: Mapping[str, type[Config]] = {
     "rigs": RigConfig,
@@ -59,7 +59,7 @@ def load_config(
     Args:
         model: what it must be.
         kind: folder under `configs/`.
-        name: a config's name, or the path of a YAML file.
+        name: a config's name, or the path of a file, see `Locations.config_file`.
         overrides: key path -> (what set it, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
 
     Raises:
@@ -67,6 +67,8 @@ def load_config(
         UsageError: the value at fault came by an override whose place begins with `--`.
     """
     document = _read(model, locations.config_file(kind, name))
+    if instead := _other_kind(model, document):
+        raise ConfigError(instead)
     # References are resolved between the two passes, so that a flag may reach inside a config named by another flag.
     changes = overrides or {}
     for path, (place, value) in changes.items():
@@ -76,33 +78,55 @@ def load_config(
     for path, (place, value) in changes.items():
         if len(path) > 1:
             document.set(path, value, place)
-    return _check(model, document, locations)
+    flags = {path: place for path, (place, _) in changes.items() if place.startswith("--")}
+    return _check(model, document, locations, flags)
 
 
-def validate_file(model: type[C], path: Path, locations: Locations) -> C:
-    """Check a YAML file against a model. Raises as `load_config`."""
-    return _check(model, _read(model, path), locations)
+def validate_file(model: type[C], path: Path, locations: Locations, *, as_recorded: bool = False) -> C:
+    """Check a file against a model; for `as_recorded` see `parse_config`. Raises as `load_config`."""
+    return _check(model, _read(model, path), locations, as_recorded=as_recorded)
 
 
-def parse_config(model: type[C], text: str, source: str, locations: Locations) -> C:
-    """Check YAML text, such as a dataset's own `config.yaml`, against a model. Raises as `load_config`."""
-    return _check(model, parse_yaml(text, source), locations)
+def parse_config(model: type[C], text: str, source: str, locations: Locations, *, as_recorded: bool = False) -> C:
+    """Check YAML text against a model. Raises as `load_config`.
+
+    Args:
+        as_recorded: it is a dataset's own, whose values may be implausible: it was recorded with them.
+    """
+    return _check(model, parse_yaml(text, source), locations, as_recorded=as_recorded)
 
 
 def _read(model: type[Config], path: Path) -> Document:
-    document = load_yaml(path)
+    document = model.read(path)
     if "name" in model.model_fields:
         document.data.setdefault("name", path.stem)
-    model.adopt(document)
     return document
 
 
-def _check(model: type[C], document: Document, locations: Locations) -> C:
+def _other_kind(model: type[Config], document: Document) -> str | None:
+    """What to tell of a file that is of another kind of config, going by its keys; None if it is none."""
+    kind = next((kind for kind, known in KINDS.items() if known is model), None)
+    if kind is None or (instead := kind_instead(KINDS, kind, document.data)) is None:
+        return None
+    keys = ", ".join(sorted(set(document.data) - {"name"})[:3])
+    return f"{document.source}: is of the kind {instead!r}, to judge by its keys {keys}; give one of {kind!r}"
+
+
+def _check(
+    model: type[C],
+    document: Document,
+    locations: Locations,
+    flags: Mapping[KeyPath, str] | None = None,
+    *,
+    as_recorded: bool = False,
+) -> C:
+    if instead := _other_kind(model, document):
+        raise ConfigError(instead)
     _resolve_references(model, document, (), locations)
     try:
-        return model.model_validate(document.data)
+        return model.model_validate(document.data, context=AS_RECORDED if as_recorded else None)
     except ValidationError as error:
-        place, message = _explain(model, document, error)
+        place, message = explain(model, document, error, flags or {})
         # A bad value that came by a flag is a fault of the command line, not of any config.
         kind = UsageError if place.startswith("--") else ConfigError
         raise kind(f"{place}: {message}") from error
@@ -130,7 +154,7 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
                 _resolve_references(target, document, inner, locations)
     for name, info in model.model_fields.items():
         if not any(isinstance(mark, Reference) for mark in info.metadata) and isinstance(here.get(name), dict):
-            for part in _models_in(info.annotation):
+            for part in models_in(info.annotation):
                 if issubclass(part, Config):
                     _resolve_references(part, document, (*path, name), locations)
 
@@ -142,76 +166,8 @@ def _put_in(
     try:
         file = locations.config_file(kind, name)
     except ConfigError as error:
-        raise ConfigError(f"{document.place(path)}: {_dotted(path)}: {error}") from error
-    document.graft(path, _read(target, file))
-
-
-def _explain(model: type[Config], document: Document, error: ValidationError) -> tuple[str, str]:
-    """Where the first fault stands; and one line on it, and on how many more there are."""
-    found = error.errors(include_url=False)
-    # A list with a faulty item is reported as too short as well: only what is inside says what to mend.
-    inside = {detail["loc"][:depth] for detail in found for depth in range(len(detail["loc"]))}
-    # A mistyped key shows up twice, as unknown and as missing; the place where it stands comes first.
-    details = sorted(
-        (detail for detail in found if detail["loc"] not in inside), key=lambda detail: detail["type"] == "missing"
-    )
-    first = details[0]
-    path: KeyPath = tuple(key for key in first["loc"] if not _is_tag(document.data, first["loc"], key))
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    place = document.place(path)
-    key = "" if place.startswith("--") else f"{_dotted(path) or 'config'}: "
-    return place, f"{key}{_reason(model, path, first)}{more}"
-
-
-def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:
-    if detail["type"] == "extra_forbidden":
-        return f"unknown key; {suggest(str(path[-1]), _keys_at(model, path[:-1]))}"
-    if detail["type"] == "missing":
-        return "missing; add it"
-    message = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-    value = detail["input"]
-    return message if isinstance(value, dict) else f"{value!r} is not valid: {message}"
-
-
-def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
-    """Whether a part of pydantic's location names a union's branch rather than a key of the document."""
-    here = data
-    for part in loc:
-        if isinstance(here, dict) and part not in here and part == here.get("type"):
-            if part == key:
-                return True
-            continue
-        try:
-            here = here[part]
-        except (KeyError, IndexError, TypeError):
-            return False
-    return False
-
-
-def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
-    """The keys valid at a path, through nested models, tuples and unions."""
-    models = [model]
-    for key in path:
-        found: list[type[BaseModel]] = []
-        for candidate in models:
-            if isinstance(key, int):
-                found.append(candidate)
-            elif key in candidate.model_fields:
-                found.extend(_models_in(candidate.model_fields[key].annotation))
-        models = found
-    return sorted({name for candidate in models for name in candidate.model_fields})
-
-
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    if get_origin(annotation) in (Annotated, Union, types.UnionType, tuple, list):
-        return [model for part in get_args(annotation) for model in _models_in(part)]
-    return []
-
-
-def _dotted(path: KeyPath) -> str:
-    text = ""
-    for key in path:
-        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
-    return text
+        raise ConfigError(f"{document.place(path)}: {dotted(path)}: {error}") from error
+    other = _read(target, file)
+    if instead := _other_kind(target, other):
+        raise ConfigError(f"{document.place(path)}: {dotted(path)}: {instead}")
+    document.graft(path, other)

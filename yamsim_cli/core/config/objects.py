@@ -5,37 +5,49 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
 from ..geometry.se3 import Array, pose, rotation_z
-from .base import Config, Name, NonNegative, Positive, Quaternion, Rgba, Vector
+from .base import Config, ConflictError, Name, NonNegative, Quaternion, Rgba
 from .primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from .units import Distance, Heading, OffsetPoint, PlacePoint, Within
+
+_Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
+_Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 100)]
+# Of its parts; fits, which look for them, try larger ones on their way.
+_PART = Within("m", -1, 1)
 
 
 class Contact(Config):
     """Surface in MuJoCo's terms: sliding, torsional (m) and rolling (m) friction, and the contact dimension."""
 
-    friction: tuple[NonNegative, NonNegative, NonNegative] = (1.0, 0.005, 0.0001)
+    friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
     condim: Literal[1, 3, 4, 6] = 3
 
 
 class ObjectMesh(Config):
-    """The scan that is seen: asset set and file, and the scan's point that becomes the object's origin."""
+    """The scan that is seen: asset set and file, and the scan's point that becomes the object's origin.
+
+    Attributes:
+        castshadow: whether the scan casts a shadow. A shallow one speckles itself where light grazes it: then let
+            primitives of `look` just under its surface cast the shadow instead.
+    """
 
     set: str
     file: str
-    origin: Vector
+    origin: PlacePoint
     rgba: Rgba
     specular: float = Field(default=0.2, ge=0, le=1)
     shininess: float = Field(default=0.3, ge=0, le=1)
+    castshadow: Annotated[bool, Field(exclude_if=lambda cast: cast)] = True
 
 
 class Inertia(Config):
     """Mass in grams, centre of mass (m) in the object's frame, principal moments (kg m2) and the frame they hold in."""
 
-    mass_g: Positive
-    centre: Vector = (0.0, 0.0, 0.0)
-    diagonal: tuple[Positive, Positive, Positive]
+    mass_g: Annotated[FiniteFloat, Within("g", 0.5, 50_000)]
+    centre: OffsetPoint = (0.0, 0.0, 0.0)
+    diagonal: tuple[_Moment, _Moment, _Moment]
     quat: Quaternion
 
     @property
@@ -57,9 +69,9 @@ class GraspPoint(Config):
         opening: of one finger around the object once closed, m.
     """
 
-    position: Vector
-    axis_deg: float
-    opening: NonNegative
+    position: OffsetPoint
+    axis_deg: Heading
+    opening: Annotated[FiniteFloat, Within("m", 0, 1)]
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
         """The pinch frame (4, 4) in the object's: z down into it, y along the closing axis, either way round."""
@@ -76,7 +88,7 @@ class FrictionGrasp(Config):
         points: the places where the object can be held so, the best first.
     """
 
-    force: Positive
+    force: Annotated[FiniteFloat, Within("N", 0.05, 500)]
     points: Annotated[tuple[GraspPoint, ...], Field(min_length=1)]
 
 
@@ -88,7 +100,7 @@ class Grasp(GraspPoint):
         friction: how friction alone holds it; without, a weld must.
     """
 
-    clearance: Positive = 0.010
+    clearance: Annotated[FiniteFloat, Within("m", 1e-4, 0.1)] = 0.010
     friction: FrictionGrasp | None = None
 
     def fingers(self, open_by: float) -> tuple[tuple[float, float, float], ...]:
@@ -116,9 +128,25 @@ class ObjectConfig(Config):
     contact: Contact = Contact()
     collision: tuple[Primitive, ...] = Field(min_length=1)
     look: tuple[Primitive, ...] = ()
-    rest_height: NonNegative
+    rest_height: Distance
     preposition: Literal["on", "in"] = "on"
     grasp: Grasp | None = None
+
+    @model_validator(mode="after")
+    def _of_a_things_size(self, info: ValidationInfo) -> ObjectConfig:
+        for path, part in (
+            *((("collision", k), part) for k, part in enumerate(self.collision)),
+            *((("look", k), part) for k, part in enumerate(self.look)),
+        ):
+            for name, value in part:
+                if name in ("type", "yaw_deg", "segments", "rgba"):
+                    continue
+                for number in value if isinstance(value, tuple) else (value,):
+                    try:
+                        _PART.check(number, info)
+                    except ValueError as error:
+                        raise ConflictError(f"{number:g} is not valid: {error}", (*path, name)) from None
+        return self
 
     @property
     def footprint(self) -> tuple[tuple[float, float, float], ...]:

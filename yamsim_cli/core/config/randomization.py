@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, FiniteFloat
 
-from .base import Config, Name, NonNegative, Positive, Range, Reference
+from .base import Config, Name, Positive, Range, Reference, ordered
 from .objects import ObjectConfig
+from .units import ReachRange, Within
 
 
 def _positive(value: tuple[float, float]) -> tuple[float, float]:
@@ -24,6 +25,9 @@ def _share(value: tuple[float, float]) -> tuple[float, float]:
 
 Factor = Annotated[Range, AfterValidator(_positive)]
 Share = Annotated[Range, AfterValidator(_share)]
+_Brightness = Annotated[FiniteFloat, Within("of 1", -1, 1)]
+_Noise = Annotated[FiniteFloat, Within("of 255", 0, 128)]
+_Lens = Annotated[FiniteFloat, Within("degrees", -60, 60)]
 Texture = Literal["plain", "checker", "gradient", "noise"]
 
 
@@ -51,7 +55,7 @@ class HeadlightRanges(Config):
 class CameraRanges(Config):
     """Where the scene camera stands: it may be off by so much along each axis (m), and turned about each (degrees)."""
 
-    position: NonNegative
+    position: Annotated[FiniteFloat, Within("m", 0, 1)]
     rotation_deg: float = Field(ge=0, le=20)
 
 
@@ -99,9 +103,9 @@ class Distractors(Config):
 
     objects: Annotated[tuple[ObjectConfig, ...], Reference("objects")] = Field(min_length=1, max_length=20)
     count: tuple[Annotated[int, Field(ge=0, le=20)], Annotated[int, Field(ge=0, le=20)]]
-    x: Range
-    y: Range
-    clearance: Positive
+    x: ReachRange
+    y: ReachRange
+    clearance: Annotated[FiniteFloat, Within("m", 1e-4, 1)]
 
 
 class PictureRanges(Config):
@@ -114,9 +118,9 @@ class PictureRanges(Config):
         salt_pepper: share of pixels that are white or black; drawn for each episode.
     """
 
-    brightness: Range = (0.0, 0.0)
+    brightness: Annotated[tuple[_Brightness, _Brightness], AfterValidator(ordered)] = (0.0, 0.0)
     contrast: Factor = (1.0, 1.0)
-    noise: Range = (0.0, 0.0)
+    noise: Annotated[tuple[_Noise, _Noise], AfterValidator(ordered)] = (0.0, 0.0)
     salt_pepper: Share = (0.0, 0.0)
 
 
@@ -133,7 +137,7 @@ class RandomizationConfig(Config):
     headlight: HeadlightRanges | None = None
     mass: Factor | None = None
     friction: Factor | None = None
-    lens_deg: Range | None = None
+    lens_deg: Annotated[tuple[_Lens, _Lens], AfterValidator(ordered)] | None = None
     camera: CameraRanges | None = None
     table: SurfaceRanges | None = None
     floor: SurfaceRanges | None = None

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
-from .base import Config, Name, Reference
+from ..drawn import PATTERN
+from .base import Config, ConflictError, Name, Reference
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
 from .task import Sampling, TaskConfig
+from .units import Within
 
 
 class ImageConfig(Config):
@@ -19,6 +21,10 @@ class ImageConfig(Config):
 
     size_px: tuple[Annotated[int, Field(ge=16, le=4096)], Annotated[int, Field(ge=16, le=4096)]]
     jpeg_quality: int = Field(ge=1, le=100)
+
+
+# How far shadows reach unless a quality says otherwise, m.
+SHADOW_REACH = 0.8
 
 
 class RenderConfig(Config):
@@ -31,6 +37,8 @@ class RenderConfig(Config):
         shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
         shadow_lights: how many of the scene's lights cast shadows, the first ones first. Each draws everything twice
             more.
+        shadow_reach_m: how far from the middle of an arm's base and table shadows reach: the nearer, the finer they are
+            drawn, and what stands farther off casts none.
         reduced_meshes: draw meshes with fewer faces where they are to be had, see `core.assets.reduction`.
         reflections: let what reflects reflect: it draws everything once more.
         slices: faces around what is round, where it is drawn as a primitive.
@@ -41,6 +49,10 @@ class RenderConfig(Config):
     supersampling: float = Field(ge=1, le=4)
     shadow_map_px: int = Field(ge=0, le=8192)
     shadow_lights: int = Field(ge=0, le=8)
+    # Left out where it is what it was before it could be chosen, so that older datasets say what they always said.
+    shadow_reach_m: Annotated[
+        FiniteFloat, Within("m", 0.2, 5), Field(exclude_if=lambda reach: reach == SHADOW_REACH)
+    ] = SHADOW_REACH
     reduced_meshes: bool
     reflections: bool
     slices: int = Field(ge=8, le=128, multiple_of=4)
@@ -74,6 +86,8 @@ class RecordConfig(Config):
         boards: also show the base boards and their mounts, as they are on a real arm.
         randomization: what differs between episodes beside where things start.
         truth: also record ground truth for every image, see `core.dataset.truth`.
+        meshes: asset set -> what is drawn of it, see `core.drawn`. The recorder notes it, whatever a file says; None in
+            datasets from before it did.
     """
 
     rig: Annotated[RigConfig, Reference("rigs")]
@@ -91,34 +105,38 @@ class RecordConfig(Config):
     image: ImageConfig
     render: Annotated[RenderConfig, Reference("quality")]
     randomization: Annotated[RandomizationConfig, Reference("randomization")] = RandomizationConfig()
+    meshes: Annotated[
+        Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None, Field(exclude_if=lambda meshes: meshes is None)
+    ] = None
 
     @model_validator(mode="after")
     def _complete(self) -> RecordConfig:
         for part in ("table", "scene_camera"):
             if getattr(self.scene, part) is None:
-                raise ValueError(f"scene {self.scene.name!r} has no {part}, which task {self.task.name!r} needs")
+                raise ConflictError(
+                    f"scene {self.scene.name!r} has no {part}, which task {self.task.name!r} needs",
+                    ("scene",),
+                    ("task",),
+                )
         names = [self.task.object.name, self.task.target.name, *(item.name for item in self.randomization.extras)]
         if len(set(names)) < len(names):
-            raise ValueError(f"distractors and the task's objects must all differ: {', '.join(names)}")
-        return self
-
-    @model_validator(mode="after")
-    def _fits_between_the_fingers(self) -> RecordConfig:
-        item = self.task.object
-        assert item.grasp is not None  # checked by the task
-        for arm in self.rig.arms:
-            if item.grasp.opening > _OPENS[arm.gripper]:
-                raise ValueError(
-                    f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
-                    f"gripper {arm.gripper} of rig {self.rig.name!r} opens {2000 * _OPENS[arm.gripper]:.0f} mm; "
-                    "it can still be a target or a distractor"
-                )
+            raise ConflictError(
+                f"distractors and the task's objects must all differ: {', '.join(names)}",
+                ("randomization", "distractors"),
+                ("task", "object"),
+                ("task", "target"),
+                ("task",),
+            )
         return self
 
     @model_validator(mode="after")
     def _has_the_arm(self) -> RecordConfig:
         if self.arm != "right" and self.arm not in (sides := [arm.side for arm in self.rig.arms]):
-            raise ValueError(f"arm {self.arm!r}: rig {self.rig.name!r} has only a {sides[0]} one; leave `arm` out")
+            raise ConflictError(
+                f"arm {self.arm!r}: rig {self.rig.name!r} has only a {sides[0]} one; leave `arm` out",
+                ("arm",),
+                ("rig",),
+            )
         return self
 
     @model_validator(mode="after")
@@ -126,31 +144,56 @@ class RecordConfig(Config):
         if self.task.exchange is None:
             return self
         if len(self.rig.arms) < 2:
-            raise ValueError(
-                f"task {self.task.name!r} needs two arms, and rig {self.rig.name!r} has one; use --rig bimanual"
+            raise ConflictError(
+                f"task {self.task.name!r} needs two arms, and rig {self.rig.name!r} has one; use --rig bimanual",
+                ("rig",),
+                ("task",),
             )
         if self.arm != "right" or self.grasp != "weld":
-            raise ValueError(
+            raise ConflictError(
                 f"task {self.task.name!r}: the right arm gives to the left one and both hold by the weld; leave out "
-                f"arm {self.arm!r} and grasp {self.grasp!r}"
+                f"arm {self.arm!r} and grasp {self.grasp!r}",
+                ("arm",) if self.arm != "right" else ("grasp",),
+                ("task",),
             )
+        return self
+
+    @model_validator(mode="after")
+    def _fits_between_the_fingers(self) -> RecordConfig:
+        item = self.task.object
+        assert item.grasp is not None  # checked by the task
+        for arm in self.acting_arms:
+            if item.grasp.opening > _OPENS[arm.gripper]:
+                raise ConflictError(
+                    f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
+                    f"gripper {arm.gripper} of rig {self.rig.name!r} opens {2000 * _OPENS[arm.gripper]:.0f} mm; "
+                    "it can still be a target or a distractor",
+                    ("task", "object"),
+                    ("rig",),
+                    ("task",),
+                )
         return self
 
     @model_validator(mode="after")
     def _can_be_held(self) -> RecordConfig:
         if self.grasp != "contact":
             return self
-        for arm in self.rig.arms:
+        for arm in self.acting_arms:
             if arm.gripper not in _PADS:
-                raise ValueError(
+                raise ConflictError(
                     f"grasp 'contact' needs a gripper with pads ({', '.join(_PADS)}), and {arm.name} of rig "
-                    f"{self.rig.name!r} has {arm.gripper}; use --rig single_linear, or grasp: weld"
+                    f"{self.rig.name!r} has {arm.gripper}; use --rig single_linear, or grasp: weld",
+                    ("grasp",),
+                    ("rig",),
                 )
         grasp = self.task.object.grasp
         if grasp is None or grasp.friction is None:
-            raise ValueError(
+            raise ConflictError(
                 f"grasp 'contact' needs grasp.friction of object {self.task.object.name!r}, which has none; add it, or "
-                "use grasp: weld"
+                "use grasp: weld",
+                ("grasp",),
+                ("task", "object"),
+                ("task",),
             )
         return self
 
@@ -175,8 +218,13 @@ class RecordConfig(Config):
         return (by_side.get(self.arm, 0),)
 
     @property
+    def acting_arms(self) -> tuple[ArmConfig, ...]:
+        """The same arms themselves."""
+        return tuple(self.rig.arms[k] for k in self.acting)
+
+    @property
     def acting_scene_arms(self) -> tuple[int, ...]:
-        """The same arms, by their numbers in a compiled scene and in recordings: the left one of two is 0."""
+        """The same, by their numbers in a compiled scene and in recordings: the left one of two is 0."""
         return tuple(self.rig.recorded.index(k) for k in self.acting)
 
     @property

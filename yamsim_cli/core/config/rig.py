@@ -7,21 +7,46 @@ import math
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, StringConstraints, ValidationInfo, model_validator
 
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
-from .base import Config, Name, NonNegative, Positive, Quaternion, Vector
+from .base import Config, ConflictError, Name, Quaternion, Vector
+from .units import FieldOfView, Heading, OffsetPoint, PlacePoint, Within, as_recorded
 
 # The base mesh's frame in body `arm`. Board and mount positions are given in it. Source: MuJoCo Menagerie i2rt_yam.
 T_BASE_MESH_IN_ARM = pose_from_quat((0.0, 0.0, -0.0006), (1.0, 0.0, 0.0, 1.0))
 
 
+# On a printed mount, in the base mesh's frame. So near to that frame's origin is the arm: less was given in metres.
+_OnMount = Annotated[FiniteFloat, Within("mm", -2000, 2000)]
+_LEAST_MM = 1.0
+
+
+def _clear_of_the_arm(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
+    if 0 < math.hypot(*value) < _LEAST_MM and not as_recorded(info):
+        meant = ", ".join(f"{1000 * part:g}" for part in value)
+        raise ValueError(f"lies {math.hypot(*value):.2g} mm from the base; is it in m? Then give [{meant}]")
+    return value
+
+
+def _thick(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+    low, high = value
+    if high - low < _LEAST_MM and not as_recorded(info):
+        meant = f"; is it in m? Then give [{1000 * low:g}, {1000 * high:g}]" if high > low else ""
+        raise ValueError(f"a mount is at least {_LEAST_MM:g} mm wide, and this is {high - low:.3g}{meant}")
+    return value
+
+
+_BoardPoint = Annotated[tuple[_OnMount, _OnMount, _OnMount], AfterValidator(_clear_of_the_arm)]
+_Side = Annotated[tuple[_OnMount, _OnMount], AfterValidator(_thick)]
+
+
 class BasePose(Config):
     """A base's pose: position in metres, heading in degrees about +z."""
 
-    position: Vector = (0.0, 0.0, 0.0)
-    yaw_deg: float = 0.0
+    position: PlacePoint = (0.0, 0.0, 0.0)
+    yaw_deg: Heading = 0.0
 
     @property
     def T(self) -> Array:
@@ -32,10 +57,10 @@ class BasePose(Config):
 class WristCamera(Config):
     """A camera on `link_6`: its position (m) and the axes of its OpenCV frame (x right, y down, z forward) there."""
 
-    position: Vector
+    position: OffsetPoint
     x_axis: Vector
     y_axis: Vector
-    fovy_deg: float = Field(gt=1, lt=179)
+    fovy_deg: Annotated[FieldOfView, Field(gt=1, lt=179)]
 
 
 class BoardConfig(Config):
@@ -52,9 +77,9 @@ class BoardConfig(Config):
     columns: int = Field(ge=1, le=50)
     rows: int = Field(ge=1, le=50)
     dictionary: Annotated[str, StringConstraints(pattern=r"^DICT_\w+$")]
-    marker_length_mm: Positive
-    gap_mm: Positive
-    position_mm: Vector
+    marker_length_mm: Annotated[FiniteFloat, Within("mm", 2, 500)]
+    gap_mm: Annotated[FiniteFloat, Within("mm", 0.1, 500)]
+    position_mm: _BoardPoint
     quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     @property
@@ -97,9 +122,9 @@ class MountConfig(Config):
     name: str
     stl: str | None = None
     mirror_x: bool = False
-    x_mm: tuple[float, float]
-    y_mm: tuple[float, float]
-    z_mm: tuple[float, float]
+    x_mm: _Side
+    y_mm: _Side
+    z_mm: _Side
 
 
 class ArmConfig(Config):
@@ -120,7 +145,7 @@ class ArmConfig(Config):
     model: Literal["i2rt_yam"] = "i2rt_yam"
     gripper: Literal["crank", "linear_4310"] = "crank"
     base: BasePose = BasePose()
-    grasp_offset: Positive | None = None
+    grasp_offset: Annotated[FiniteFloat, Within("m", 0.01, 0.5)] | None = None
     wrist_camera: WristCamera
     board: BoardConfig | None = None
     mount: MountConfig | None = None
@@ -140,7 +165,7 @@ class RigConfig(Config):
     """
 
     name: Name
-    margin: NonNegative = 0.0
+    margin: Annotated[FiniteFloat, Within("m", 0, 3)] = 0.0
     arms: tuple[ArmConfig, ...] = Field(min_length=1, max_length=2)
 
     @property
@@ -173,5 +198,7 @@ class RigConfig(Config):
                     f"{min(shared)}..{max(shared)}; give each board ids of its own"
                 )
         if len(self.arms) > 1 and self.margin <= 0:
-            raise ValueError(f"margin {self.margin} is not valid: {len(self.arms)} arms need a distance above 0 m")
+            raise ConflictError(
+                f"margin {self.margin} is not valid: {len(self.arms)} arms need a distance above 0 m", ("margin",)
+            )
         return self

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from .base import Config, Name, Positive, Rgb, Rgba, Vector
+from .base import Config, ConflictError, Name, Rgb, Rgba, Vector
 from .objects import Contact
+from .units import FieldOfView, Place, PlacePoint, Size
 
 
 class Table(Config):
     """The work surface, a box: centre and half-size in metres, and how much of what stands on it it reflects."""
 
-    position: Vector
-    half_size: tuple[Positive, Positive, Positive]
+    position: PlacePoint
+    half_size: tuple[Size, Size, Size]
     rgba: Rgba
     reflectance: float = Field(default=0.0, ge=0, le=1)
     contact: Contact = Contact()
@@ -50,9 +52,9 @@ _STEP_BACK = 0.5
 class FixedCamera(Config):
     """A camera that stands still in `world`: its position and the point it looks at (m); image up is world up."""
 
-    position: Vector
-    look_at: Vector
-    fovy_deg: float = Field(gt=1, lt=179)
+    position: PlacePoint
+    look_at: PlacePoint
+    fovy_deg: Annotated[FieldOfView, Field(gt=1, lt=179)]
 
     @model_validator(mode="after")
     def _not_along_up(self) -> FixedCamera:
@@ -79,7 +81,7 @@ class SceneConfig(Config):
 
     name: Name
     table: Table | None = None
-    safety_plane: float
+    safety_plane: Place
     floor_rgba: tuple[Rgb, Rgb]
     sky: tuple[Rgb, Rgb]
     ambient: Rgb
@@ -89,7 +91,11 @@ class SceneConfig(Config):
     @model_validator(mode="after")
     def _plane_below_table(self) -> SceneConfig:
         if self.table and self.safety_plane >= self.table.top:
-            raise ValueError(f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top} m")
+            raise ConflictError(
+                f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top} m",
+                ("safety_plane",),
+                ("table",),
+            )
         return self
 
     def for_span(self, span: float) -> SceneConfig:

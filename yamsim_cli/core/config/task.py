@@ -6,8 +6,12 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from .base import Config, Name, NonNegative, Positive, Range, Reference
+from .base import Config, ConflictError, Name, Reference
 from .objects import GraspPoint, ObjectConfig
+from .units import Distance, HeadingRange, JointAngle, ReachRange, Within
+
+# A height or a distance that cannot be nothing, m.
+_Height = Annotated[FiniteFloat, Within("m", 1e-3, 1)]
 
 
 class Sampling(Config):
@@ -18,12 +22,12 @@ class Sampling(Config):
         clearance: least gap between their outlines seen from above, m.
     """
 
-    x: Range
-    y: Range
-    object_yaw_deg: Range
-    target_yaw_deg: Range
-    min_separation: NonNegative
-    clearance: NonNegative
+    x: ReachRange
+    y: ReachRange
+    object_yaw_deg: HeadingRange
+    target_yaw_deg: HeadingRange
+    min_separation: Distance
+    clearance: Distance
 
     def moved(self, y: float) -> Sampling:
         """The same box, shifted along world y by so many metres."""
@@ -33,10 +37,10 @@ class Sampling(Config):
 class Heights(Config):
     """Heights in metres of the carried object's origin over where it lies or will lie."""
 
-    approach: Positive
-    lift: Positive
-    arc: Positive
-    release: NonNegative
+    approach: _Height
+    lift: _Height
+    arc: _Height
+    release: Distance
 
 
 class Timing(Config):
@@ -55,7 +59,7 @@ class Timing(Config):
     grip_ticks: int = Field(default=8, ge=1, le=1000)
     settle_ticks: int = Field(ge=0, le=10_000)
     physics_steps_per_tick: int = Field(ge=1, le=1000)
-    timestep: Annotated[float, Field(gt=0, le=0.01)]
+    timestep: Annotated[FiniteFloat, Within("s", 1e-5, 0.01)]
     ticks_per_frame: int = Field(ge=1, le=100)
 
     @property
@@ -73,9 +77,9 @@ class Success(Config):
         max_speed: a faster object has not come to rest, m/s.
     """
 
-    threshold: Positive
-    max_height: Positive
-    max_speed: Positive
+    threshold: Annotated[FiniteFloat, Field(gt=0), Within("m", 1e-5, 1)]
+    max_height: _Height
+    max_speed: Annotated[FiniteFloat, Within("m/s", 1e-4, 5)]
 
 
 class Exchange(Config):
@@ -93,10 +97,10 @@ class Exchange(Config):
     """
 
     object: Name
-    x: FiniteFloat
-    height: Positive
+    x: Annotated[FiniteFloat, Within("m", -2.5, 2.5)]
+    height: _Height
     points: tuple[GraspPoint, GraspPoint]
-    clear: Positive
+    clear: _Height
     carry_ticks: int = Field(ge=4, le=1000)
     take_ticks: int = Field(ge=2, le=1000)
     both_ticks: int = Field(ge=2, le=1000)
@@ -121,7 +125,7 @@ class TaskConfig(Config):
     language_task: str
     language_prompt: str
     sampling: Sampling
-    start_joints: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+    start_joints: tuple[JointAngle, JointAngle, JointAngle, JointAngle, JointAngle, JointAngle]
     heights: Heights
     timing: Timing
     success: Success
@@ -143,16 +147,22 @@ class TaskConfig(Config):
     @model_validator(mode="after")
     def _graspable(self) -> TaskConfig:
         if self.object.grasp is None:
-            raise ValueError(f"object {self.object.name!r} has no `grasp`, so it cannot be picked up")
+            raise ConflictError(f"object {self.object.name!r} has no `grasp`, so it cannot be picked up", ("object",))
         if self.object.name == self.target.name:
-            raise ValueError(f"object and target are both {self.object.name!r}")
+            raise ConflictError(f"object and target are both {self.object.name!r}", ("object",), ("target",))
         if not self.target.carries:
-            raise ValueError(f"target {self.target.name!r} has neither a floor nor a flat top to put something on")
+            raise ConflictError(
+                f"target {self.target.name!r} has neither a floor nor a flat top to put something on", ("target",)
+            )
         if (self.kind == "handover") != (self.exchange is not None):
-            raise ValueError(f"kind {self.kind!r} and `exchange`: a handover needs one, and no other task may have one")
+            raise ConflictError(
+                f"kind {self.kind!r} and `exchange`: a handover needs one, and no other task may have one", ("kind",)
+            )
         if self.exchange is not None and self.exchange.object != self.object.name:
-            raise ValueError(
+            raise ConflictError(
                 f"`exchange` says where two hands may hold the {self.exchange.object}, not the {self.object.name}; "
-                "hand over that, or give the points in a task config of your own"
+                "hand over that, or give the points in a task config of your own",
+                ("object",),
+                ("exchange",),
             )
         return self

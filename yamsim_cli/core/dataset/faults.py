@@ -6,6 +6,8 @@ import errno
 import os
 from pathlib import Path
 
+from ..files import nearest_directory, refusal
+
 _MEANING = {
     errno.EDQUOT: "the quota is used up: free some, or ask for more",
     errno.EROFS: "mounted so, or turned so by an error of the disk: see the system's log",
@@ -18,8 +20,7 @@ _MEANING = {
 def explain(error: OSError, place: Path) -> str:
     """One clause on an error met while writing below `place`: which file, why, and what to do."""
     file = Path(error.filename) if isinstance(error.filename, str) else place
-    disk = next((folder for folder in file.parents if folder.is_dir()), place)
-    return f"{file}: {reason(error, disk)}"
+    return f"{file}: {reason(error, nearest_directory(file.parent))}"
 
 
 def reason(error: OSError, place: Path) -> str:
@@ -27,7 +28,7 @@ def reason(error: OSError, place: Path) -> str:
     if error.errno == errno.ENOSPC:
         return _what_is_full(place)
     meaning = _MEANING.get(error.errno or 0)
-    plain = error.strerror or str(error)
+    plain = refusal(error, place)
     return f"{plain}: {meaning}" if meaning else plain
 
 

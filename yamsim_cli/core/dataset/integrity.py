@@ -46,12 +46,17 @@ def find_episodes(dataset: Path) -> list[Found]:
 
 def set_aside(episode: Path) -> Path:
     """Move a damaged episode out of the way, into its dataset's directory for such, and say where it is."""
-    folder = episode.parent / DAMAGED
+    return episode.rename(place_for_damaged(episode))
+
+
+def place_for_damaged(path: Path) -> Path:
+    """A free name for a damaged part of a dataset, in the directory for such, which is made."""
+    folder = path.parent / DAMAGED
     folder.mkdir(exist_ok=True)
     number = 1
-    while (target := folder / f"{episode.name}.{number}").exists():
+    while (target := folder / f"{path.name}.{number}").exists():
         number += 1
-    return episode.rename(target)
+    return target
 
 
 def inspect_episode(number: int, directory: Path) -> Found:

@@ -9,7 +9,7 @@ lowdim/000000.pkl
 depth/<camera>/000000.npz, segmentation/<camera>/000000.png, truth/<camera>.npz, truth/labels.json
 .staging/              episodes being written; never read
 .lock                  who records into it now; gone when nobody does
-.damaged/              episodes that were not what was recorded, moved out of the way; never read
+.damaged/              episodes that were not what was recorded, and damaged ledgers, out of the way; never read
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ TRUTH_LABELS = "truth/labels.json"
 # Below which ground truth lies.
 TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")
 STAGING = ".staging"
+# Recordings by hand that are going on, or that a killed session left.
+RECORDINGS = ".recordings"
 LOCK = ".lock"
 DAMAGED = ".damaged"
 

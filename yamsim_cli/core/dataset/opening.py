@@ -9,7 +9,7 @@ from enum import Enum
 from pathlib import Path
 
 from ..errors import UsageError
-from ..files import move_aside
+from ..files import move_aside, obstacle
 from .layout import LOCK, STAGING, is_litter
 from .lock import DirectoryLock
 
@@ -53,6 +53,8 @@ def claim(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> Claim:
         if (path / LOCK).exists():
             DirectoryLock.take(path, reaches_others=locks_reach_others).release()
         raise _in_the_way(path)
+    if not path.is_dir() and is_occupied(path):
+        raise UsageError(f"{path} is no dataset to resume: {obstacle(path)}; choose another --out")
     path.mkdir(parents=True, exist_ok=True)
     lock = DirectoryLock.take(path, reaches_others=locks_reach_others)
     try:
@@ -69,13 +71,18 @@ def claim(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> Claim:
 
 def is_occupied(path: Path) -> bool:
     """Whether there is something at `path` but an empty directory and what a crash left of an empty dataset."""
-    return path.exists() and (not path.is_dir() or any(not is_litter(entry.name) for entry in path.iterdir()))
+    if not path.is_dir():
+        return path.exists() or path.is_symlink()
+    return any(not is_litter(entry.name) for entry in path.iterdir())
 
 
 def _in_the_way(path: Path) -> UsageError:
-    what = "is not empty" if path.is_dir() else "is not a directory"
+    if path.is_dir():
+        return UsageError(
+            f"{path} is not empty; continue it with --resume, move it aside with --overwrite, or choose another --out"
+        )
     return UsageError(
-        f"{path} {what}; continue it with --resume, move it aside with --overwrite, or choose another --out"
+        f"{path} is not a directory: {obstacle(path)}; move it aside with --overwrite, or choose another --out"
     )
 
 

@@ -1,16 +1,18 @@
-"""A published episode, read back file by file; nothing of it is trusted."""
+"""Published episodes, read back file by file; nothing of them is trusted."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex, overload
 
 from ..config.loader import parse_config
 from ..config.record import RecordConfig
-from ..errors import ConfigError, DatasetError, UsageError
+from ..errors import ConfigError, DatasetError, UsageError, counted
 from ..files import sha256_bytes
 from ..resources import Locations
+from .checks.context import find_episodes
 from .checks.lowdim import frame_faults
 from .layout import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name
 from .lowdim import load_frame
@@ -106,6 +108,60 @@ def open_episode(directory: Path) -> StoredEpisode:
     return StoredEpisode(directory, from_json(EpisodeRecord, text, file))
 
 
+class StoredEpisodes(Sequence[StoredEpisode]):
+    """Episodes of a dataset, in order. Each is read when it is asked for, and again each time.
+
+    Attributes:
+        path: the dataset's directory.
+    """
+
+    def __init__(self, path: Path, directories: Sequence[Path]) -> None:
+        self.path = path
+        self._directories = tuple(directories)
+
+    def __len__(self) -> int:
+        return len(self._directories)
+
+    @overload
+    def __getitem__(self, key: SupportsIndex) -> StoredEpisode: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> StoredEpisodes: ...
+
+    def __getitem__(self, key: SupportsIndex | slice) -> StoredEpisode | StoredEpisodes:
+        """One episode by its place, from the end where that is negative; a slice gives as many as it names.
+
+        Raises:
+            IndexError: there are fewer.
+            DatasetError: its record is missing or damaged.
+        """
+        if isinstance(key, slice):
+            return StoredEpisodes(self.path, self._directories[key])
+        try:
+            directory = self._directories[key]
+        except IndexError:
+            raise IndexError(f"{self.path} has {counted(len(self), 'episode')}, and none at place {key}") from None
+        return open_episode(directory)
+
+    def __repr__(self) -> str:
+        return f"<{counted(len(self), 'episode')} of {self.path}>"
+
+
+def open_episodes(dataset: Path) -> StoredEpisodes:
+    """The episodes of a dataset.
+
+    Raises:
+        DatasetError: there is no dataset, or yamsim did not record it.
+    """
+    found, recorded = find_episodes(dataset)
+    if not recorded:
+        raise DatasetError(
+            f"{dataset} is a plain recording, without {CONFIG} and {EPISODE}: `yamsim summarize` can check it, but its "
+            "episodes cannot be opened; give the directory that `yamsim record` wrote"
+        )
+    return StoredEpisodes(dataset, [episode.path for episode in found])
+
+
 def find_episode(path: Path, number: int | None) -> StoredEpisode:
     """The episode at a path: its own directory, or its dataset's with a number.
 
@@ -139,6 +195,6 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
             f"{file} cannot be read ({reason}): without it nothing of the dataset can be simulated again"
         ) from error
     try:
-        return parse_config(RecordConfig, text, str(file), locations)
+        return parse_config(RecordConfig, text, str(file), locations, as_recorded=True)
     except ConfigError as error:
         raise DatasetError(f"{error}; was it recorded by another version of yamsim?") from error

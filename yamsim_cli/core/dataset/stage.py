@@ -52,6 +52,7 @@ class StagedWriter:
         path: the dataset's directory, as the user knows it.
         attempts: all that were taken, in order; those on their way included.
         episodes: how many of them are episodes.
+        untold: see `DatasetWriter`.
         repairs: what in the stage was in the way, and where it is now, a sentence each.
         folder: where in the stage this dataset's episodes wait.
     """
@@ -70,6 +71,8 @@ class StagedWriter:
         self.attempts = list(target.attempts)
         self.episodes = target.episodes
         self.missing = target.missing
+        # The target's own changes in another thread.
+        self.untold = set(target.untold)
         self.repairs: list[str] = []
         self._target = target
         self._error: BaseException | None = None
@@ -111,6 +114,13 @@ class StagedWriter:
     def log(self, attempt: AttemptRecord) -> None:
         """Add one attempt; waits while too many are on their way. See `DatasetWriter.log`."""
         self._raise_error()
+        if attempt.attempt in self.untold:
+            # Its episode, if it has one, is on its way already. Should the stage be lost, it is made again.
+            self.untold.remove(attempt.attempt)
+            self.attempts[attempt.attempt] = attempt
+            self.episodes += attempt.episode is not None
+            self._put(_Item(None, attempt))
+            return
         append_line(self.folder / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
         self._count(attempt)
         self._put(_Item(attempt.episode, attempt))

@@ -9,18 +9,17 @@ from types import TracebackType
 from typing import Any
 
 from ..config.document import dump_yaml, parse_yaml
-from ..errors import ConfigError, DatasetError, ResourceError
+from ..errors import DatasetError, ResourceError, ranges
 from ..files import append_line, publish_directory, sha256_bytes, write_file
 from .faults import reason
 from .integrity import Found, find_episodes, set_aside
 from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
+from .ledger import Ledger, lost_line
 from .opening import OpenMode, claim
-from .records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, from_json, to_json
+from .records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
+from .same_config import MESHES, require_same, unsaid_meshes
 
-# A message stays one line that can be read.
-_SHOWN_CHANGES = 5
-
-__all__ = ["DatasetWriter", "OpenMode", "read_attempts"]
+__all__ = ["DatasetWriter", "OpenMode"]
 
 
 class DatasetWriter:
@@ -28,9 +27,11 @@ class DatasetWriter:
 
     Attributes:
         path: the dataset's directory.
+        config: everything that decides the data, as the dataset says it.
         moved_aside: where an earlier dataset went with `OpenMode.OVERWRITE`, if there was one.
-        repairs: what was found damaged on resuming, and where it was moved, a sentence each.
+        repairs: what was found damaged or missing on resuming, and what became of it, a sentence each.
         attempts: the ledger so far, in order of attempt.
+        untold: attempts in it whose lines are lost, and which count as failures until they are logged again.
         entries: what the manifest will say of each episode, by its number.
     """
 
@@ -46,12 +47,15 @@ class DatasetWriter:
         Raises:
             UsageError: the directory is not empty, or is no directory, and the mode does not say what to do.
             ConfigError: resuming with a configuration that would give other data; the message names the keys.
-            DatasetError: resuming something that is no dataset, or whose ledger is damaged.
+            DatasetError: resuming something that is no dataset, or whose episodes and ledger contradict each other.
             ResourceError: the directory cannot be made or written, or another recorder is at it.
         """
         self.path = path
+        self.config = config
         self.repairs: list[str] = []
         self.attempts: list[AttemptRecord] = []
+        self.untold: set[int] = set()
+        self._ledger: Ledger | None = None
         self.entries: dict[int, ManifestEntry] = {}
         self.episodes = 0
         self._task = str(config["task"]["name"])
@@ -89,9 +93,16 @@ class DatasetWriter:
         self.entries[record.episode] = _entry(record, text, sum(map(len, files.values())))
 
     def log(self, attempt: AttemptRecord) -> None:
-        """Add one attempt to the ledger; attempts come in order, an attempt after its episode."""
-        append_line(self.path / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
-        self._count(attempt)
+        """Add one attempt to the ledger, after its episode; attempts come in order, or fill in one of `untold`."""
+        if attempt.attempt not in self.untold:
+            append_line(self.path / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
+            self._count(attempt)
+            return
+        assert self._ledger is not None
+        self._ledger.insert(attempt)
+        self.untold.remove(attempt.attempt)
+        self.attempts[attempt.attempt] = attempt
+        self.episodes += attempt.episode is not None
 
     def finish(self) -> Manifest:
         """Write the manifest of what is published, and clean up."""
@@ -126,19 +137,25 @@ class DatasetWriter:
 
     def _resume(self, config: Mapping[str, Any]) -> None:
         self._compare(config)
-        for attempt in read_attempts(self.path):
-            self._count(attempt)
-        ledger = self.path / ATTEMPTS
-        if ledger.is_file() and not ledger.read_bytes().endswith(b"\n"):
-            # Cut off: appending after it would leave the damaged line in the middle, where it counts as damage.
-            write_file(ledger, b"".join(map(to_json, self.attempts)))
-        of_episode = {attempt.episode: attempt for attempt in self.attempts if attempt.episode is not None}
-        for found in find_episodes(self.path):
-            self._take_up(found, of_episode.get(found.number))
+        ledger = Ledger(self.path)
+        ledger.adopt([record for found in find_episodes(self.path) if (record := self._take_up(found)) is not None])
+        self._take_over(ledger)
         for attempt in self.missing:
             place = self.path / episode_name(attempt.episode or 0)
             if place.exists():
                 self.repairs.append(f"{place.name} is no directory; moved to {set_aside(place)}, and made again")
+
+    def _take_over(self, ledger: Ledger) -> None:
+        """Count the attempts that the ledger tells of, those included whose lines are lost."""
+        kept, self.untold = ledger.mend(), ledger.missing
+        if kept is not None:
+            self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
+        if self.untold:
+            self._ledger = ledger
+            numbers = ranges(sorted(self.untold))
+            self.repairs.append(f"what {ATTEMPTS} said of attempt {numbers} is lost, and made again")
+        for number in range(max(ledger.known, default=-1) + 1):
+            self._count(ledger.known.get(number) or lost_line(number, self._seed))
 
     def _compare(self, config: Mapping[str, Any]) -> None:
         file = self.path / CONFIG
@@ -146,66 +163,23 @@ class DatasetWriter:
             raise DatasetError(
                 f"{self.path} has no {CONFIG}, so it is no dataset that could be resumed; choose another --out"
             )
-        changed = _differences(parse_yaml(file.read_bytes(), str(file)).data, config)
-        if changed:
-            more = f"; and {len(changed) - _SHOWN_CHANGES} more" if len(changed) > _SHOWN_CHANGES else ""
-            raise ConfigError(
-                f"{self.path} was recorded with another configuration: {'; '.join(changed[:_SHOWN_CHANGES])}{more}; "
-                "run with the same values, or record into another --out"
-            )
+        recorded = parse_yaml(file.read_bytes(), str(file)).data
+        if MESHES in config and MESHES not in recorded:
+            # It goes on as it began: what some of its episodes say is worth little where the others do not.
+            self.config = {key: value for key, value in config.items() if key != MESHES}
+            self.repairs.append(unsaid_meshes(self.path, config))
+        require_same(self.path, recorded, self.config)
 
-    def _take_up(self, found: Found, attempt: AttemptRecord | None) -> None:
-        """Count an episode that is whole; move one that is not out of the way, to be made again."""
+    def _take_up(self, found: Found) -> EpisodeRecord | None:
+        """Enter an episode that is whole; move one that is not out of the way, to be made again."""
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(
                 f"{found.directory.name}: {fault}; moved to {set_aside(found.directory)}, and made again"
             )
-            return
-        if attempt is None:
-            # Published just before a crash, and not yet in the ledger.
-            if record.attempt != len(self.attempts):
-                raise DatasetError(
-                    f"{found.directory} is attempt {record.attempt}, but {ATTEMPTS} ends before it; "
-                    "it cannot be resumed"
-                )
-            self.log(
-                AttemptRecord(
-                    attempt=record.attempt,
-                    seed=record.seed,
-                    episode=found.number,
-                    outcome=record.outcome,
-                    layout=record.layout,
-                    randomized=record.randomized,
-                )
-            )
+            return None
         self.entries[found.number] = _entry(record, found.text, found.size)
-
-
-def read_attempts(dataset: Path) -> list[AttemptRecord]:
-    """The ledger of a dataset, in order; a cut-off last line, as a power cut can leave, does not count.
-
-    Raises:
-        DatasetError: a line in the middle is damaged, or attempts are missing.
-    """
-    file = dataset / ATTEMPTS
-    if not file.is_file():
-        return []
-    lines = file.read_bytes().split(b"\n")
-    attempts: list[AttemptRecord] = []
-    for number, line in enumerate(lines, start=1):
-        if not line:
-            continue
-        try:
-            attempt = from_json(AttemptRecord, line, f"{file}:{number}")
-        except DatasetError:
-            if number == len(lines):
-                break
-            raise
-        if attempt.attempt != len(attempts):
-            raise DatasetError(f"{file}:{number}: attempt {attempt.attempt} where {len(attempts)} was expected")
-        attempts.append(attempt)
-    return attempts
+        return record
 
 
 def _entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:
@@ -217,25 +191,3 @@ def _entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:
         bytes=size + len(text),
         sha256=sha256_bytes(text),
     )
-
-
-def _flatten(data: Any, prefix: str = "") -> dict[str, Any]:
-    if isinstance(data, dict):
-        return {
-            key: value
-            for name, inner in data.items()
-            for key, value in _flatten(inner, f"{prefix}.{name}" if prefix else name).items()
-        }
-    if isinstance(data, list | tuple):
-        return {key: value for k, inner in enumerate(data) for key, value in _flatten(inner, f"{prefix}[{k}]").items()}
-    return {prefix: data}
-
-
-def _differences(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    """`key: recorded value, wanted value` for every value that differs."""
-    old, new = _flatten(recorded), _flatten(wanted)
-    return [
-        f"{key}: {old.get(key)!r} there, {new.get(key)!r} now"
-        for key in dict.fromkeys([*old, *new])
-        if old.get(key) != new.get(key)
-    ]

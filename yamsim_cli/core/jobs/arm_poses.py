@@ -151,11 +151,19 @@ def find_arms(
     result = _with_margin(rig, result)
     if trust_margin and len(arms) > 1 and result.bases:
         result = _trusting(rig, result, grey, camera)
-    first = result.arms[0]
-    if first.T_base_in_cam is None and photo.T_base_in_cam is not None:
-        recorded = replace(first, status=RECORDED, T_base_in_cam=photo.T_base_in_cam)
-        result = replace(result, arms=(recorded, *result.arms[1:]))
-    return result
+    return result if photo.T_base_in_cam is None else _recorded(rig, result, photo.T_base_in_cam)
+
+
+def _recorded(rig: RigConfig, result: PhotoResult, T_first_base_in_cam: Array) -> PhotoResult:
+    """Arms that no board gave a pose, where they stood when the episode was recorded."""
+    T_world_in_cam = T_first_base_in_cam @ inverse(rig.T_base_in_world(0))
+    arms = tuple(
+        replace(arm, status=RECORDED, T_base_in_cam=T_world_in_cam @ rig.T_base_in_world(k))
+        if arm.T_base_in_cam is None
+        else arm
+        for k, arm in enumerate(result.arms)
+    )
+    return replace(result, arms=arms)
 
 
 def _misfits(arms: Sequence[ArmPose]) -> tuple[str, ...]:

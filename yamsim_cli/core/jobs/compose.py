@@ -12,15 +12,13 @@ from ..config.record import RecordConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ResourceError, SimulationError, UsageError
-from ..files import move_aside, publish_directory, write_file
+from ..files import move_aside, publish_file, refusal, staged_directory, write_file
 from ..resources import Locations
-from ..scene.build import SCENE_CAMERA, add_fixed_camera, add_grasp_weld
+from ..scene.build import add_scene_camera, add_task_physics
 from ..scene.compose import Contents, Meshes, add_home_key, compose
-from ..scene.export import scene_files, zip_bytes
+from ..scene.export import Reader, scene_files, zip_bytes
 from ..tasks.kinds import draw_layout
 from ..types import EpisodeJob
-
-_STAGING = ".yamsim-staging"
 
 
 @dataclass(frozen=True)
@@ -51,51 +49,68 @@ def task_spec(
     Raises:
         SimulationError: the sampling box has no room for both objects.
     """
-    task, scene = config.task, config.surroundings
     layout = draw_layout(config, EpisodeJob(config.seed, 0))
     if layout is None:
-        raise SimulationError(f"task {task.name!r}: the sampling box has no room for both objects")
-    spec = compose(config.rig, scene, contents, locations, meshes)
-    spec.option.timestep = task.timing.timestep
-    for arm in config.rig.arms:
-        add_grasp_weld(spec, task.object.name, arm.prefix)
-    assert scene.scene_camera is not None  # checked when the config was loaded
-    add_fixed_camera(spec, SCENE_CAMERA, scene.scene_camera)
-    return spec, add_home_key(spec, config.rig, layout.T_in_world, task.start_joints)
+        raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for both objects")
+    spec = compose(config.rig, config.surroundings, contents, locations, meshes)
+    add_task_physics(spec, config)
+    add_scene_camera(spec, config)
+    return spec, add_home_key(spec, config.rig, layout.T_in_world, config.task.start_joints)
 
 
 def write_scene(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, out: Path, *, as_zip: bool, overwrite: bool
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    out: Path,
+    *,
+    as_zip: bool,
+    overwrite: bool,
+    reader: Reader = "3.3",
 ) -> ComposeReport:
     """Write a composed scene to a folder, or to one zip file.
 
+    Args:
+        overwrite: move what is at `out` aside, once the new scene is on the disk.
+
     Raises:
-        UsageError: `out` is in the way.
-        ResourceError: it cannot be written.
+        UsageError: `out` is in the way, or the scene holds something that `reader` does not know.
+        ResourceError: it cannot be written; what was at `out` is still there.
         SimulationError: the result is not stable: plain MuJoCo, reading it, would see it fly apart.
     """
     _check_stable(model)
-    files = scene_files(spec)
-    moved = None
+    files = scene_files(spec, model, reader)
     try:
         # An empty directory is as good as none.
         if out.is_dir() and not any(out.iterdir()):
             out.rmdir()
-        if out.exists():
-            if not overwrite:
-                raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another --out")
-            moved = move_aside(out)
+        if (out.exists() or out.is_symlink()) and not overwrite:
+            raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another --out")
         out.parent.mkdir(parents=True, exist_ok=True)
-        if as_zip:
-            write_file(out, zip_bytes(files, out.stem))
-        else:
-            staging = out.parent / _STAGING
-            publish_directory(out, files, staging)
-            staging.rmdir()
+        moved = _write_zip(files, out) if as_zip else _write_folder(files, out)
     except OSError as error:
-        raise ResourceError(f"{out} cannot be written: {error.strerror}; choose another --out") from error
+        raise ResourceError(f"{out} cannot be written: {refusal(error, out)}; choose another --out") from error
     bodies = tuple(model.body(k).name for k in range(1, model.nbody))
     return ComposeReport(out, tuple(files), model.nq, model.nu, bodies, moved)
+
+
+def _write_folder(files: dict[str, bytes], out: Path) -> Path | None:
+    with staged_directory(out, overwrite=True) as stage:
+        for name, data in files.items():
+            path = stage.path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+    return stage.moved_aside
+
+
+def _write_zip(files: dict[str, bytes], out: Path) -> Path | None:
+    part = out.with_name(f".{out.name}.part")
+    try:
+        write_file(part, zip_bytes(files, out.stem))
+        moved = move_aside(out) if out.exists() or out.is_symlink() else None
+        publish_file(part, out)
+    finally:
+        part.unlink(missing_ok=True)
+    return moved
 
 
 def _check_stable(model: mujoco.MjModel) -> None:

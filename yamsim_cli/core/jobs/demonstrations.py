@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -55,7 +55,7 @@ class DemonstrationRunner:
 
     def run(self, demonstration: Demonstration) -> EpisodePayload:
         """The attempt's payload; there was no plan whose errors could be told."""
-        outcome, rollout = self._runner.repeat(demonstration.start, demonstration.actions, 0.0, 0.0, planned=False)
+        outcome, rollout = self._runner.demonstrate(demonstration.job, demonstration.start, demonstration.actions)
         outcome = replace(outcome, position_error=None, tilt=None)
         return self._runner.payload(demonstration.job, demonstration.layout, outcome, rollout)
 
@@ -96,10 +96,19 @@ class Desk:
 
     Flushing an episode to a disk can take longer than a control tick. A context manager: at its end, what is not judged
     yet is given up. While it is open, nobody else may use the sink or the executor.
+
+    Args:
+        written: called with an attempt's number once it is in the sink.
     """
 
-    def __init__(self, config: RecordConfig, sink: Sink, executor: DemonstrationExecutor) -> None:
-        self._config, self._sink, self._executor = config, sink, executor
+    def __init__(
+        self,
+        config: RecordConfig,
+        sink: Sink,
+        executor: DemonstrationExecutor,
+        written: Callable[[int], None] = lambda attempt: None,
+    ) -> None:
+        self._config, self._sink, self._executor, self._written = config, sink, executor, written
         self._first = len(sink.attempts)
         self._handed_in = 0
         self._ended = threading.Event()
@@ -170,6 +179,7 @@ class Desk:
             self._sink.publish(record, dict(payload.files))
         attempt = attempt_record(payload, number)
         self._sink.log(attempt)
+        self._written(attempt.attempt)
         return attempt
 
     def __enter__(self) -> Desk:

@@ -14,6 +14,7 @@ from ..dataset.space import EpisodeSize, block_size, check_space, files_per_epis
 from ..dataset.stage import MAX_WAITING, StagedWriter
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import InterruptedJobError
+from ..files import nearest_directory
 from ..mounts import Mount, network_mount, read_mounts
 from ..tasks.kinds import kind_of
 from .collect import Sink, Watch
@@ -38,9 +39,14 @@ class Output:
 
 
 class Destination:
-    """An output that is open for writing."""
+    """An output that is open for writing.
 
-    def __init__(self, writer: DatasetWriter, staged: StagedWriter | None) -> None:
+    Attributes:
+        config: the recording's, as the dataset says it.
+    """
+
+    def __init__(self, config: RecordConfig, writer: DatasetWriter, staged: StagedWriter | None) -> None:
+        self.config = as_said(config, writer)
         self.writer = writer
         self._staged = staged
 
@@ -79,6 +85,11 @@ class Destination:
             (self._staged or self.writer).finish()
 
 
+def as_said(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
+    """The recording's config for what is written into a dataset: one that does not say what it shows goes on so."""
+    return config if "meshes" in writer.config else config.model_copy(update={"meshes": None})
+
+
 @contextlib.contextmanager
 def open_destination(config: RecordConfig, output: Output, watch: Watch) -> Iterator[Destination]:
     """Open an output for the block; nobody else can record into it.
@@ -99,11 +110,11 @@ def open_destination(config: RecordConfig, output: Output, watch: Watch) -> Iter
         writer = stack.enter_context(DatasetWriter(output.path, data_config, output.mode, locks_reach_others=reach))
         staged = None
         if output.stage is not None:
-            staged = StagedWriter(writer, output.stage, data_config)
+            staged = StagedWriter(writer, output.stage, writer.config)
             stack.callback(staged.close)
         for repair in writer.repairs + (staged.repairs if staged else []):
             watch.warn(repair)
-        destination = Destination(writer, staged)
+        destination = Destination(config, writer, staged)
         left = config.episodes - destination.sink.episodes + len(destination.sink.missing)
         if resuming:
             _check_space(config, writer.path, writer.entries, left, watch)
@@ -140,7 +151,7 @@ def _check_space(
     if episodes <= 0:
         return
     frames, cameras = _frames(config), _cameras(config)
-    disk = next(folder for folder in (place, *place.absolute().parents) if folder.is_dir())
+    disk = nearest_directory(place)
     block = block_size(disk)
     size = EpisodeSize.expected(frames, cameras, config.image, block, truth=config.truth)
     size = size.learned(entries.values(), _files(config), block)

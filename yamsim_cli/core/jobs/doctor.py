@@ -17,7 +17,7 @@ from ... import __version__
 from ..assets import AssetSet, AssetStore, find_reduced, load_lock
 from ..assets.store import FileStatus
 from ..errors import ResourceError, YamsimError
-from ..files import publish_directory
+from ..files import nearest_directory, obstacle, publish_directory
 from ..gl import INSTALL_GL, LINUX_BACKENDS, Backend, probe_backend
 from ..machine import usable_cores, usable_memory
 from ..mounts import network_mount, read_mounts
@@ -201,7 +201,10 @@ def _disk(out: Path) -> Iterator[Check]:
         detail = f"{out} is on {mount.point}, which is {mount.kind} ({mount.source}): writing there may be slow"
         yield Check("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a local disk")
         return
-    place = next(folder for folder in (out, *out.absolute().parents) if folder.is_dir())
+    if (fault := obstacle(out)) is not None:
+        yield Check("disk", Health.FAULT, f"no dataset can be made at {out}: {fault}", "choose another --out")
+        return
+    place = nearest_directory(out)
     if not os.access(place, os.W_OK | os.X_OK):
         yield Check("disk", Health.FAULT, f"{place} cannot be written", "choose another --out")
         return

@@ -11,9 +11,8 @@ from ..planning.ik import IkSolver
 from ..planning.pursuit import Pursuit
 from ..resources import Locations
 from ..scene.compiled import CompiledScene
-from ..scene.robot import JOINTS, bare_arm
+from ..scene.robot import JOINTS, bare_arm, gripper
 from ..sim.obstruction import Obstruction
-from ..tasks.pickplace import OPEN
 
 _IK_ITERATIONS = 12
 # A target this far from where the hand can be is out of reach, m.
@@ -30,6 +29,7 @@ class DrivenArm:
     Attributes:
         side: "left" or "right".
         opening: that each finger is asked for, m.
+        widest: how far each finger goes, m.
         magnet: whether its weld is to hold.
         apart: how far the target is out of reach, m; 0 where the hand can be there.
         blocked: what is in its way; empty where nothing is.
@@ -43,6 +43,10 @@ class DrivenArm:
         self._arm = scene.arms[number]
         arm = config.rig.arms[self._arm.number]
         self.side = arm.side
+        self.widest = gripper(arm).full_opening
+        grasp = config.task.object.grasp
+        assert grasp is not None  # checked when the config was loaded
+        self._closed = min(grasp.opening, self.widest)
         self._ik = IkSolver(bare_arm(arm, locations), self._arm.T_base_in_world)
         self._ik.hold(np.eye(4))
         self._pursuit = Pursuit(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
@@ -59,13 +63,18 @@ class DrivenArm:
         self._target = self._ik.pose_of(joints)
         self.opening, self.magnet = float(stand[6]), False
         # One that rests with its fingers closed goes on so until it is asked for something.
-        self._used = self.opening == OPEN
+        self._used = self.opening > 0.0
         self.apart, self.blocked = 0.0, ""
 
     @property
     def target(self) -> Array:
         """Where the pinch frame is to be: pose (4, 4) in `world`."""
         return self._target.copy()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the fingers are asked to be farther apart than around the object that they hold."""
+        return self.opening > self._closed
 
     @property
     def asked(self) -> Array:
@@ -96,7 +105,11 @@ class DrivenArm:
 
     def set_gripper(self, opening: float) -> None:
         """Open each finger by so much, m; beyond its range counts as the end of it."""
-        self._used, self.opening = True, min(max(opening, 0.0), OPEN)
+        self._used, self.opening = True, min(max(opening, 0.0), self.widest)
+
+    def toggle_gripper(self) -> None:
+        """Open the gripper wide, or close it to what the object needs."""
+        self.set_gripper(self._closed if self.is_open else self.widest)
 
     def set_magnet(self, on: bool) -> None:
         """Switch its magnet, which holds the object where the hand is at it."""
@@ -106,7 +119,7 @@ class DrivenArm:
         """Let go of what it holds, and stand still where it is."""
         self.magnet = False
         if self._used:
-            self.opening = OPEN
+            self.opening = self.widest
         self._joint_target = self._pursuit.joints.copy()
 
     def step(self, qpos: Array) -> Array:

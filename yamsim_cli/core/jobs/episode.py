@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ... import __version__
 from ..config.record import RecordConfig
 from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..dataset.records import Pose2D
+from ..drawn import differences
+from ..errors import ResourceError
 from ..geometry.se3 import Array, inverse, yaw
 from ..planning.demonstration import start_stand
 from ..planning.planners import make_planner
@@ -33,8 +37,12 @@ from ..types import Actions, Cause, EpisodeJob, EpisodePayload, Layout, Outcome,
 from ..vision.jpeg import encode_jpeg
 from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import Image, SceneRenderer
+from ..vision.truth import whole_mm
 from .truth import EpisodeTruth
 from .variation import Variation
+
+# Where meshes are drawn, when a worker's are not the recorder's.
+_PLACES = ("for the recorder", "there")
 
 # A plan that misses a waypoint by more than this is out of the arm's reach.
 _REACH_TOLERANCE = 0.005
@@ -56,6 +64,9 @@ class EpisodeRunner:
         locations: where robot models are.
         meshes: asset set -> folder of its files, or None for primitives.
         draw: whether successes are rendered; without, a payload has no files.
+
+    Raises:
+        ResourceError: it would draw other meshes than the config says.
     """
 
     def __init__(
@@ -65,6 +76,11 @@ class EpisodeRunner:
         self._kind = kind_of(config.task)
         self._draw = draw
         self._scene = build_scene(config, locations, meshes)
+        if draw and config.meshes is not None and (others := differences(config.meshes, self._scene.drawn, _PLACES)):
+            raise ResourceError(
+                f"a worker on {platform.node()} would draw other meshes than the recorder: {'; '.join(others)}; they "
+                "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"
+            )
         self._planner = make_planner(config, self._scene, locations)
         self._phases = self._kind.phases(config)
         self._replica = Replica(self._scene)
@@ -153,7 +169,14 @@ class EpisodeRunner:
         self._variation.apply(job, drawn)
 
     def repeat(
-        self, start: Array, actions: Actions, plan_error: float, tilt: float, *, planned: bool = True
+        self,
+        start: Array,
+        actions: Actions,
+        plan_error: float,
+        tilt: float,
+        *,
+        planned: bool = True,
+        see: Callable[[mujoco.MjData], None] | None = None,
     ) -> tuple[Outcome, Rollout]:
         """Let recorded actions act again, in physics alone, without any plan, in the scene as it is varied now.
 
@@ -162,13 +185,26 @@ class EpisodeRunner:
             plan_error, tilt: of the plan that the actions came from, m and rad; they are passed on to the outcome.
             planned: whether they came from a plan, which says when the object is to be in hand; else the weld does. See
                 also `judge`.
+            see: see `sim.rollout.simulate`.
         """
         task = self._config.task
         held = self._phases if planned else phases_of(actions.magnet)
-        rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held)
+        rollout = simulate(self._scene, start, actions, task.object.name, task.timing, held, see)
         self._replica.show(start)
         T_at_start = object_pose(self._replica.data, task.object.name)
         return self._judge(rollout, T_at_start, plan_error, tilt, planned=planned), rollout
+
+    def demonstrate(self, job: EpisodeJob, start: Array, actions: Actions) -> tuple[Outcome, Rollout]:
+        """Let the actions of a person or a leader arm act again, the scene varied as an attempt's numbers say.
+
+        Args:
+            start: MuJoCo's positions (nq,) at the beginning.
+        """
+        self._variation.begin(job)
+        outcome, rollout = self.repeat(start, actions, 0.0, 0.0, planned=False)
+        if outcome.success:
+            self._variation.place(job, [state.qpos for state in rollout.states])
+        return outcome, rollout
 
     def _judge(
         self, rollout: Rollout, T_at_start: Array, plan_error: float, tilt: float, *, planned: bool = True
@@ -214,20 +250,35 @@ class EpisodeRunner:
         Raises:
             ResourceError: no OpenGL context could be made.
         """
-        width, height = self._config.image.size_px
-        image = np.empty((height, width, 3), np.uint8)
         files: dict[str, bytes] = {}
         truth = EpisodeTruth(self._labels, self._scene.cameras, self._scene.T_base_in_world) if self._labels else None
+        for k, camera, image in self.pictures(positions):
+            files[image_name(camera, k)] = encode_jpeg(image, self._config.image.jpeg_quality)
+            if truth:
+                truth.add(self._replica.data, camera, self.renderer)
+        return files | (truth.files if truth else {})
+
+    def pictures(self, positions: Iterable[Array]) -> Iterator[tuple[int, str, Image]]:
+        """Frame, camera and RGB image (height, width, 3), as recordings have them, of each of MuJoCo's positions (nq,).
+
+        The image's memory is used again for the next one. Raises as `images`.
+        """
+        width, height = self._config.image.size_px
+        image = np.empty((height, width, 3), np.uint8)
         self._variation.show(self.renderer)
         for k, qpos in enumerate(positions):
             self._replica.show(qpos)
             for number, camera in enumerate(self._scene.cameras):
                 self.renderer.draw(self._replica.data, camera, image)
                 self._variation.finish(image, k, number)
-                files[image_name(camera, k)] = encode_jpeg(image, self._config.image.jpeg_quality)
-                if truth:
-                    truth.add(self._replica.data, camera, self.renderer)
-        return files | (truth.files if truth else {})
+                yield k, camera, image
+
+    def depth(self, qpos: Array, camera: str) -> NDArray[np.uint16]:
+        """A depth image (height, width) in mm at MuJoCo's positions (nq,), given `truth`. Raises as `images`."""
+        assert self._labels, "depth is part of truth"
+        self._replica.show(qpos)
+        # Of what has a label, as recorded truth is: the sky has none, and is at no distance.
+        return whole_mm(self.renderer.label(self._replica.data, camera, self._labels.of_geom)[1])
 
     def draw(self, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
         """Camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,). Raises as `images`."""

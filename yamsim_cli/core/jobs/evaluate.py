@@ -13,6 +13,7 @@ from typing import Any
 from ..config.record import RecordConfig
 from ..dataset.records import OutcomeRecord, plain
 from ..dataset.statistics import spread
+from ..errors import PartialJobError
 from ..geometry.se3 import Array
 from ..resources import Locations
 from ..types import Actions, EpisodeJob, Outcome
@@ -20,7 +21,7 @@ from .executor import LostJobError
 from .films import Drawer, FilmedTrial, TrialFilms, film_jobs
 from .pool import JOB_SECONDS
 from .tally import Progress, run_trials, tally, what_ran
-from .trials import Ended, PolicyChoice, TrialResult, TrialRunner
+from .trials import MEASURED, Ended, PolicyChoice, TrialResult, TrialRunner
 from .workers import WorkerPool
 
 Meshes = Mapping[str, Path | None]
@@ -98,12 +99,32 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
     }
 
 
+def require_run(report: Mapping[str, Any]) -> None:
+    """Make sure that an evaluation measured something.
+
+    Args:
+        report: what `summary` returns.
+
+    Raises:
+        PartialJobError: not one trial came to its end.
+    """
+    ended = report["stats"]["ended"]
+    if not any(Ended(how) in MEASURED for how in ended):
+        first = report["trials"][0]
+        told = ", ".join(f"{how} {count}" for how, count in ended.items())
+        raise PartialJobError(
+            f"no trial of {report['policy']} came to its end ({told}), so its success was not measured; "
+            f"trial {first['trial']}: {first['error'] or first['outcome']['detail']}"
+        )
+
+
 def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
     return {
         "trial": result.job.attempt,
         "seed": result.job.seed,
         "ended": result.ended.value,
         "error": result.error or None,
+        "traceback": result.traceback or None,
         "simulated_s": round(result.ticks * tick, 6),
         "policy_s": spread(result.seconds),
         "outcome": plain(result.outcome),

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from ..config.document import load_yaml
+from ..config.limits import Stops
 from ..config.rig import RigConfig
 from ..dataset.lowdim import load_frame
 from ..errors import ConfigError, DatasetError
 from ..geometry.se3 import Array
 from ..resources import Locations
-from ..scene.robot import HOME, JOINTS, bare_arm, gripper
+from ..scene.robot import HOME, gripper
 
 # Encoders and calibrations are off by a little: so far outside its range a joint is still believed.
 _SLACK = math.radians(3.0)
@@ -137,12 +138,5 @@ def _by_arm(values: Array, rig: RigConfig, path: Path) -> Array:
 
 def _check_ranges(rows: Array, rig: RigConfig, locations: Locations, path: Path) -> None:
     for k, arm in enumerate(rig.arms):
-        model = bare_arm(arm, locations)
-        for j, name in enumerate(JOINTS):
-            low, high = model.joint(name).range
-            worst = rows[:, k, j][np.argmax(np.abs(rows[:, k, j] - (low + high) / 2))]
-            if not low - _SLACK <= worst <= high + _SLACK:
-                degrees = "; is it in degrees?" if abs(worst) > 2 * math.pi else ""
-                raise ConfigError(
-                    f"--joints {path}: {arm.name}.{name}: {worst:.4g} rad lies outside {low:.4g}..{high:.4g}{degrees}"
-                )
+        if fault := Stops(arm, locations).fault(rows[:, k, :6], _SLACK):
+            raise ConfigError(f"--joints {path}: {fault}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,9 +13,11 @@ from ..config.record import RecordConfig
 from ..dataset.faults import explain
 from ..errors import InterruptedJobError, PartialJobError
 from ..resources import Locations
+from ..scene.build import noting_meshes
 from .collect import Collector, Watch
 from .destination import Destination, Output, open_destination
 from .executors import Executors
+from .prospects import GaveUpError, hopeless
 from .stop import Stop
 
 
@@ -44,13 +47,18 @@ def record(
         UsageError, ConfigError, DatasetError, ResourceError: the output cannot be used, see `open_destination`.
         InterruptedJobError: stopped by the user.
         PartialJobError: the disk refused something, workers do not last, or the task fails too often.
+        SimulationError: the task cannot work as it is.
     """
     began = time.monotonic()
+    config = noting_meshes(config, locations, meshes)
     with open_destination(config, output, watch) as destination:
-        collector = Collector(config, destination.sink, watch, stop)
+        prospects = functools.partial(hopeless, config, locations)
+        collector = Collector(destination.config, destination.sink, watch, stop, prospects)
         with _telling_what_is_left(config, collector, destination):
-            if collector.outstanding:
-                workers = min(config.workers, collector.outstanding)
+            if collector.work:
+                # A resumed recording may be one that gave up.
+                collector.check_prospects()
+                workers = min(config.workers, collector.work)
                 with executors.open(config, locations, meshes, workers) as executor:
                     collector.run(executor)
             destination.finish(watch, stop)
@@ -63,11 +71,11 @@ def _telling_what_is_left(config: RecordConfig, collector: Collector, destinatio
     """Whatever ends a recording early, the manifest is written, and the user told what there is and how to go on."""
     place = destination.writer.path
 
+    def whole() -> str:
+        return f"{collector.done} of {config.episodes} episodes are whole in {place}{destination.rest}"
+
     def state() -> str:
-        return (
-            f"{collector.done} of {config.episodes} episodes are whole in {place}{destination.rest}, "
-            f"{collector.outstanding} are left; continue with --resume"
-        )
+        return f"{whole()}, {collector.outstanding} are left; continue with --resume"
 
     try:
         try:
@@ -79,5 +87,7 @@ def _telling_what_is_left(config: RecordConfig, collector: Collector, destinatio
         raise InterruptedJobError(f"interrupted: {state()}") from None
     except OSError as error:
         raise PartialJobError(f"{explain(error, place)}: {state()}") from error
+    except GaveUpError as error:
+        raise GaveUpError(f"{error}; {whole()}") from error
     except PartialJobError as error:
         raise PartialJobError(f"{error}: {state()}") from error

@@ -13,9 +13,10 @@ import numpy as np
 from ..config.record import RecordConfig
 from ..dataset.actions import recorded_actions
 from ..dataset.compare import Comparison, Difference, compare_frames, compare_values
-from ..dataset.layout import TRUTH_FOLDERS, image_name, lowdim_name
+from ..dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
 from ..dataset.reader import StoredEpisode, open_episode
 from ..dataset.records import OutcomeRecord
+from ..drawn import differences, shown
 from ..errors import DatasetError
 from ..resources import Locations
 from ..types import EpisodeJob
@@ -79,6 +80,7 @@ class EpisodeVerifier:
         self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], limits: Limits
     ) -> None:
         self._runner = EpisodeRunner(config, locations, meshes, draw=False)
+        self._said = config.meshes
         self._limits = limits
 
     def run(self, job: tuple[int, Path]) -> Verdict:
@@ -90,6 +92,8 @@ class EpisodeVerifier:
         changed: dict[str, tuple[str, str]] = {}
         try:
             episode = open_episode(directory)
+            if others := self._other_meshes(episode):
+                problems[EPISODE] = f"it shows other meshes than {CONFIG} says: {'; '.join(others)}"
             changed = self._changed(episode)
             frames = _read_frames(episode, problems)
             if episode.record.source == "record":
@@ -127,7 +131,14 @@ class EpisodeVerifier:
         then, now = dict(episode.record.versions), versions()
         if self._limits.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, self._runner.renderer.description
+            for name, drawn in (episode.record.meshes or {}).items():
+                then[f"meshes {name}"] = shown(drawn)
+                now[f"meshes {name}"] = shown(self._runner.scene.drawn.get(name))
         return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
+
+    def _other_meshes(self, episode: StoredEpisode) -> list[str]:
+        said, own = self._said, episode.record.meshes
+        return differences(own, said, ("here", "there")) if said is not None and own is not None else []
 
     def __enter__(self) -> EpisodeVerifier:
         return self

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import struct
 import threading
 import traceback
 from collections.abc import Callable
@@ -14,11 +15,15 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from ..errors import YamsimError
+from ..stray_forks import forks_end_here
 from .executor import Factory, Runner
 from .pool import Answer, Bug, Event, Failed, Ready
 
 # What stops the parent. It reaches the whole process group or job, and the parent alone decides what it means.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+# Before every answer: the process that gives it, and the number of the job that it is for, 0 for "ready".
+HEADER = struct.Struct("!QQ")
 
 
 class Servant:
@@ -62,7 +67,7 @@ def serve(pipe: Connection, factory: bytes) -> None:
     """Be a worker process: answer what comes through the pipe until it closes.
 
     Args:
-        pipe: jobs come in, pickled `pool.Event`s go out.
+        pipe: numbered jobs come in; pickled `pool.Event`s go out, each behind a `HEADER`.
         factory: see `Servant.open`.
     """
     for number in STOP_SIGNALS:
@@ -70,9 +75,10 @@ def serve(pipe: Connection, factory: bytes) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     # EOFError or OSError: the parent closed the pipe, or is gone.
     with contextlib.closing(Servant()) as servant, contextlib.suppress(EOFError, OSError):
-        pipe.send_bytes(servant.open(factory))
+        pipe.send_bytes(HEADER.pack(os.getpid(), 0) + servant.open(factory))
         while servant.is_ready:
-            pipe.send_bytes(servant.run(pipe.recv()))
+            number, job = pipe.recv()
+            pipe.send_bytes(HEADER.pack(os.getpid(), number) + servant.run(job))
 
 
 def _end_with_parent() -> None:
@@ -85,7 +91,8 @@ def _end_with_parent() -> None:
 
 def _answer(work: Callable[[], Event[Any]]) -> bytes:
     try:
-        return pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)
+        with forks_end_here():
+            return pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)
     except YamsimError as error:
         return pickle.dumps(Failed(error))
     # Every other exception is a bug; its traceback has to cross to the parent, which stops with it.

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from ..config.record import RecordConfig
 from ..config.task import Success
 from ..dataset.records import OutcomeRecord
 from ..dataset.statistics import spread, wilson95
-from ..errors import InterruptedJobError
+from ..errors import InterruptedJobError, SimulationError
 from ..types import EpisodeJob
 from .executor import Executor, LostJobError
 
@@ -96,3 +96,20 @@ def tally(
         "dxy_m": spread([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
         "causes": dict(Counter(outcome.cause for outcome in outcomes if outcome.cause)),
     }
+
+
+def require_success(counts: Mapping[str, Any], least: float | None) -> None:
+    """Make sure that as many trials succeeded as somebody asks for.
+
+    Args:
+        counts: what `tally` returns.
+        least: the share of the trials that has to succeed; None for any.
+
+    Raises:
+        SimulationError: fewer did.
+    """
+    if least is not None and counts["success_rate"] < least:
+        raise SimulationError(
+            f"{counts['n_success']} of {counts['n']} trials succeeded, a share of {counts['success_rate']:.3g}: "
+            f"--min-success asks for {least:g}"
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,12 +17,16 @@ from ..scene.build import build_scene
 from ..scene.compose import Meshes
 from ..sim.closed_loop import ClosedLoop
 from ..tasks.kinds import draw_layout
-from ..tasks.pickplace import OPEN
 from ..types import EpisodeJob, Layout
 from ..viewers.driven import DriveStatus
 from .demonstrations import Demonstration, Inbox
 from .driven_arm import DrivenArm
 from .episode import start_poses
+from .teleop_journal import Journal, Opening, Tick, Unfinished
+from .variation import Variation
+
+# The longest recording unless another is asked for, s.
+TIME_LIMIT = 600.0
 
 
 class TeleopSession:
@@ -40,11 +45,21 @@ class TeleopSession:
         SimulationError: the task's sampling box has no room.
     """
 
-    def __init__(self, config: RecordConfig, locations: Locations, meshes: Meshes, inbox: Inbox) -> None:
-        self._config, self._inbox = config, inbox
+    def __init__(
+        self,
+        config: RecordConfig,
+        locations: Locations,
+        meshes: Meshes,
+        inbox: Inbox,
+        journal: Journal | None = None,
+        time_limit: float = TIME_LIMIT,
+    ) -> None:
+        self._config, self._inbox, self._journal = config, inbox, journal
+        self._longest = max(1, round(time_limit / config.task.timing.tick))
         self.title = f"{config.task.name} teleop"
         self._scene = build_scene(config, locations, meshes)
         self.model = self._scene.model
+        self._variation = Variation(config, self._scene)
         self._arms = tuple(DrivenArm(config, self._scene, k, locations) for k in range(len(self._scene.arms)))
         self.sides = tuple(arm.side for arm in self._arms)
         self.driven = config.acting_scene_arms[0]
@@ -52,6 +67,7 @@ class TeleopSession:
         # A page's controls live in threads of their own.
         self.lock = threading.RLock()
         self.paused = False
+        self._recording = False
         self.message = ""
         self.episodes = self.failures = self.waiting = 0
         self.discarded = 0
@@ -95,7 +111,7 @@ class TeleopSession:
                 apart=arm.apart,
                 at_limit=arm.at_limit,
                 blocked=arm.blocked,
-                gripper_open=arm.opening == OPEN,
+                gripper_open=arm.is_open,
                 magnet=arm.magnet,
                 holds=self._loop.held[self.driven],
                 message=self.message,
@@ -144,10 +160,10 @@ class TeleopSession:
                 self._arm.set_gripper(opening)
 
     def toggle_gripper(self) -> None:
-        """Open the gripper, or close it to what the object needs."""
-        grasp = self._config.task.object.grasp
-        assert grasp is not None  # checked when the config was loaded
-        self.set_gripper(grasp.opening if self._arm.opening == OPEN else OPEN)
+        """Open the gripper wide, or close it to what the object needs."""
+        with self.lock:
+            if not self._settling:
+                self._arm.toggle_gripper()
 
     def set_magnet(self, on: bool) -> None:
         """Switch the magnet, which holds the object where the hand is at it."""
@@ -161,6 +177,8 @@ class TeleopSession:
             self.settle()
             self._begin()
             self._recording = True
+            if self._journal:
+                self._journal.begin(Opening(self._job, start_poses(self._layout), self._start))
             self.message = "recording"
 
     def stop(self) -> None:
@@ -169,12 +187,43 @@ class TeleopSession:
             if not self._recording or self._settling:
                 self.message = "nothing was being recorded"
                 return
-            for arm in self._arms:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        for arm in self._arms:
+            arm.release()
+        if self._journal:
+            self._journal.stop()
+        self._settling = self._config.task.timing.settle_ticks
+        self.message = "letting go, and waiting until all is at rest"
+        if not self._settling:
+            self._hand_in()
+
+    def leave(self) -> None:
+        """Nobody watches any more: a recording stands still until somebody plays on."""
+        with self.lock:
+            if self._recording and not self.paused:
+                self.paused = True
+                self.message = "paused, since nobody was watching: Play goes on"
+
+    def take_up(self, left: Unfinished) -> None:
+        """Hand in what a killed session left; what it had not come to, to let go and to rest, is done now."""
+        with self.lock:
+            opening, settle_ticks = left.opening, self._config.task.timing.settle_ticks
+            self._put(opening.job, opening.start)
+            for tick in left.ticks:
+                self._loop.step(tick.ctrl, tick.magnet)
+                self._asked.append(tick.asked)
+            for k, arm in enumerate(self._arms):
+                asked = np.array([row[7 * k : 7 * k + 7] for row in self._asked])
+                if len(asked) and (asked != asked[0]).any():
+                    arm.reset(asked[-1])
+                    arm.aim_joints(asked[-1, :6])
                 arm.release()
-            self._settling = self._config.task.timing.settle_ticks
-            self.message = "letting go, and waiting until all is at rest"
-            if not self._settling:
-                self._hand_in()
+            since = 0 if left.stopped is None else len(left.ticks) - left.stopped
+            for _ in range(max(0, settle_ticks - since)):
+                self._act()
+            self._deliver(opening.layout)
 
     def settle(self) -> None:
         """Have what is left of a stop's second pass at once."""
@@ -183,8 +232,13 @@ class TeleopSession:
                 self._tick()
 
     def _hand_in(self) -> None:
+        if self._journal:
+            self._journal.end()
+        self._deliver(start_poses(self._layout))
+
+    def _deliver(self, layout: Mapping[str, tuple[float, float, float, float]]) -> None:
         actions = replace(self._loop.actions, joints=np.array(self._asked))
-        self._inbox.hand_in(Demonstration(self._job, start_poses(self._layout), self._start, actions))
+        self._inbox.hand_in(Demonstration(self._job, layout, self._start, actions))
         self.message = f"attempt {self._job.attempt} is being judged and drawn"
         self._begin()
 
@@ -195,6 +249,8 @@ class TeleopSession:
                 self.message = "nothing was being recorded"
                 return
             self.discarded += 1
+            if self._journal:
+                self._journal.discard()
             self.message = "discarded"
             self._begin()
 
@@ -223,11 +279,17 @@ class TeleopSession:
 
     def _begin(self) -> None:
         """Put the scene into its attempt's layout, at rest."""
-        task = self._config.task
         self._job = EpisodeJob(self._config.seed, self._inbox.next_attempt)
         self._layout = self._draw_layout()
-        self._start = self._scene.start_qpos(self._layout, self._stand[:, :6], self._stand[:, 6])
-        self._loop = ClosedLoop(self._scene, self._start, task.object.name, task.timing)
+        self._put(self._job, self._scene.start_qpos(self._layout, self._stand[:, :6], self._stand[:, 6]))
+
+    def _put(self, job: EpisodeJob, start: Array) -> None:
+        """Put the scene at MuJoCo's positions (nq,), at rest, for an attempt."""
+        task = self._config.task
+        self._job, self._start = job, start
+        # Distractors are put where nothing came near once the attempt is over.
+        self._variation.begin(job)
+        self._loop = ClosedLoop(self._scene, start, task.object.name, task.timing)
         self.data = self._loop.data
         for arm, stand in zip(self._arms, self._stand, strict=True):
             arm.reset(stand)
@@ -244,16 +306,27 @@ class TeleopSession:
     def _arm(self) -> DrivenArm:
         return self._arms[self.driven]
 
-    def _tick(self) -> None:
+    def _act(self) -> None:
+        """Let what the arms are told act for a tick."""
         ctrl = np.concatenate([arm.step(self.data.qpos) for arm in self._arms])
-        self._loop.step(ctrl, tuple(arm.magnet for arm in self._arms))
+        magnet = tuple(arm.magnet for arm in self._arms)
+        asked = np.concatenate([arm.asked for arm in self._arms])
+        self._loop.step(ctrl, magnet)
+        self._asked.append(asked)
+        if self._recording and self._journal:
+            self._journal.add(Tick(ctrl, magnet, asked))
+
+    def _tick(self) -> None:
+        self._act()
         for arm, holds in zip(self._arms, self._loop.held, strict=True):
             if arm.magnet and not holds:
                 arm.magnet = False
                 self.message = f"the magnet found no {self._config.task.object.name} within its reach"
-        self._asked.append(np.concatenate([arm.asked for arm in self._arms]))
         self._ticks += 1
         if self._settling:
             self._settling -= 1
             if not self._settling:
                 self._hand_in()
+        elif self._recording and self._loop.ticks >= self._longest:
+            self._let_go()
+            self.message = f"stopped after {self._longest * self.tick_seconds:.0f} s, the longest that is recorded"

@@ -17,11 +17,14 @@ from ..dataset.records import AttemptRecord
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import PartialJobError
 from ..resources import Locations
+from ..scene.build import noting_meshes
 from ..scene.compose import Meshes
 from ..viewers.address import PageAddress
 from .demonstrations import Desk, open_worker
+from .destination import as_said
 from .stop import Stop
-from .teleop import TeleopSession
+from .teleop import TIME_LIMIT, TeleopSession
+from .teleop_journal import Journal
 from .teleop_stream import Command, Player
 from .view import require_page, task_viewpoint
 
@@ -146,24 +149,44 @@ def check_page(address: PageAddress) -> None:
 
 @contextlib.contextmanager
 def open_seat(
-    config: RecordConfig, locations: Locations, meshes: Meshes, out: Path, mode: OpenMode, warn: Callable[[str], None]
+    config: RecordConfig,
+    locations: Locations,
+    meshes: Meshes,
+    out: Path,
+    mode: OpenMode,
+    warn: Callable[[str], None],
+    *,
+    time_limit: float = TIME_LIMIT,
 ) -> Iterator[Seat]:
-    """Open a dataset and an arm to fill it with.
+    """Open a dataset and an arm to fill it with; what a killed session left in it is judged first.
+
+    Args:
+        time_limit: of a recording, s; then it is stopped and judged.
 
     Raises:
         UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
         PartialJobError: the disk refused something.
     """
+    config = noting_meshes(config, locations, meshes)
     with DatasetWriter(out, config.data_config(), mode) as writer:
         if writer.moved_aside:
             warn(f"What was in {out} is now in {writer.moved_aside}.")
         for repair in writer.repairs:
             warn(repair.removesuffix(", and made again"))
+        for number in sorted(writer.untold):
+            # A demonstration cannot be made again; this says so in the ledger too.
+            writer.log(writer.attempts[number])
         for lost in writer.missing:
             warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
         try:
-            with open_worker(config, locations, meshes) as worker, Desk(config, writer, worker) as desk:
-                yield Seat(TeleopSession(config, locations, meshes, desk), desk, writer)
+            journal = Journal(writer.path)
+            with (
+                open_worker(config, locations, meshes) as worker,
+                Desk(as_said(config, writer), writer, worker, journal.drop) as desk,
+            ):
+                session = TeleopSession(config, locations, meshes, desk, journal, time_limit)
+                _take_up(session, desk, journal, warn)
+                yield Seat(session, desk, writer)
         except OSError as error:
             raise PartialJobError(
                 f"{explain(error, out)}: {writer.episodes} episodes are whole in {out}; continue with --resume"
@@ -172,6 +195,21 @@ def open_seat(
             with contextlib.suppress(OSError):
                 writer.finish()
             raise
+
+
+def _take_up(session: TeleopSession, desk: Desk, journal: Journal, warn: Callable[[str], None]) -> None:
+    """Have what killed sessions left judged, as far as it still fits the dataset."""
+    for left in journal.unfinished():
+        attempt = left.opening.job.attempt
+        if attempt < desk.next_attempt or not left.ticks:
+            # It was written before the session was killed, or nothing ever happened in it.
+            journal.drop(attempt)
+        elif attempt > desk.next_attempt:
+            warn(f"{left.path} is a recording that attempts are missing before; it stays as it is.")
+        else:
+            seconds = len(left.ticks) * session.tick_seconds
+            warn(f"Attempt {attempt}, {seconds:.1f} s long, was left by a session that was killed: it is judged now.")
+            session.take_up(left)
 
 
 def run_stream(seat: Seat, commands: Sequence[Command], stop: Stop, *, realtime: bool) -> TeleopReport:

@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationError, field_validator, model_validator
+from pydantic import FiniteFloat, ValidationError, field_validator, model_validator
 
-from ..config.base import Config, Quaternion, Vector
-from ..config.record import Side
+from ..config.base import Config, Quaternion
+from ..config.limits import Stops
+from ..config.record import RecordConfig, Side
+from ..config.units import Place, PlacePoint, Within
 from ..errors import ConfigError
 from ..geometry.se3 import Array, pose_from_quat
+from ..resources import Locations
 from .teleop import TeleopSession
 
 _JOINTS, _OF_TWO = 6, 14
 
-Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
+
+# Leader arms that turn farther than ours send what lies beyond its stops, which counts as at them. Farther beyond than
+# this it cannot be meant, rad.
+_BEYOND = math.radians(30)
+# Drives report a little beyond both ends of the opening, m.
+_OPENING = Within("m", -0.02, 0.1)
 
 
 class PoseTarget(Config):
     """A pose of `grasp_site` in the arm's base: position in m, quaternion wxyz."""
 
-    position: Vector
+    position: PlacePoint
     quaternion: Quaternion
 
     @property
@@ -45,11 +55,11 @@ class Command(Config):
         event: what to do with the recording.
     """
 
-    t: Annotated[float, Field(ge=0, le=86400)]
+    t: Annotated[FiniteFloat, Within("s", 0, 86400)]
     arm: Side | None = None
     joints: tuple[FiniteFloat, ...] | None = None
     ee: tuple[Row, Row, Row, Row] | PoseTarget | None = None
-    gripper: Annotated[float, Field(ge=0, le=0.1)] | None = None
+    gripper: Annotated[FiniteFloat, Within("m", 0, 0.1)] | None = None
     magnet: bool | None = None
     event: Literal["start", "stop", "discard"] | None = None
 
@@ -65,6 +75,8 @@ class Command(Config):
     def _six_or_all(cls, joints: tuple[float, ...] | None) -> tuple[float, ...] | None:
         if joints is not None and len(joints) not in (_JOINTS, _OF_TWO):
             raise ValueError(f"{len(joints)} numbers; give six of one arm, or 14 of two")
+        for opening in (joints or ())[_JOINTS :: _JOINTS + 1]:
+            _OPENING.check(opening)
         return joints
 
     @model_validator(mode="after")
@@ -81,14 +93,12 @@ class Command(Config):
         return self
 
 
-def read_stream(file: Path, sides: Sequence[str]) -> list[Command]:
-    """All commands of a file, in order of time.
-
-    Args:
-        sides: of the arms that there are, "left" and "right".
+def read_stream(file: Path, config: RecordConfig, locations: Locations) -> list[Command]:
+    """All commands of a file, in order of time, for the arms of a recording.
 
     Raises:
-        ConfigError: the file cannot be read, or a line of it is no command; the message names line and key.
+        ConfigError: the file cannot be read, or a line of it is no command of these arms; the message names line and
+            key.
     """
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
@@ -96,11 +106,12 @@ def read_stream(file: Path, sides: Sequence[str]) -> list[Command]:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
         raise ConfigError(f"--input {file} cannot be read: {reason}") from error
     commands: list[Command] = []
+    arms = _Arms(config, locations)
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
         command = _read(line, f"{file}:{number}")
-        _check_arms(command, sides, f"{file}:{number}")
+        arms.check(command, f"{file}:{number}")
         if commands and command.t < commands[-1].t:
             raise ConfigError(f"{file}:{number}: t {command.t:g} is before {commands[-1].t:g} of the line above")
         commands.append(command)
@@ -113,16 +124,38 @@ def _read(line: str, where: str) -> Command:
     try:
         return Command.model_validate_json(line)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{where}: {key + ': ' if key else ''}{first['msg']}") from error
+        # Of the two forms of `ee`, the one that is meant goes wrong the deepest.
+        first = max(error.errors(include_url=False), key=lambda detail: len(detail["loc"]))
+        key = ".".join(part for part in map(str, first["loc"]) if "[" not in part and part != PoseTarget.__name__)
+        message = first["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"{where}: {key + ': ' if key else ''}{message}") from error
 
 
-def _check_arms(command: Command, sides: Sequence[str], where: str) -> None:
-    if command.arm is not None and command.arm not in sides:
-        raise ConfigError(f"{where}: arm: there is only a {sides[0]} one; leave it out")
-    if command.joints is not None and len(command.joints) == _OF_TWO and len(sides) < 2:
-        raise ConfigError(f"{where}: joints: 14 numbers are of two arms, and there is one; give six")
+class _Arms:
+    """Whether commands, one after the other, are for arms that there are, and such as these can do."""
+
+    def __init__(self, config: RecordConfig, locations: Locations) -> None:
+        arms = config.rig.arms
+        self._stops = {arm.side: Stops(arm, locations) for arm in arms}
+        self._driven: Side = config.acting_arms[0].side
+
+    def check(self, command: Command, where: str) -> None:
+        """Raises:
+        ConfigError: there is no such arm, or its joints cannot be so.
+        """
+        if command.arm is not None and command.arm not in self._stops:
+            raise ConfigError(f"{where}: arm: there is only a {next(iter(self._stops))} one; leave it out")
+        self._driven = command.arm or self._driven
+        if command.joints is None:
+            return
+        rows: dict[Side, tuple[float, ...]] = {self._driven: command.joints}
+        if len(command.joints) == _OF_TWO:
+            if len(self._stops) < 2:
+                raise ConfigError(f"{where}: joints: 14 numbers are of two arms, and there is one; give six")
+            rows = {"left": command.joints[:_JOINTS], "right": command.joints[_JOINTS + 1 : -1]}
+        for side, row in rows.items():
+            if fault := self._stops[side].fault(np.array(row), _BEYOND):
+                raise ConfigError(f"{where}: joints: {fault}")
 
 
 class Player:

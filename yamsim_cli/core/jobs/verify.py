@@ -12,7 +12,7 @@ from typing import Any
 
 from ..config.record import RecordConfig
 from ..dataset.layout import episode_directories
-from ..errors import DatasetError, InterruptedJobError, UsageError
+from ..errors import DatasetError, InterruptedJobError, UsageError, ranges
 from ..resources import Locations
 from .remake import ACTIONS, CHECKS, SEED, EpisodeVerifier, Limits, Verdict
 from .workers import WorkerPool
@@ -55,26 +55,15 @@ def _parse(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if first > last:
             raise UsageError(
-                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {_ranges(there)}"
+                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {ranges(there)}"
             )
         # A range may be longer than any list of it.
         named = [number for number in there if first <= number <= last]
         if len(named) != last - first + 1:
             missing = next(number for number in range(first, last + 1) if number not in set(named))
-            raise UsageError(f"--episodes {text!r}: {dataset} has no episode {missing}; valid: {_ranges(there)}")
+            raise UsageError(f"--episodes {text!r}: {dataset} has no episode {missing}; valid: {ranges(there)}")
         chosen.update(named)
     return sorted(chosen)
-
-
-def _ranges(numbers: Sequence[int]) -> str:
-    """`0-4, 7, 9-10` of numbers in order."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return ", ".join(str(first) if first == last else f"{first}-{last}" for first, last in runs)
 
 
 def verify(
@@ -174,6 +163,6 @@ def _versions(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
         for name, (then, now) in verdict.changed.items():
             concerned.setdefault((name, then, now), []).append(verdict.episode)
     return [
-        {"name": name, "recorded": then, "now": now, "episodes": _ranges(numbers)}
+        {"name": name, "recorded": then, "now": now, "episodes": ranges(numbers)}
         for (name, then, now), numbers in sorted(concerned.items())
     ]

@@ -13,7 +13,7 @@ from ..config.record import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ResourceError
-from ..files import write_file
+from ..files import refusal, write_file
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import quat_from_rotation
 from ..resources import Locations
@@ -113,7 +113,7 @@ def write_views(images: dict[str, Image], out: Path) -> list[Path]:
         for name, image in images.items():
             write_file(out / name, encode_png(image))
     except OSError as error:
-        raise ResourceError(f"{out} cannot be written: {error.strerror}; choose another --out") from error
+        raise ResourceError(f"{out} cannot be written: {refusal(error, out)}; choose another --out") from error
     return [out / name for name in images]
 
 

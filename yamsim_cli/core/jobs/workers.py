@@ -20,7 +20,7 @@ from typing import Any, Generic, cast
 
 from .executor import Factory, J, R
 from .pool import JOB_SECONDS, Died, Event, Pool, Worker
-from .serving import STOP_SIGNALS, serve
+from .serving import HEADER, STOP_SIGNALS, serve
 
 # How long a process may take to end once killed, and a message to arrive once it has begun to.
 _END_SECONDS = 5.0
@@ -55,22 +55,27 @@ class _Process(Generic[J, R]):
     def __init__(self, process: BaseProcess, pipe: Connection) -> None:
         self._process = process
         self.pipe = pipe
+        self._sent = 0
 
     @property
     def name(self) -> str:
         return self._process.name
 
     def send(self, job: J) -> None:
-        self.pipe.send(job)
+        self._sent += 1
+        self.pipe.send((self._sent, job))
 
-    def receive(self) -> Event[R]:
-        """What the worker has begun to say."""
+    def receive(self) -> Event[R] | None:
+        """What the worker has begun to say; None for what another process says, or says of another job."""
         # One that stops in the middle of a message would hold the parent for ever.
         guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True
         guard.start()
         try:
-            return cast("Event[R]", pickle.loads(self.pipe.recv_bytes()))
+            message = memoryview(self.pipe.recv_bytes())
+            if HEADER.unpack_from(message) != (self._process.pid, self._sent):
+                return None
+            return cast("Event[R]", pickle.loads(message[HEADER.size :]))
         except (EOFError, OSError):
             return Died(self._how_it_ended())
         finally:
@@ -118,7 +123,8 @@ class _Processes(Generic[J, R]):
     def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], Event[R]]]:
         processes = {worker.pipe: worker for worker in workers if isinstance(worker, _Process)}
         ready = cast("list[Any]", wait(list(processes), timeout))
-        return [(processes[pipe], processes[pipe].receive()) for pipe in ready]
+        heard = [(processes[pipe], processes[pipe].receive()) for pipe in ready]
+        return [(worker, event) for worker, event in heard if event is not None]
 
     def close(self) -> None:
         return

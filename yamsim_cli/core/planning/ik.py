@@ -16,6 +16,7 @@ from ..geometry.se3 import Array, inverse, pose, quat_from_rotation
 _POSITION_COST = 10.0
 _TILT_COST = 0.02
 _HEADING_COST = 0.05
+_FOLLOWING = (_TILT_COST, _TILT_COST, _HEADING_COST)
 
 # Levenberg-Marquardt: a step that makes things worse is taken back and tried shorter. Without that the iteration runs
 # away where the arm is nearly stretched out, which is a third of the table.
@@ -51,15 +52,21 @@ class IkSolver:
     Args:
         model: a bare arm (nq = 6) with the sites `pinch_site` and `tool`, see `scene.robot.bare_arm`.
         T_base_in_world: pose (4, 4) of its base; targets are given in `world`.
+        rotation_costs: of a rad about the held frame's axes (3,), where a metre costs 10.
     """
 
-    def __init__(self, model: mujoco.MjModel, T_base_in_world: Array) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        T_base_in_world: Array,
+        rotation_costs: tuple[float, float, float] = _FOLLOWING,
+    ) -> None:
         self._model = model
         self._T_base_in_world = T_base_in_world
         self._T_world_in_base = inverse(T_base_in_world)
         self._configuration = mink.Configuration(model)
         self._limits = [mink.ConfigurationLimit(model)]
-        self._task = mink.FrameTask("tool", "site", _POSITION_COST, np.array([_TILT_COST, _TILT_COST, _HEADING_COST]))
+        self._task = mink.FrameTask("tool", "site", _POSITION_COST, np.array(rotation_costs))
         pinch = model.site("pinch_site")
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, pinch.quat)
@@ -82,8 +89,15 @@ class IkSolver:
         for _ in range(iterations):
             if cost < _EXACT:
                 break
-            # With a step of one second the velocity is the change of the joints.
-            change = mink.solve_ik(configuration, [task], 1.0, _SOLVER, damping=damping, limits=self._limits)
+            try:
+                # With a step of one second the velocity is the change of the joints.
+                change = mink.solve_ik(configuration, [task], 1.0, _SOLVER, damping=damping, limits=self._limits)
+            except mink.NoSolutionFound:
+                # A target so far away that a step towards it is beyond the solver's numbers: a shorter one may not be.
+                damping *= _REJECTED
+                if damping > _DAMPING_MAX:
+                    break
+                continue
             before = configuration.q
             configuration.integrate_inplace(change, 1.0)
             new_error = task.compute_error(configuration)

@@ -1,16 +1,28 @@
-"""Forward kinematics of one bare arm."""
+"""Forward kinematics of one bare arm, and inverse kinematics that says when a pose is out of reach."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..geometry.se3 import Array, pose
+from ..errors import SimulationError
+from ..geometry.se3 import Array, pose, rotation_vector
+from .ik import IkSolver
+
+# From a cold start the iteration may have to cross the workspace.
+_ITERATIONS = 100
+
+# From the wrist to the finger tips, m.
+_HAND = 0.13
 
 
 class ArmKinematics:
-    """Where `grasp_site` is for given joints.
+    """Where the hand is for given joints.
 
     Args:
         model: a bare arm (nq = 6), see `scene.robot.bare_arm`.
@@ -19,10 +31,79 @@ class ArmKinematics:
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
         self._data = mujoco.MjData(model)
-        self._site = model.site("grasp_site").id
 
     def T_grasp_in_base(self, joints: ArrayLike) -> Array:
         """Pose (4, 4) of `grasp_site` in the arm's base, with the arm at `joints` (6,) in rad."""
+        return self.T_site_in_base(joints, "grasp_site")
+
+    def T_site_in_base(self, joints: ArrayLike, name: str) -> Array:
+        """Pose (4, 4) of one of the hand's sites in the arm's base, with the arm at `joints` (6,) in rad."""
         self._data.qpos[:] = np.asarray(joints, dtype=np.float64)
         mujoco.mj_kinematics(self._model, self._data)
-        return pose(self._data.site_xpos[self._site], self._data.site_xmat[self._site].reshape(3, 3))
+        site = self._data.site(name)
+        return pose(site.xpos, site.xmat.reshape(3, 3))
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Where the search for a pose ended: joints (6,) in rad, and how far from the pose that is, m and rad."""
+
+    joints: Array
+    position_error: float
+    rotation_error: float
+
+    @property
+    def miss(self) -> float:
+        """How far off it is in all, m: the hand's length makes a distance of an angle."""
+        return self.position_error + _HAND * self.rotation_error
+
+
+class OutOfReachError(SimulationError):
+    """A pose that the arm does not reach.
+
+    Attributes:
+        nearest: the joints that come nearest, and what they lack.
+    """
+
+    def __init__(self, nearest: Reached, position_tolerance: float, rotation_tolerance: float) -> None:
+        super().__init__(
+            f"out of the arm's reach: the nearest it gets is {nearest.position_error * 1000:.1f} mm and "
+            f"{math.degrees(nearest.rotation_error):.1f} deg away (at most {position_tolerance * 1000:g} mm and "
+            f"{math.degrees(rotation_tolerance):.3g} deg), with the joints "
+            f"{np.array2string(nearest.joints, precision=3, suppress_small=True, separator=', ')}"
+        )
+        self.nearest = nearest
+
+
+def reach(
+    solvers: Sequence[IkSolver],
+    T_tool_in_world: Array,
+    starts: Iterable[Array],
+    position_tolerance: float,
+    rotation_tolerance: float,
+) -> Reached:
+    """The first joints near enough to a pose (4, 4), searched for from one start (6,) after the other.
+
+    Args:
+        solvers: each goes on from where the one before ended.
+        position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad.
+
+    Raises:
+        OutOfReachError: none are; it has the nearest.
+    """
+    nearest: Reached | None = None
+    for start in starts:
+        joints = start
+        for solver in solvers:
+            joints = solver.solve(T_tool_in_world, joints, _ITERATIONS).joints
+            T = solver.pose_of(joints)
+            found = Reached(
+                joints,
+                float(np.linalg.norm(T[:3, 3] - T_tool_in_world[:3, 3])),
+                float(np.linalg.norm(rotation_vector(T[:3, :3].T @ T_tool_in_world[:3, :3]))),
+            )
+            if found.position_error <= position_tolerance and found.rotation_error <= rotation_tolerance:
+                return found
+        nearest = found if nearest is None or found.miss < nearest.miss else nearest
+    assert nearest is not None  # there is a start
+    raise OutOfReachError(nearest, position_tolerance, rotation_tolerance)

@@ -18,12 +18,19 @@ DRIVES = 7
 SCENE, WRIST = "scene", "wrist"
 IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 
+# What a policy may ask to be told besides: where things are, which only a simulation knows, and how fast joints are.
+OBJECTS, VELOCITIES = "objects", "velocities"
+STATE = (OBJECTS, VELOCITIES)
+
 # As a policy sees it. Of two arms, numbers are the left one's and then the right one's.
-# - `scene_rgb` (height, width, 3) of uint8; `wrist_rgb`, or of two arms `left_wrist_rgb` and `right_wrist_rgb`
+# - `scene_rgb` (height, width, 3) of uint8; `wrist_rgb`, or of two arms `left_wrist_rgb` and `right_wrist_rgb`; each is
+#   drawn when it is first read
 # - `joints` (7,) or (14,) as in a dataset's frame; `gripper`, the openings in it: a number, or (2,)
 # - `ee_pose_world` (4, 4) or (2, 4, 4) of `grasp_site`
 # - `K_scene` (3, 3), `T_cam_in_world` (4, 4) of the scene camera in OpenCV's convention
 # - `time` in s since the start, `prompt`
+# - for "objects", `T_object_in_world` (4, 4) of what is picked up, `T_target_in_world` (4, 4) of what it is put onto
+# - for "velocities", `joint_velocities` (7,) or (14,) in the order of `joints`, rad/s and m/s
 Observation = Mapping[str, Any]
 
 
@@ -32,7 +39,8 @@ class Policy(Protocol):
 
     It may have, as attributes of the class or the object:
 
-    - `images`: which of `IMAGES` it wants to see; "scene" and "wrist" unless given. What nobody asks for is not drawn.
+    - `images`: which of `IMAGES` it wants to see; "scene" and "wrist" unless given.
+    - `wants`: which of `STATE` it wants to be told; nothing unless given.
     - `ticks`: for how many control ticks of 32 ms an action holds; 1 unless given, 2 for the rate of datasets.
 
     `reset` is given the trial's seed if it has a parameter `seed`.

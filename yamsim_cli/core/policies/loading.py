@@ -11,7 +11,8 @@ from types import ModuleType
 from typing import Any
 
 from ..errors import UsageError, suggest
-from .base import IMAGES, SCENE, WRIST, Policy
+from .base import IMAGES, SCENE, STATE, WRIST, Policy
+from .faults import fault_of
 
 _OWN = "module:Class or file.py:Class"
 FORMS = f"give scripted, hold_still, replay:DATASET, http://HOST:PORT, {_OWN}"
@@ -47,7 +48,7 @@ def load_policy(name: str, folder: Path, forms: str = f"give {_OWN}") -> Policy:
         raise
     # Code of others may raise anything; what it is, is told.
     except Exception as error:
-        raise UsageError(f"--policy {name}: it cannot be loaded: {type(error).__name__}: {error}") from error
+        raise UsageError(f"--policy {name}: it cannot be loaded: {fault_of(error, folder).text}") from error
     return check_policy(made, name)
 
 
@@ -97,9 +98,13 @@ def check_policy(policy: Any, name: str) -> Policy:
         raise UsageError(
             f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
         )
-    for image in getattr(policy, "images", ()):
-        if image not in IMAGES:
-            raise UsageError(f"--policy {name}: it asks for the image {image!r}; {suggest(str(image), IMAGES)}")
+    for attribute, what, valid in (("images", "image", IMAGES), ("wants", "state", STATE)):
+        asked = getattr(policy, attribute, ())
+        if not isinstance(asked, tuple | list | set | frozenset):
+            raise UsageError(f"--policy {name}: {attribute} is {asked!r}; give a tuple, such as ({valid[0]!r},)")
+        for one in asked:
+            if one not in valid:
+                raise UsageError(f"--policy {name}: it asks for the {what} {one!r}; {suggest(str(one), valid)}")
     ticks = getattr(policy, "ticks", 1)
     if not isinstance(ticks, int) or ticks < 1:
         raise UsageError(f"--policy {name}: ticks is {ticks!r}, and has to be a whole number from 1")
@@ -110,6 +115,11 @@ def check_policy(policy: Any, name: str) -> Policy:
 def wanted_images(policy: Any) -> tuple[str, ...]:
     """Which of `IMAGES` a policy wants to see."""
     return tuple(getattr(policy, "images", (SCENE, WRIST)))
+
+
+def wanted_state(policy: Any) -> tuple[str, ...]:
+    """Which of `STATE` a policy wants to be told."""
+    return tuple(getattr(policy, "wants", ()))
 
 
 def reset_policy(policy: Any, seed: int) -> None:

@@ -9,12 +9,21 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ..errors import ResourceError, UsageError
-from .base import Observation
+from .base import InvalidActionError, Observation
+from .faults import Fault
 from .wire import PROTOCOL, WireError, pack, require_msgpack, unpack
 
 
 class RemoteError(RuntimeError):
-    """The server's policy raised something, or the server is gone."""
+    """The server's policy raised something, or the server is gone.
+
+    Attributes:
+        fault: what.
+    """
+
+    def __init__(self, text: str, traceback: str = "") -> None:
+        super().__init__(text)
+        self.fault = Fault(text, traceback)
 
 
 class RemotePolicy:
@@ -23,7 +32,7 @@ class RemotePolicy:
     A session of its own keeps it apart from the server's other clients. One connection serves all calls.
 
     Attributes:
-        images, ticks: what the server's policy asks for.
+        images, wants, ticks: what the server's policy asks for.
 
     Args:
         url: such as `http://127.0.0.1:8080`.
@@ -44,6 +53,8 @@ class RemotePolicy:
         try:
             session = self._ask("session", {"protocol": PROTOCOL})
             self.images, self.ticks = tuple(session["images"]), int(session["ticks"])
+            # Older servers do not say.
+            self.wants = tuple(session.get("wants", ()))
             self._session = session["session"]
         except (OSError, RemoteError, KeyError, TypeError, ValueError) as error:
             raise ResourceError(
@@ -59,6 +70,7 @@ class RemotePolicy:
 
         Raises:
             RemoteError: it raised, or the server is gone.
+            InvalidActionError: what it answered cannot be sent.
             TimeoutError: it did not answer in time.
         """
         answer = self._ask("act", {"session": self._session, "observation": dict(observation)})
@@ -88,6 +100,8 @@ class RemotePolicy:
             raise RemoteError(f"{self._url} answers {response.status} and no message of this protocol") from error
         if not isinstance(answer, dict):
             raise RemoteError(f"{self._url} answers with {type(answer).__name__}")
+        if answer.get("invalid"):
+            raise InvalidActionError(str(answer.get("error")))
         if "error" in answer:
-            raise RemoteError(str(answer["error"]))
+            raise RemoteError(str(answer["error"]), str(answer.get("traceback", "")))
         return answer

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -19,6 +20,10 @@ _KINDS = "biuf"
 
 class WireError(ValueError):
     """Bytes that are no message of this protocol."""
+
+
+class UnsendableError(WireError):
+    """A policy's answer that cannot be sent; the text says which part of it, and what that is."""
 
 
 def require_msgpack() -> None:
@@ -44,6 +49,23 @@ def pack(message: Any) -> bytes:
     return cast("bytes", msgpack.packb(message, default=_pack_array, use_bin_type=True))
 
 
+def sendable(answer: Any) -> dict[str, Any]:
+    """A policy's answer, once it is known that it can be sent.
+
+    Raises:
+        UnsendableError: it cannot.
+    """
+    if not isinstance(answer, Mapping):
+        raise UnsendableError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
+    for key, value in answer.items():
+        try:
+            unpack(pack({key: value}))
+        # Others' arrays may raise anything when they are to become numpy's, and so may recursion and huge numbers.
+        except Exception as error:
+            raise UnsendableError(f"{key} of the answer: {error}") from error
+    return dict(answer)
+
+
 def unpack(data: bytes) -> Any:
     """A message back from bytes.
 
@@ -63,10 +85,14 @@ def _pack_array(value: Any) -> Any:
 
     if isinstance(value, np.generic):
         return value.item()
-    # Tensors of any kind become arrays by themselves.
-    array = np.asarray(value)
+    try:
+        # Tensors of any kind become arrays by themselves, but for those that are on a GPU or have gradients.
+        array = np.asarray(value)
+    except Exception as error:
+        raise TypeError(f"{type(value).__name__} cannot be sent: {error}") from error
     if array.dtype.kind not in _KINDS:
-        raise TypeError(f"{type(value).__name__} cannot be sent: only numbers, text, plain containers and arrays can")
+        what = f"an array of dtype {array.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise TypeError(f"{what} cannot be sent: only numbers, text, plain containers and arrays can")
     content = np.ascontiguousarray(array).tobytes()
     return msgpack.ExtType(_ARRAY, msgpack.packb([array.dtype.str, list(array.shape), content]))
 

@@ -11,11 +11,13 @@ from ..config.limits import load_limits
 from ..config.record import RecordConfig
 from ..config.rig import ArmConfig
 from ..config.scene import FixedCamera
+from ..drawn import Drawn
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
 from .compiled import CompiledScene, Ids, Kind, SceneArm
 from .compose import Contents, compile_spec, compose
+from .drawn import drawn_meshes
 from .quality import apply_quality
 from .randomize import prepare_randomization
 from .robot import ACTUATORS, FINGERS, JOINTS, Meshes, fingers
@@ -35,28 +37,51 @@ def build_scene(config: RecordConfig, locations: Locations, meshes: Meshes) -> C
     Raises:
         SimulationError: MuJoCo refused the composed model.
     """
-    task, scene = config.task, config.surroundings
-    contents = Contents(boards=config.boards, objects=(task.object, task.target))
-    spec = compose(config.rig, scene, contents, locations, meshes)
-    spec.modelname = f"{config.rig.name}_{config.scene.name}_{task.name}"
-    spec.option.timestep = task.timing.timestep
+    spec = _composed(config, locations, meshes)
+    drawn = drawn_meshes(spec, config, meshes)
+    spec.modelname = f"{config.rig.name}_{config.scene.name}_{config.task.name}"
+    apply_quality(spec, config.render, config.image.size_px)
+    add_task_physics(spec, config)
+
+    cameras = [SCENE_CAMERA]
+    add_scene_camera(spec, config)
+    for arm in config.wrist_arms:
+        add_wrist_camera(spec, arm)
+        cameras.append(arm.wrist_camera_name)
+    return _addresses(compile_spec(spec), config, tuple(cameras), locations, drawn)
+
+
+def noting_meshes(config: RecordConfig, locations: Locations, meshes: Meshes) -> RecordConfig:
+    """A recording's config that says which meshes its scene shows; see `build_scene`."""
+    drawn = drawn_meshes(_composed(config, locations, meshes), config, meshes)
+    return config.model_copy(update={"meshes": drawn})
+
+
+def _composed(config: RecordConfig, locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
+    """The scene with all that is seen in it."""
+    contents = Contents(boards=config.boards, objects=(config.task.object, config.task.target))
+    spec = compose(config.rig, config.surroundings, contents, locations, meshes)
+    prepare_randomization(spec, config.randomization, meshes)
+    return spec
+
+
+def add_task_physics(spec: mujoco.MjSpec, config: RecordConfig) -> None:
+    """What a recording steps with: its time step, contacts that hold where nothing else does, and the welds."""
+    spec.option.timestep = config.task.timing.timestep
     if config.grasp == "contact":
         # MuJoCo's friction creeps, and with its defaults an object turns by a few degrees a second in the hand. Source:
         # MuJoCo's documentation of `impratio`, which asks for elliptic cones with it.
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10
-    prepare_randomization(spec, config.randomization, meshes)
-    apply_quality(spec, config.render, config.image.size_px)
     for arm in config.rig.arms:
-        add_grasp_weld(spec, task.object.name, arm.prefix)
+        add_grasp_weld(spec, config.task.object.name, arm.prefix)
 
-    cameras = [SCENE_CAMERA]
-    assert scene.scene_camera is not None  # checked when the config was loaded
-    add_fixed_camera(spec, SCENE_CAMERA, scene.scene_camera)
-    for arm in config.wrist_arms:
-        add_wrist_camera(spec, arm)
-        cameras.append(arm.wrist_camera_name)
-    return _addresses(compile_spec(spec), config, tuple(cameras), locations)
+
+def add_scene_camera(spec: mujoco.MjSpec, config: RecordConfig) -> None:
+    """Add the camera of a recording's surroundings."""
+    camera = config.surroundings.scene_camera
+    assert camera is not None  # checked when the config was loaded
+    add_fixed_camera(spec, SCENE_CAMERA, camera)
 
 
 def add_grasp_weld(spec: mujoco.MjSpec, item: str, prefix: str = "") -> None:
@@ -102,7 +127,7 @@ def add_wrist_camera(spec: mujoco.MjSpec, arm: ArmConfig) -> None:
 
 
 def _addresses(
-    model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, ...], locations: Locations
+    model: mujoco.MjModel, config: RecordConfig, cameras: tuple[str, ...], locations: Locations, drawn: Drawn
 ) -> CompiledScene:
     objects = (config.task.object.name, config.task.target.name)
     geom_kind, geom_arm = _geoms(model, config)
@@ -114,6 +139,7 @@ def _addresses(
         cameras=cameras,
         geom_kind=geom_kind,
         geom_arm=geom_arm,
+        drawn=drawn,
     )
 
 

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..drawn import Drawn
 from ..geometry.se3 import Array, quat_from_rotation
 from ..types import Layout
 
@@ -87,6 +88,7 @@ class CompiledScene:
         cameras: names of the cameras to record, in order.
         geom_kind: `Kind` of every geom (ngeom,).
         geom_arm: number in `arms` of the arm that a geom belongs to, -1 for none (ngeom,).
+        drawn: asset set -> what is drawn of it, see `core.drawn`.
     """
 
     model: mujoco.MjModel
@@ -96,6 +98,7 @@ class CompiledScene:
     cameras: tuple[str, ...]
     geom_kind: Ids
     geom_arm: Ids
+    drawn: Drawn
 
     @property
     def arm(self) -> SceneArm:

@@ -9,19 +9,18 @@ import mujoco
 import numpy as np
 
 from ..config.objects import ObjectConfig
+from ..config.record import SHADOW_REACH
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations
+from .breakdown import keep_warnings_quiet
 from .fiducials import add_base_board
 from .objects import add_object
 from .robot import HOME, JOINTS, arm_spec, gripper
 from .robot import Meshes as Meshes
 from .surroundings import add_background, add_lights, add_table
-
-# How far from the middle of its base and its table an arm stretches, seen along any of the lights, m.
-_REACH = 0.8
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def compose(
     visual.map.znear = 0.01
     visual.map.zfar = 20.0
     # The tighter, the sharper the shadows; what stands farther off casts none.
-    visual.map.shadowclip = _REACH + max(float(np.linalg.norm(T[:3, 3] - stand)) for T in bases)
+    visual.map.shadowclip = SHADOW_REACH + max(float(np.linalg.norm(T[:3, 3] - stand)) for T in bases)
     # Lights are directional, so a flat face is lit evenly, and cutting it up gives nothing.
     visual.quality.numquads = 1
     return spec
@@ -107,9 +106,9 @@ def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: 
 
 
 def _share_files(spec: mujoco.MjSpec) -> None:
-    """Let arms with the same meshes use the same files: attaching renames each arm's own copy."""
-    first: dict[bytes, str] = {}
-    shared = {name: first.setdefault(data, name) for name, data in spec.assets.items()}
+    """Let arms with the same meshes use the same files of a set: attaching renames each arm's own copy."""
+    first: dict[tuple[str, bytes], str] = {}
+    shared = {name: first.setdefault((name.rpartition("/")[0], data), name) for name, data in spec.assets.items()}
     for mesh in spec.meshes:
         mesh.file = shared.get(mesh.file, mesh.file)
 
@@ -120,6 +119,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
     Raises:
         SimulationError: MuJoCo refused it.
     """
+    keep_warnings_quiet()
     try:
         return spec.compile()
     except ValueError as error:
@@ -129,7 +129,7 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
 def add_home_key(
     spec: mujoco.MjSpec, rig: RigConfig, start: Mapping[str, Array], joints: Sequence[float] = HOME
 ) -> mujoco.MjModel:
-    """Add a keyframe `home` of the composed model's size, and compile.
+    """Add a keyframe `home` of the composed model's size, in which the arms rest, and compile.
 
     Args:
         start: object -> pose (4, 4) in `world`, there and in the model's own reset.
@@ -143,6 +143,22 @@ def add_home_key(
     for arm in rig.arms:
         for name, angle in zip(JOINTS, joints, strict=True):
             qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
-            ctrl[model.actuator(arm.prefix + name).id] = angle
+    load = _load(model, qpos)
+    for arm in rig.arms:
+        for name, angle in zip(JOINTS, joints, strict=True):
+            drive = model.actuator(arm.prefix + name)
+            # A drive is a spring towards what it is told. What its arm's gravity compensation does not know of, such as
+            # a camera on the wrist, would pull it off by some milliradians; finer than a nanoradian is rounding.
+            lead = round(load[model.joint(arm.prefix + name).dofadr[0]] / drive.gainprm[0], 9)
+            ctrl[drive.id] = np.clip(angle + lead, *drive.ctrlrange)
     spec.add_key(name="home", qpos=qpos, ctrl=ctrl)
     return compile_spec(spec)
+
+
+def _load(model: mujoco.MjModel, qpos: Array) -> Array:
+    """What the drives have to bear (nv,) at rest at `qpos`, N m and N."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    bearing: Array = data.qfrc_bias - data.qfrc_passive
+    return bearing

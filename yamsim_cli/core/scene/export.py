@@ -4,20 +4,34 @@ from __future__ import annotations
 
 import io
 import zipfile
+from typing import Literal
 
 import mujoco
 
+from .classic import classic_xml
+
 SCENE_FILE = "scene.xml"
+
+# The oldest MuJoCo that is to read a scene; all newer ones read it too.
+Reader = Literal["3.3", "4"]
 
 # The earliest date a zip file can hold: the same scene always gives the same bytes.
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
-def scene_files(spec: mujoco.MjSpec) -> dict[str, bytes]:
-    """Relative path -> content of a compiled spec's files; the same spec always gives the same bytes."""
+def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.3") -> dict[str, bytes]:
+    """Relative path -> content of a scene's files; the same spec always gives the same bytes.
+
+    Args:
+        model: what `spec` compiled to.
+
+    Raises:
+        UsageError: the scene holds something that `reader` does not know.
+    """
     named = {mesh.file for mesh in spec.meshes} | {texture.file for texture in spec.textures}
     files = {name: data for name, data in sorted(spec.assets.items()) if name in named}
-    return {SCENE_FILE: spec.to_xml().encode(), **files}
+    text = classic_xml(spec, model) if reader == "3.3" else spec.to_xml()
+    return {SCENE_FILE: text.encode(), **files}
 
 
 def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:

@@ -14,6 +14,7 @@ from ..config.objects import Contact, ObjectConfig
 from ..config.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ..geometry.stl import stl_bytes
+from .robot import mesh_bytes
 
 SEEN_GROUP = 2
 HIDDEN_GROUP = 3
@@ -47,7 +48,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None, *, 
             _add_primitive(body, name, part, None, material.name, hidden=False)
     if meshes is not None:
         file = f"meshes/{item.mesh.set}/{item.mesh.file}"
-        spec.assets = {**spec.assets, file: (meshes / item.mesh.file).read_bytes()}
+        spec.assets = {**spec.assets, file: mesh_bytes(meshes / item.mesh.file)}
         mesh = spec.add_mesh(name=item.name, file=file, refpos=item.mesh.origin)
         body.add_geom(
             name=f"{item.name}_look",
@@ -58,6 +59,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: Path | None, *, 
             contype=0,
             conaffinity=0,
             mass=0,
+            castshadow=item.mesh.castshadow,
         )
 
 

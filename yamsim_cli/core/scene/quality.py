@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from ..config.record import RenderConfig
+from ..config.record import SHADOW_REACH, RenderConfig
 
 
 def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, int]) -> None:
@@ -17,6 +17,8 @@ def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, i
     visual.global_.offwidth, visual.global_.offheight = quality.fine_size(size)
     visual.quality.offsamples = quality.multisamples
     visual.quality.shadowsize = quality.shadow_map_px
+    # A scene is composed with the usual reach, and what its arms' distance adds to it.
+    visual.map.shadowclip += quality.shadow_reach_m - SHADOW_REACH
     visual.quality.numslices, visual.quality.numstacks = quality.slices, quality.slices // 2
     for number, light in enumerate(spec.lights):
         light.castshadow = number < quality.shadow_lights

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.rig import ArmConfig
+from ..errors import ResourceError
 from ..geometry.se3 import Array
 from ..resources import Locations
 
@@ -80,7 +81,7 @@ def arm_spec(arm: ArmConfig, locations: Locations, meshes: Meshes | None) -> muj
             folder = folders[assets]
             assert folder is not None
             mesh.file = f"meshes/{assets}/{file}"
-            files[mesh.file] = (folder / file).read_bytes()
+            files[mesh.file] = mesh_bytes(folder / file)
         spec.assets = files
         return spec
     for body in spec.bodies:
@@ -92,6 +93,21 @@ def arm_spec(arm: ArmConfig, locations: Locations, meshes: Meshes | None) -> muj
     for mesh in list(spec.meshes):
         spec.delete(mesh)
     return spec
+
+
+def mesh_bytes(path: Path) -> bytes:
+    """A mesh's file.
+
+    Raises:
+        ResourceError: it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ResourceError(
+            f"the mesh {path} cannot be read ({error.strerror}): `yamsim assets fetch` brings it, or `yamsim assets "
+            "import` if it is your own"
+        ) from error
 
 
 def bare_arm(arm: ArmConfig, locations: Locations) -> mujoco.MjModel:

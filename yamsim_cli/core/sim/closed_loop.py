@@ -8,6 +8,7 @@ import numpy as np
 from ..config.task import Success, Timing
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
+from ..scene.robot import FINGER_JOINTS
 from ..types import Actions, Holds
 from .rollout import attach
 
@@ -47,6 +48,15 @@ class ClosedLoop:
     def held(self) -> tuple[bool, ...]:
         """Whether each arm's weld holds it."""
         return tuple(self._held(arm) for arm in self._scene.arms)
+
+    @property
+    def joint_velocities(self) -> Array:
+        """Of each arm's six joints in rad/s and of its finger's opening in m/s, (7,) or (14,), the left arm's first."""
+        parts: list[Array] = []
+        for arm in self._scene.arms:
+            finger = self.data.joint(arm.prefix + FINGER_JOINTS[0])
+            parts += [self.data.qvel[arm.joint_dof], finger.qvel]
+        return np.concatenate(parts)
 
     @property
     def actions(self) -> Actions:

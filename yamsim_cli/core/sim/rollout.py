@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -87,17 +87,26 @@ def roll_out(
 
 
 def simulate(
-    scene: CompiledScene, start: Array, actions: Actions, carried: str, timing: Timing, phases: Sequence[Phases]
+    scene: CompiledScene,
+    start: Array,
+    actions: Actions,
+    carried: str,
+    timing: Timing,
+    phases: Sequence[Phases],
+    see: Callable[[mujoco.MjData], None] | None = None,
 ) -> Rollout:
     """Let actions act from a full reset at `start` (nq,), everything at rest; the same inputs give the same bits.
 
     Args:
         carried: name of the object that is picked up.
         phases: when it is held, by which arm.
+        see: is shown the start, and the state after every physics step; it must not change it.
     """
     model = scene.model
     data = mujoco.MjData(model)
     scene.reset(data, start)
+    if see:
+        see(data)
     steps = timing.physics_steps_per_tick
     watch = Watch(scene, data, carried, phases, steps * len(actions.ctrl))
     states: list[StepState] = []
@@ -117,6 +126,9 @@ def simulate(
         for _ in range(steps):
             mujoco.mj_step(model, data)
             watch.step(data)
+            if see:
+                see(data)
+        watch.end_tick(data)
     mujoco.mj_kinematics(model, data)
     dof = scene.object_dof[carried]
     return Rollout(

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, tilt
+from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene, Kind, SceneArm
 from ..types import Margins, Motion, Phases
 
@@ -42,6 +43,8 @@ class Watch:
         self._tilt = 0.0
         self._lost: float | None = None
         self._collision: str | None = None
+        self._breakdown: str | None = None
+        self._timestep = float(scene.model.opt.timestep)
 
     def step(self, data: mujoco.MjData) -> None:
         """Look at the state after a physics step."""
@@ -57,6 +60,12 @@ class Watch:
             if forbidden.any():
                 names = " and ".join(scene.model.geom(int(geom)).name for geom in geoms[forbidden][0])
                 self._collision = f"{names} touch after {data.time:.2f} s"
+
+    def end_tick(self, data: mujoco.MjData) -> None:
+        """Look at the state after a control tick's last step."""
+        if self._breakdown is None and (text := breakdown(data)):
+            # By steps: MuJoCo has set its own clock back.
+            self._breakdown = f"physics broke down within {self._step * self._timestep:.3f} s: {text}"
 
     def tick(self, tick: int, data: mujoco.MjData) -> None:
         """Look at the object at the start of a control tick; poses have to be up to date."""
@@ -97,7 +106,7 @@ class Watch:
             slip=max((_moved(np.array(places)) for places in self._in_hand), default=0.0),
             tilt=self._tilt,
         )
-        return Motion(margins, self._lost, self._collision)
+        return Motion(margins, self._lost, self._collision, self._breakdown)
 
 
 def _moved(places: Array) -> float:

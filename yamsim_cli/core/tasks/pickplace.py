@@ -27,6 +27,9 @@ _MAX_DRAWS = 1000
 KNOCK_DISTANCE = 0.02
 SLIP_DISTANCE = 0.015
 
+# Contacts are soft in physics: what lies on something sinks in by a fraction of this, m.
+_SUNK = 1e-3
+
 # Stops are soft in physics, rad.
 _STOP_SLACK = 0.01
 
@@ -122,7 +125,8 @@ def judge(
     dx, dy, dz = (float(d) for d in poses.T_object_at_end[:3, 3] - poses.T_target_at_end[:3, 3])
     dxy = math.hypot(dx, dy)
     cause, detail = (
-        _before_the_grasp(poses)
+        ((Cause.UNSTABLE, motion.breakdown) if motion.breakdown else None)
+        or _before_the_grasp(poses)
         or (_on_the_way(grasp, motion) if planned else None)
         or _at_the_end(task, dxy, dz, speed)
         or (None, "")
@@ -162,7 +166,7 @@ def _at_the_end(task: TaskConfig, dxy: float, dz: float, speed: float) -> tuple[
     if speed > limits.max_speed:
         return Cause.UNSTABLE, f"still moving at {speed:.3f} m/s, at most {limits.max_speed:g}"
     # Under what carries it, it lies beside the target, however near: on the table beside a can, say.
-    if dz < task.target.support_height:
+    if dz < task.target.support_height - _SUNK:
         below = (task.target.support_height - dz) * 1000
         return Cause.DROPPED, f"{below:.0f} mm below the {task.target.name}, {dxy * 1000:.0f} mm beside its centre"
     if dxy > limits.threshold or dz > limits.max_height:

@@ -6,6 +6,7 @@ import logging
 import math
 import os
 import socket
+import time
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,10 @@ from .viewpoint import FOV_DEG, Viewpoint
 
 # Of positions in m, and of quaternions.
 _DECIMALS = 5
+
+# How often a page is told that it is still connected, and how long it believes that, s.
+_BEAT_SECONDS = 1.0
+_SILENCE_SECONDS = 5.0
 
 
 class _LocalServer(viser.ViserServer):
@@ -43,6 +48,8 @@ class BodiesPage:
         self.url = f"http://{address.url_host}:{self._server.get_port()}"
         self._bodies = add_bodies(self._server.scene, shown.model)
         self._place_camera(viewpoint)
+        self._heartbeat = self._server.gui.add_html("")
+        self._beat, self._beat_due = 0, 0.0
         self._status = self._server.gui.add_markdown("")
         self._pause_button = self._server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._pause_button.on_click(self._toggle_pause)
@@ -55,6 +62,12 @@ class BodiesPage:
             for body, frame in self._bodies.frames.items():
                 # viser drops a pose that has not changed.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
+        if self._pause_button.label != (label := "Play" if self._shown.paused else "Pause"):
+            self._pause_button.label = label
+            self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._shown.paused else viser.Icon.PLAYER_PAUSE
+        if (now := time.monotonic()) >= self._beat_due:
+            self._beat, self._beat_due = self._beat + 1, now + _BEAT_SECONDS
+            self._heartbeat.content = _disconnected(self._beat)
 
     def close(self) -> None:
         """Stop serving."""
@@ -66,9 +79,25 @@ class BodiesPage:
         camera.fov, camera.near = math.radians(FOV_DEG), 0.01
 
     def _toggle_pause(self, _: Any) -> None:
-        self._shown.paused = paused = not self._shown.paused
-        self._pause_button.label = "Play" if paused else "Pause"
-        self._pause_button.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
+        self._shown.paused = not self._shown.paused
+
+
+def _disconnected(beat: int) -> str:
+    """A notice that comes up by itself, on the panel and across the page, unless another one replaces it in time.
+
+    A page whose server is gone shows the last thing that it was sent, such as a recording that goes on; and what it
+    would have to be told now, nobody can tell it any more.
+    """
+    name = f"yamsim-gone-{beat}"
+    hidden = "visibility: hidden; overflow: hidden; max-height: 0"
+    looks = "background: rgb(150, 0, 0); color: white; font-weight: bold"
+    shown = f"{hidden}; {looks}; animation: {name} 0s {_SILENCE_SECONDS}s forwards"
+    across = "position: fixed; bottom: 0; left: 0; width: 100vw; z-index: 10000; font-size: 1.3em; text-align: center"
+    return (
+        f"<style>@keyframes {name} {{ to {{ visibility: visible; max-height: 8em; padding: 0.7em }} }}</style>"
+        f'<div style="{shown}">Disconnected: nothing below is up to date.</div>'
+        f'<div style="{shown}; {across}">Disconnected: the server is gone, and nothing is recorded.</div>'
+    )
 
 
 def _serve(address: PageAddress, title: str) -> viser.ViserServer:

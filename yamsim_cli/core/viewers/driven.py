@@ -81,6 +81,10 @@ class Driven(Shown, Protocol):
         """End the recording, to be judged."""
         ...
 
+    def leave(self) -> None:
+        """Nobody watches any more: a recording stands still until somebody plays on."""
+        ...
+
     def discard(self) -> None:
         """End the recording as if it had never been."""
         ...

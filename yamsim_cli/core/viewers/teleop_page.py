@@ -56,6 +56,7 @@ class TeleopPage(BodiesPage):
         self._gizmo = self._server.scene.add_transform_controls("/target", scale=0.12, line_width=3.0, depth_test=False)
         self._ball = self._server.scene.add_icosphere("/target/ball", 0.008, color=_FREE)
         self._gizmo.on_update(self._drag)
+        self._server.on_client_disconnect(self._left)
         self._server.gui.add_markdown(_KEYS + (", **T** other arm" if arm.status.arm else ""))
         for key, name, shift, turn in _MOVES:
             self._add_key(name, key, lambda shift=shift, turn=turn: self._move(shift, turn))  # type: ignore[misc]
@@ -122,6 +123,11 @@ class TeleopPage(BodiesPage):
             self._arm.stop()
         else:
             self._arm.start()
+
+    # In the server's own loop, so that one who comes back is counted first.
+    async def _left(self, _: viser.ClientHandle) -> None:
+        if not self._server.get_clients():
+            self._arm.leave()
 
     def _switch_magnet(self) -> None:
         self._arm.set_magnet(not self._arm.status.magnet)

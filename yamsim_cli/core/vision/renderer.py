@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
+from .forks import enter_opengl
 
 Image = NDArray[np.uint8]
 GeomIds = NDArray[np.int32]
@@ -67,10 +68,12 @@ class SceneRenderer:
         fine: the size in which colour images are drawn, and averaged to their own; without, that is the one.
 
     Raises:
-        ResourceError: no OpenGL context could be made.
+        ResourceError: no OpenGL context could be made; or, when drawing too, this process was forked from one that has
+            used OpenGL.
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
+        enter_opengl()
         self._held = _Held()
         self._free = weakref.finalize(self, self._held.free)
         self._free.atexit = False
@@ -112,9 +115,7 @@ class SceneRenderer:
 
     def upload_texture(self, texture: int) -> None:
         """Take a texture's pixels from the model again, after they have changed there."""
-        assert self._held.context is not None, "closed"
-        self._held.gl.make_current()
-        mujoco.mjr_uploadTexture(self._model, self._held.context, texture)
+        mujoco.mjr_uploadTexture(self._model, self._current(), texture)
 
     def draw(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
         """An RGB image (height, width, 3) of the scene as `data` has it, written into `out` if given."""
@@ -208,6 +209,7 @@ class SceneRenderer:
 
     def _current(self) -> mujoco.MjrContext:
         assert self._held.context is not None, "closed"
+        enter_opengl()
         self._held.gl.make_current()
         return self._held.context
 

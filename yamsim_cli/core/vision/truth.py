@@ -43,16 +43,14 @@ def measure_frame(
     data: mujoco.MjData, camera: str, renderer: SceneRenderer, scene: SceneLabels, T_base_in_world: Array
 ) -> FrameTruth:
     """Measure what the picture of a camera shows; `data` has all positions, as for drawing it."""
-    labels, depth = renderer.label(data, camera, scene.of_geom)
-    # rint in place: the sky is 0 already.
-    millimetres = np.rint(depth * 1000.0)
-    depth_mm = np.where(millimetres <= _FARTHEST_MM, millimetres, 0).astype(np.uint16)
+    labels, distance = renderer.label(data, camera, scene.of_geom)
+    depth = whole_mm(distance)
     K = renderer.intrinsics(camera).K
     view = data.cam(camera)
     T_cam_in_world = pose(view.xpos, opencv_from_mujoco(view.xmat))
     T_world_in_cam = inverse(T_cam_in_world)
     boxes, pixels = instance_boxes(labels, scene.instance_of, len(scene.names.instances))
-    places, depths, visibility = _keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth_mm)
+    places, depths, visibility = _keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth)
     arrays: dict[str, NDArray[Any]] = {
         "T_cam_in_base": inverse(T_base_in_world) @ T_cam_in_world,
         "T_link_in_cam": _poses(data, scene.links, T_world_in_cam),
@@ -63,7 +61,14 @@ def measure_frame(
         "boxes": boxes,
         "pixels": pixels,
     }
-    return FrameTruth(depth_mm, labels, arrays)
+    return FrameTruth(depth, labels, arrays)
+
+
+def whole_mm(distance: NDArray[np.float32]) -> Depth:
+    """A renderer's distances z (height, width) in m as whole mm; 0 for nothing, or beyond 65 m."""
+    # The sky is 0 already.
+    millimetres = np.rint(distance * 1000.0)
+    return np.where(millimetres <= _FARTHEST_MM, millimetres, 0).astype(np.uint16)
 
 
 def _poses(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array) -> Array:

@@ -180,6 +180,13 @@ def fewer(stream: str) -> Callable[[Path], None]:
     return remove(f"{EP}/{stream}/00000{5}.{'pkl' if stream == 'lowdim' else 'jpg'}")
 
 
+def some_meshes(sample: Sample) -> None:
+    """All episodes say what they show, and one shows something else."""
+    for made in sample.episodes:
+        made.over["meshes"] = {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "reduced " + "0123456789" * 6 + "0123"}
+    one(sample).over["meshes"]["ycb"] = "primitives"
+
+
 PX = f"rgb/{CAMERA}"
 DAMAGES = [
     Damage("config.missing", after=remove("config.yaml"), episode=""),
@@ -188,6 +195,10 @@ DAMAGES = [
         "config.damaged", after=write("config.yaml", b"rig: single\n"), episode="", file="config.yaml", text="missing"
     ),
     Damage("dataset.mixed", over(versions={"numpy": "2.1"}), episode="", text="numpy: 2 x 2.0; 1 x 2.1"),
+    Damage(
+        "dataset.mixed", over(meshes={"ycb": "primitives"}), episode="", text="meshes ycb: 2 x not told; 1 x primitives"
+    ),
+    Damage("dataset.mixed", some_meshes, episode="", text="meshes ycb: 2 x reduced 012345678901; 1 x primitives"),
     Damage("dataset.mixed", over(rig="mine"), episode="", text="rig: 2 x single; 1 x mine"),
     Damage("manifest.missing", after=remove("manifest.json"), episode="", file="manifest.json"),
     Damage("manifest.damaged", after=write("manifest.json", b'{"format":'), episode="", file="manifest.json"),

@@ -13,12 +13,12 @@ import numpy as np
 from yamsim_cli.core.jobs.exports import raiden_schema as schema
 
 
-def differences(root: Path, *, arms: int = 1) -> list[str]:
-    """What is wrong with an export, one text each."""
-    return list(_dataset(root, arms))
+def differences(root: Path, *, arms: int = 1, single: bool = False) -> list[str]:
+    """What is wrong with an export of so many arms, `single` in arrays of one, one text each."""
+    return list(_dataset(root, arms, schema.lowdim(1 if single else 2, arms)))
 
 
-def _dataset(root: Path, arms: int) -> Iterator[str]:
+def _dataset(root: Path, arms: int, lowdim: Mapping[str, schema.Form]) -> Iterator[str]:
     split = json.loads((root / schema.SPLIT).read_text())
     yield from _keys(schema.SPLIT, split, schema.SPLIT_KEYS)
     yield from _names(
@@ -30,17 +30,19 @@ def _dataset(root: Path, arms: int) -> Iterator[str]:
     if list(split["files"]) != [schema.episode_name(k) for k in range(len(split["files"]))]:
         yield f"{schema.SPLIT}: episodes are {list(split['files'])}"
     for name, frames in split["files"].items():
-        yield from _episode(root / name, frames)
+        yield from _episode(root / name, frames, lowdim)
     first = root / next(iter(split["files"])) / schema.METADATA
     if (root / schema.SHARED_METADATA).read_bytes() != first.read_bytes():
         yield f"{schema.SHARED_METADATA} is not that of the first episode"
     yield from _calibration(root, json.loads(first.read_text())["cameras"], arms)
 
 
-def _episode(folder: Path, frames: int) -> Iterator[str]:
+def _episode(folder: Path, frames: int, lowdim: Mapping[str, schema.Form]) -> Iterator[str]:
     metadata = json.loads((folder / schema.METADATA).read_text())
     depth = "depth" in metadata["labels"]
     keys = {**schema.METADATA_KEYS, **(schema.DEPTH_METADATA_KEYS if depth else {})}
+    if metadata["pictures"]["source"] == "nearest":
+        keys |= schema.NEAREST_METADATA_KEYS
     yield from _keys(f"{folder.name}/{schema.METADATA}", metadata, keys)
     if metadata["num_frames"] != frames:
         yield f"{folder.name}: num_frames is {metadata['num_frames']}, not {frames}"
@@ -64,14 +66,14 @@ def _episode(folder: Path, frames: int) -> Iterator[str]:
         yield from _names(camera, {schema.frame_name(k, "npz") for k in range(frames)})
     yield from _names(folder / "lowdim", {schema.frame_name(k, "pkl") for k in range(frames)})
     for file in sorted((folder / "lowdim").iterdir()):
-        yield from _frame(file, cameras)
+        yield from _frame(file, cameras, lowdim)
 
 
-def _frame(file: Path, cameras: list[str]) -> Iterator[str]:
+def _frame(file: Path, cameras: list[str], lowdim: Mapping[str, schema.Form]) -> Iterator[str]:
     frame = pickle.loads(file.read_bytes())
-    if list(frame) != list(schema.LOWDIM):
-        yield f"{file.name}: keys are {list(frame)}, not {list(schema.LOWDIM)}"
-    for key, form in schema.LOWDIM.items():
+    if list(frame) != list(lowdim):
+        yield f"{file.name}: keys are {list(frame)}, not {list(lowdim)}"
+    for key, form in lowdim.items():
         values = frame[key] if form.each else {"": frame[key]}
         if form.each and list(values) != cameras:
             yield f"{file.name}: {key} is of {list(values)}, not of {cameras}"

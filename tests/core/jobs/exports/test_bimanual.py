@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,10 +18,11 @@ from tests.core.jobs.exports.raiden_diff import differences
 from tests.core.jobs.undrawn import change_record
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.reader import dataset_config
-from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.jobs.exports.lerobot import export_lerobot
 from yamsim_cli.core.jobs.exports.raiden import export_raiden
+from yamsim_cli.core.jobs.exports.raiden_options import RaidenOptions
 from yamsim_cli.core.jobs.exports.source import open_source
 from yamsim_cli.core.jobs.trials import PolicyChoice, TrialRunner
 from yamsim_cli.core.resources import Locations
@@ -43,7 +45,8 @@ def column(frames: list[dict[str, Any]], key: str) -> np.ndarray:
 @pytest.fixture(scope="module")
 def raiden(two_armed: Path, locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("raiden") / "out"
-    export_raiden(open_source(two_armed, None, locations), out, locations, lambda *_: None)
+    source = open_source(two_armed, None, locations)
+    export_raiden(source, out, locations, lambda *_: None, RaidenOptions(fps=None))
     return out
 
 
@@ -114,6 +117,16 @@ def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(tw
         name = f"{side}_wrist_camera"
         entry = calibration["cameras"][name]["hand_eye_calibration"]
         T_cam_in_hand = pose(entry["translation_vector"], entry["rotation_matrix"])
+        # Its converter turns the right one, which hangs upside down on a real arm.
+        assert entry["upside_down"] is (side == "right")
+        if side == "right":
+            T_cam_in_hand = T_cam_in_hand @ np.diag([-1.0, -1.0, 1.0, 1.0])
+        # What the fork at the lab reads, it does not turn.
+        other = calibration["cameras"][name]["extrinsics"]
+        assert other["reference_frame"] == f"{side}_grasp_site"
+        np.testing.assert_allclose(
+            pose(other["translation_vector"], other["rotation_matrix"]), T_cam_in_hand, atol=1e-9
+        )
         chain = [base @ hand @ T_cam_in_hand for hand in hands(column(found, "actual_poses"), number)]
         np.testing.assert_allclose(chain, [frame["extrinsics"][name] for frame in found], atol=2e-6)
         np.testing.assert_allclose(chain, [frame["extrinsics"][name] for frame in was], atol=2e-6)
@@ -122,10 +135,38 @@ def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(tw
     np.testing.assert_allclose(T, was[0]["extrinsics"]["scene_camera"], atol=1e-6)
 
 
+def test_raidens_frames_take_points_of_the_right_base_to_the_left_one(two_armed: Path, raiden: Path) -> None:
+    """As its visualizer uses it, on the hand of the right arm."""
+    was, found = recorded(two_armed), exported(raiden)
+    for k in (0, 60, 93):
+        hand = np.append(found[k]["actual_poses"][13:16], 1.0)
+        in_left_base = (found[k]["T_left_from_right"] @ hand)[:3]
+        np.testing.assert_allclose(in_left_base, was[k]["ee_pose"][1, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(found[0]["T_left_from_right"][:3, 3], (0, -0.591, 0), atol=1e-6)
+
+
+def test_two_arms_do_not_go_into_the_arrays_of_one(two_armed: Path, locations: Locations, tmp_path: Path) -> None:
+    source = open_source(two_armed, None, locations)
+    with pytest.raises(UsageError, match=r"--single is for recordings of one arm, and .* has 2"):
+        export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(fps=None, single=True))
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_arms_at_30_hz(two_armed: Path, raiden: Path, locations: Locations, tmp_path: Path) -> None:
+    source = open_source(two_armed, None, locations)
+    export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(pictures="nearest"))
+    assert differences(tmp_path / "out", arms=2) == []
+    was, found = exported(raiden), exported(tmp_path / "out")
+    assert len(found) == 179
+    for k, frame in ((0, 0), (48, 25), (96, 50), (144, 75)):
+        for key in ("joints", "action", "actual_poses", "action_joints", "T_left_from_right"):
+            np.testing.assert_array_equal(found[k][key], was[frame][key])
+
+
 def test_raidens_pictures_keep_their_cameras(two_armed: Path, raiden: Path) -> None:
     for camera in CAMERAS:
-        was = (two_armed / "ep_000000" / "rgb" / camera / "000050.jpg").read_bytes()
-        assert (raiden / "0000" / "rgb" / camera / "0000000050.jpg").read_bytes() == was
+        was = cv2.imread(str(two_armed / "ep_000000" / "rgb" / camera / "000050.jpg"))
+        np.testing.assert_array_equal(cv2.imread(str(raiden / "0000" / "rgb" / camera / "0000000050.png")), was)
 
 
 def check_numbers(found: dict[str, Any], frames: list[dict[str, Any]]) -> None:

@@ -64,17 +64,19 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
         DatasetError: there is no dataset, or it is a single episode, or it cannot be read.
     """
     hint = "give the directory that `yamsim record` wrote"
-    if not dataset.is_dir():
-        raise DatasetError(f"{dataset} is not a directory; {hint}")
-    if _is_episode(dataset):
-        raise DatasetError(f"{dataset} is one episode; give the directory around it, {dataset.absolute().parent}")
     try:
+        if not dataset.is_dir():
+            raise DatasetError(f"{dataset} is not a directory; {hint}")
+        if _is_episode(dataset):
+            raise DatasetError(f"{dataset} is one episode; give the directory around it, {dataset.absolute().parent}")
         numbered = _numbered(dataset)
         if (dataset / CONFIG).is_file() or any((episode.path / EPISODE).is_file() for episode in numbered):
             return numbered, True
         plain = [path for path in dataset.iterdir() if not path.name.startswith(".") and _is_episode(path)]
     except OSError as error:
-        raise DatasetError(f"{dataset} cannot be read: {error.strerror}; mend its permissions or its disk") from error
+        raise DatasetError(
+            f"{dataset} cannot be read: {error.strerror}; mend its permissions or its disk, or {hint}"
+        ) from error
     if not plain:
         raise DatasetError(
             f"{dataset} holds no episodes (ep_NNNNNN, or any with rgb/ and lowdim/) and no {CONFIG}; {hint}"
@@ -112,7 +114,7 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         problems.add("config.missing")
     elif recorded:
         try:
-            parsed = validate_file(RecordConfig, dataset / CONFIG, locations)
+            parsed = validate_file(RecordConfig, dataset / CONFIG, locations, as_recorded=True)
         except ConfigError as error:
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
     if parsed is None:

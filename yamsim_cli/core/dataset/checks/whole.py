@@ -8,7 +8,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ..layout import STAGING, episode_name
+from ...drawn import shown
+from ..layout import RECORDINGS, STAGING, episode_name
 from ..records import AttemptRecord
 from .context import looks_like_episode
 from .facts import EpisodeFacts
@@ -106,6 +107,9 @@ def _mixed(episodes: Sequence[EpisodeFacts], problems: Problems) -> None:
     records = [episode.record for episode in episodes if episode.record]
     for key in ("source", "rig", "scene", "task", "grasp", "frame_period_s", "renderer"):
         _differ(key, (str(getattr(record, key)) for record in records), problems)
+    drawn = [record.meshes for record in records]
+    for name in sorted({name for meshes in drawn if meshes for name in meshes}):
+        _differ(f"meshes {name}", ("not told" if m is None else shown(m.get(name)) for m in drawn), problems)
     for package in sorted({package for record in records for package in record.versions}):
         _differ(package, (record.versions.get(package, "none") for record in records), problems)
 
@@ -118,9 +122,9 @@ def _differ(what: str, values: Iterable[str], problems: Problems) -> None:
 
 def _leftovers(dataset: Path, known: set[str], problems: Problems) -> None:
     for path in sorted(dataset.iterdir()):
-        if path.name == STAGING:
+        if path.name in (STAGING, RECORDINGS):
             for staged in sorted(path.glob("*")):
-                problems.add("leftover.staging", f"{STAGING}/{staged.name}")
+                problems.add("leftover.staging", f"{path.name}/{staged.name}")
         elif _PART.fullmatch(path.name):
             problems.add("leftover.staging", path.name)
         elif path.name not in known and looks_like_episode(path):

@@ -2,263 +2,165 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
-import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ...config.limits import load_limits
-from ...config.rig import ArmConfig
-from ...dataset.layout import depth_name
-from ...dataset.lowdim import BETWEEN_BASES, dump_frame
+from ...config.record import RecordConfig
+from ...dataset.lowdim import dump_frame
 from ...dataset.reader import StoredEpisode
 from ...errors import DatasetError
-from ...geometry.se3 import Array, inverse, rotation_vector
-from ...planning.kinematics import ArmKinematics
 from ...resources import Locations
-from ...scene.robot import bare_arm
+from ..executor import Executor, Factory
+from ..inline import InlineExecutor
+from ..workers import WorkerPool
 from . import raiden_schema as schema
+from .raiden_calibration import calibration
+from .raiden_episode import EpisodeMaker, MadeEpisode
+from .raiden_frames import FrameConverter, hand_frame
+from .raiden_options import RaidenOptions
 from .source import Exported, Progress, Source, depth_cameras
 from .target import export_directory
 
-# Of the arms in order: a lone arm is the left one, and so is its camera.
-_WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
+# How an arm was driven, by what a recording says of itself.
+_CONTROL = {"record": "plan"}
 
-_ZERO_TIME = "1970-01-01T00:00:00.000000"
+Meshes = Mapping[str, Path | None]
+# An episode's directory, and where it is exported to.
+Job = tuple[Path, Path]
 
 
 def export_raiden(
-    source: Source, out: Path, locations: Locations, progress: Progress, *, overwrite: bool = False
+    source: Source,
+    out: Path,
+    locations: Locations,
+    progress: Progress,
+    options: RaidenOptions,
+    meshes: Meshes | None = None,
+    *,
+    workers: int = 1,
+    overwrite: bool = False,
 ) -> Exported:
-    """Write a dataset in the real stack's layout; images and depth byte for byte as they are.
+    """Write a dataset in the real stack's layout.
 
-    The global frame is the base of the left arm. A lone arm is the left one; the right one is still, with all joints 0.
-    Grippers are a share of the opening, 0 closed and 1 open, as the real arm's drive reports them.
+    The global frame is the base of the left arm. A lone arm is the left one; the right one, unless left out, is still,
+    with all joints 0. Grippers are a share of the opening, 0 closed and 1 open, as the real arm's drive reports them.
+
+    Args:
+        meshes: asset set -> folder of its files, or None for primitives, for pictures that are drawn.
+        workers: processes that draw; nothing else takes long.
 
     Raises:
-        DatasetError: a file is missing, altered or damaged.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+        DatasetError: a file is missing, altered or damaged, or physics leads elsewhere today.
+        ResourceError: nothing can be drawn here.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`; two arms do not go into one's arrays.
     """
-    converter = _Converter(source, locations)
+    converter = FrameConverter(source, locations, options)
+    config = _as_recorded(source) if options.draws else source.config
+    factory = functools.partial(EpisodeMaker, config, locations, dict(meshes or {}), converter.names, options)
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
-        calibration: dict[str, Any] = {}
-        for number, episode in enumerate(source.episodes()):
-            name = schema.episode_name(number)
-            recorded = episode.frames()
-            data = [converter.frame(frame) for frame in recorded]
-            metadata = converter.metadata(episode, data)
-            _write_images(stage.path / name, episode, converter.names, [frame["timestamp"] for frame in recorded])
-            _write_frames(stage.path / name, data, metadata)
-            if not calibration:
-                calibration = converter.calibration(data[0], recorded[0].get(BETWEEN_BASES))
+        episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.episodes())}
+        jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
+        for folder, made in _make(factory, jobs, workers if options.draws else 0):
+            data = [converter.frame(frame) for frame in made.frames]
+            metadata = _metadata(episodes[folder.name], converter, made, data, options)
+            _write_episode(folder, made, data, metadata)
+            frames[folder.name] = len(data)
+            if folder == jobs[0][1]:
                 _write_json(stage.path / schema.SHARED_METADATA, metadata)
-            frames[name] = len(data)
-            progress(number + 1, len(source))
+                _write_json(stage.path / schema.CALIBRATION, calibration(source, converter, options, data))
+            progress(len(frames), len(source))
         total = sum(frames.values())
         size = {"n_seqs": len(frames), "n_samples": len(frames), "n_frames": total}
-        _write_json(stage.path / schema.SPLIT, {"filters": {}, "size": size, "files": frames})
-        _write_json(stage.path / schema.CALIBRATION, calibration)
+        split = {"filters": {}, "size": size, "files": dict(sorted(frames.items()))}
+        _write_json(stage.path / schema.SPLIT, split)
     return Exported(out, len(frames), total, stage.moved_aside)
 
 
-class _Arm:
-    """What the real stack tells of an arm, from recorded joints (7,): six in rad, and one finger's opening in m."""
-
-    def __init__(self, arm: ArmConfig, locations: Locations) -> None:
-        self._kinematics = ArmKinematics(bare_arm(arm, locations))
-        self._opening = load_limits(arm.model, locations).fingers[arm.gripper][1]
-
-    def shared(self, joints: ArrayLike) -> Array:
-        """Six joints, and the gripper as a share of its opening."""
-        values = np.array(joints, dtype=np.float64)
-        values[6] = np.clip(values[6] / self._opening, 0.0, 1.0)
-        return values
-
-    def hand(self, shared: Array) -> Array:
-        """The hand's position, its rotation row by row and the gripper (13,), in this arm's base."""
-        T = self.T_hand_in_base(shared)
-        return np.concatenate([T[:3, 3], T[:3, :3].ravel(), shared[6:]])
-
-    def T_hand_in_base(self, joints: ArrayLike) -> Array:
-        """The hand's pose (4, 4) in this arm's base, by kinematics."""
-        return self._kinematics.T_grasp_in_base(np.asarray(joints)[:6])
+def _as_recorded(source: Source) -> RecordConfig:
+    """A dataset's configuration, to draw pictures with that are as large as the recorded ones."""
+    sizes = set(source.cameras.values())
+    if len(sizes) > 1:
+        raise DatasetError(
+            f"{source.path} has pictures of several sizes, which cannot be drawn: take --pictures nearest"
+        )
+    image = source.config.image.model_copy(update={"size_px": sizes.pop()})
+    return source.config.model_copy(update={"image": image})
 
 
-class _Converter:
-    """Turns frames of one dataset into those of the real stack.
-
-    Attributes:
-        names: camera -> its name there.
-    """
-
-    def __init__(self, source: Source, locations: Locations) -> None:
-        config = source.config
-        arms = [config.rig.arms[k] for k in config.rig.recorded]
-        self._cameras = source.cameras
-        # Wrist camera -> its arm's place.
-        self._wrists = {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}
-        self.names = {
-            name: _WRIST_CAMERAS[self._wrists[name]] if name in self._wrists else name for name in self._cameras
-        }
-        # Where there is one alone, the other is like it.
-        self._arms = [_Arm(arm, locations) for arm in (arms[0], arms[-1])]
-        self._framerate = 1 / source.frame_period
-
-    def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
-        """A frame's dictionary, as `raiden_schema.LOWDIM` has it."""
-        joints, command = self._shared(frame["joints"]), self._shared(frame["action_joints"])
-        return {
-            "intrinsics": {self.names[camera]: frame["intrinsics"][camera] for camera in self.names},
-            "extrinsics": {self.names[camera]: frame["extrinsics"][camera] for camera in self.names},
-            "joints": _f32(joints),
-            "action": _f32(self._hands(command)),
-            "actual_poses": _f32(self._hands(joints)),
-            "action_joints": _f32(command),
-            "language_task": frame["language_task"],
-            "language_prompt": frame["language_prompt"],
-        }
-
-    def _shared(self, joints: ArrayLike) -> list[Array]:
-        """Each arm's joints (7,), of recorded ones (7,) or (14,)."""
-        rows = np.zeros((2, 7))
-        recorded = np.reshape(joints, (-1, 7))
-        rows[: len(recorded)] = recorded
-        return [arm.shared(row) for arm, row in zip(self._arms, rows, strict=True)]
-
-    def _hands(self, shared: Sequence[Array]) -> list[Array]:
-        return [arm.hand(row) for arm, row in zip(self._arms, shared, strict=True)]
-
-    def metadata(self, episode: StoredEpisode, frames: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """What `metadata.json` holds."""
-        sizes = {self.names[camera]: [height, width] for camera, (width, height) in episode.record.cameras.items()}
-        one_size = len({tuple(size) for size in sizes.values()}) == 1
-        depth = bool(depth_cameras(episode))
-        return {
-            "info": {
-                "name": frames[0]["language_task"],
-                "raw_id": f"{episode.dataset.name}/{episode.directory.name}",
-                "tags": ["robotics"],
-            },
-            "labels": ["rgb", *(["depth"] if depth else []), "action", "language"],
-            "cameras": list(sizes),
-            "resolution": next(iter(sizes.values())) if one_size else sizes,
-            "framerate": self._framerate,
-            "language": {"task": frames[0]["language_task"], "prompt": [frames[0]["language_prompt"]]},
-            "num_frames": len(frames),
-            "rgb": {"extension": "jpg"},
-            **({"depth": {"extension": "npz", "sparse": False, "metric": True}} if depth else {}),
-            "intrinsics": {"model": "pinhole"},
-            "extrinsics": {"transform": "cam2world", "metric": True},
-            "action": {"format": "joint_cmd", "dims": 14},
-        }
-
-    def calibration(self, frame: Mapping[str, Any], T_right_base_in_left_base: ArrayLike | None) -> dict[str, Any]:
-        """What `calibration_results.json` holds: the cameras as they are in a frame of the real stack's kind.
-
-        Args:
-            T_right_base_in_left_base: pose (4, 4), of two arms.
-        """
-        between = None if T_right_base_in_left_base is None else np.asarray(T_right_base_in_left_base, np.float64)
-        return {
-            "version": "1.0",
-            "timestamp": _ZERO_TIME,
-            "coordinate_frame": "left_arm_base",
-            "cameras": {
-                self.names[camera]: self._calibrated(camera, size, frame, between)
-                for camera, size in self._cameras.items()
-            },
-            **({} if between is None else {"bimanual_transform": _bimanual(between)}),
-        }
-
-    def _calibrated(
-        self, camera: str, size: tuple[int, int], frame: Mapping[str, Any], T_right_base_in_left_base: Array | None
-    ) -> dict[str, Any]:
-        name = self.names[camera]
-        T = np.asarray(frame["extrinsics"][name], dtype=np.float64)
-        intrinsics = {
-            "camera_matrix": frame["intrinsics"][name].tolist(),
-            "distortion_coeffs": [0.0] * 5,
-            "image_size": list(size),
-            "source": "simulation",
-        }
-        entry = {"serial_number": 0, "intrinsics": intrinsics, "num_poses_used": 0}
-        if camera not in self._wrists:
-            return {"type": "scene", **entry, "extrinsics": {**_transform(T), "reference_frame": "left_arm_base"}}
-        arm = self._wrists[camera]
-        hand = self._arms[arm].T_hand_in_base(frame["joints"][7 * arm :])
-        if arm == 1 and T_right_base_in_left_base is not None:
-            hand = T_right_base_in_left_base @ hand
-        return {"type": "hand_eye", **entry, "hand_eye_calibration": {**_transform(inverse(hand) @ T), "method": "sim"}}
+def _make(factory: Factory[Job, MadeEpisode], jobs: Sequence[Job], workers: int) -> Iterator[tuple[Path, MadeEpisode]]:
+    """Each episode's folder and what was made of it, as they are done: by workers, or without any in this process."""
+    executor: Executor[Job, MadeEpisode] = InlineExecutor(factory)
+    if workers:
+        executor = WorkerPool[Job, MadeEpisode](factory, min(workers, len(jobs)))
+    waiting = list(reversed(jobs))
+    with executor as pool:
+        for _ in jobs:
+            while pool.idle and waiting:
+                pool.submit(waiting.pop())
+            (_, folder), made = pool.result()
+            yield folder, made
 
 
-def _bimanual(T_right_base_in_left_base: Array) -> dict[str, Any]:
-    """Where the arms stand. Source: TRI-ML/raiden, `converter.py`: it inverts what it reads, whatever the key says."""
+def _metadata(
+    episode: StoredEpisode,
+    converter: FrameConverter,
+    made: MadeEpisode,
+    data: Sequence[Mapping[str, Any]],
+    options: RaidenOptions,
+) -> dict[str, Any]:
+    """What `metadata.json` holds."""
+    record = episode.record
+    sizes = {converter.names[camera]: [height, width] for camera, (width, height) in record.cameras.items()}
+    one_size = len({tuple(size) for size in sizes.values()}) == 1
+    depth = bool(depth_cameras(episode))
+    task = str(data[0]["language_task"])
     return {
-        "right_base_to_left_base": inverse(T_right_base_in_left_base).tolist(),
-        "computed_from_calibration": False,
-        "description": "Pose of the left arm's base in the right one's: the inverse of T_right_base_in_left_base",
-        BETWEEN_BASES: T_right_base_in_left_base.tolist(),
+        "info": {
+            "name": task,
+            "raw_id": f"{episode.dataset.name}/{episode.directory.name}",
+            "tags": ["robotics"],
+        },
+        "labels": ["rgb", *(["depth"] if depth else []), "action", "language"],
+        "cameras": list(sizes),
+        "resolution": next(iter(sizes.values())) if one_size else sizes,
+        "framerate": 1 / record.frame_period_s if options.fps is None else _plain(options.fps),
+        "language": {"task": task, "prompt": [str(data[0]["language_prompt"])]},
+        "num_frames": len(data),
+        "rgb": {"extension": options.images},
+        **({"depth": {"extension": "npz", "sparse": False, "metric": True}} if depth else {}),
+        "intrinsics": {"model": "pinhole"},
+        "extrinsics": {"transform": "cam2world", "metric": True},
+        "action": {"format": "joint_cmd", "dims": len(data[0]["action_joints"])},
+        "control": _CONTROL.get(record.source, record.source),
+        "hand_frame": hand_frame(options.hand_frame),
+        "pictures": dict(made.pictures),
     }
 
 
-def _f32(arms: Sequence[ArrayLike]) -> NDArray[np.float32]:
-    return np.concatenate(arms).astype(np.float32)
+def _plain(number: float) -> float:
+    """A whole number without a point."""
+    return int(number) if number.is_integer() else number
 
 
-def _transform(T: Array) -> dict[str, Any]:
-    return {
-        "success": True,
-        "rotation_matrix": T[:3, :3].tolist(),
-        "translation_vector": T[:3, 3].tolist(),
-        "rotation_vector": rotation_vector(T[:3, :3]).tolist(),
-    }
-
-
-def _write_images(folder: Path, episode: StoredEpisode, names: Mapping[str, str], timestamps: Sequence[float]) -> None:
-    """Colour and depth of all cameras, and when each frame was taken (s)."""
-    with_depth = depth_cameras(episode)
-    nanoseconds = _npy(np.array([round(time * 1e9) for time in timestamps], dtype=schema.TIMESTAMPS.dtype))
-    for camera, name in names.items():
-        rgb, depth = folder / "rgb" / name, folder / "depth" / name
-        rgb.mkdir(parents=True)
-        (rgb / schema.TIMESTAMPS_FILE).write_bytes(nanoseconds)
-        for k in range(len(timestamps)):
-            (rgb / schema.frame_name(k, "jpg")).write_bytes(episode.image(camera, k))
-        if camera in with_depth:
-            depth.mkdir(parents=True)
-            for k in range(len(timestamps)):
-                (depth / schema.frame_name(k, "npz")).write_bytes(_depth(episode, camera, k))
-
-
-def _write_frames(folder: Path, data: Sequence[Mapping[str, Any]], metadata: Mapping[str, Any]) -> None:
+def _write_episode(
+    folder: Path, made: MadeEpisode, data: Sequence[Mapping[str, Any]], metadata: Mapping[str, Any]
+) -> None:
+    """All of an episode but its pictures, which are there: frames, and when each camera took them."""
+    nanoseconds = _npy(np.array([round(time * 1e9) for time in made.times], dtype=schema.TIMESTAMPS.dtype))
+    for camera in metadata["cameras"]:
+        (folder / "rgb" / camera / schema.TIMESTAMPS_FILE).write_bytes(nanoseconds)
     (folder / "lowdim").mkdir()
     for k, frame in enumerate(data):
         (folder / "lowdim" / schema.frame_name(k, "pkl")).write_bytes(dump_frame(frame))
     _write_json(folder / schema.METADATA, metadata)
-
-
-def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
-    """A depth image's file as it is, once it was seen to hold what it should."""
-    name = depth_name(camera, number)
-    data = episode.whole(name)
-    width, height = episode.record.cameras[camera]
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            depth = archive[schema.DEPTH_KEY]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise DatasetError(f"{episode.directory / name} holds no array {schema.DEPTH_KEY!r}: {error}") from error
-    if depth.dtype != schema.DEPTH.dtype or depth.shape != (height, width):
-        raise DatasetError(
-            f"{episode.directory / name}: depth is {depth.dtype} {depth.shape}, not {schema.DEPTH.dtype} "
-            f"{(height, width)}"
-        )
-    return data
 
 
 def _npy(array: NDArray[np.int64]) -> bytes:

@@ -1,6 +1,7 @@
 """The converted layout of the real stack, as data: every name, dtype, shape and key.
 
-Source: TRI-ML/raiden, docs/guide/conversion.md and calibration.md, and what its converter writes into the JSON files.
+Source: TRI-ML/raiden 2353b10: what `converter.py` writes; what `shardify.py`, `visualizer.py`, `replay.py` and
+`server.py` read. Its documentation says otherwise in places, of pictures for one; the code is what reads.
 """
 
 from __future__ import annotations
@@ -22,18 +23,32 @@ class Form:
     each: bool = False
 
 
-# Of a frame's dictionary, in order. Arms are left, then right: joints (6) and gripper (1); or position (3), rotation
-# row by row (9) and gripper (1) of the hand in its arm's own base.
-LOWDIM: Mapping[str, Form] = {
-    "intrinsics": Form("float32", (3, 3), each=True),
-    "extrinsics": Form("float32", (4, 4), each=True),
-    "joints": Form("float32", (14,)),
-    "action": Form("float32", (26,)),
-    "actual_poses": Form("float32", (26,)),
-    "action_joints": Form("float32", (14,)),
-    "language_task": Form("str"),
-    "language_prompt": Form("str"),
-}
+# Where the right arm's base stands in the left one's: what takes a point from the right arm's base to the left one's.
+BETWEEN_ARMS = "T_left_from_right"
+
+
+def lowdim(width: int, recorded: int) -> Mapping[str, Form]:
+    """Of a frame's dictionary, in order.
+
+    Arms are left, then right: joints (6) and gripper (1); or position (3), rotation row by row (9) and gripper (1) of
+    the hand in its arm's own base.
+
+    Args:
+        width: how many arms its arrays hold.
+        recorded: how many there were.
+    """
+    return {
+        "intrinsics": Form("float32", (3, 3), each=True),
+        "extrinsics": Form("float32", (4, 4), each=True),
+        "joints": Form("float32", (7 * width,)),
+        "action": Form("float32", (13 * width,)),
+        "actual_poses": Form("float32", (13 * width,)),
+        "action_joints": Form("float32", (7 * width,)),
+        "language_task": Form("object"),
+        "language_prompt": Form("object"),
+        **({BETWEEN_ARMS: Form("float32", (4, 4))} if recorded == 2 else {}),
+    }
+
 
 # Nanoseconds of each frame, and millimetres of each pixel.
 TIMESTAMPS = Form("int64", (-1,))
@@ -73,7 +88,13 @@ METADATA_KEYS: Keys = {
     "intrinsics": {"model": None},
     "extrinsics": {"transform": None, "metric": None},
     "action": {"format": None, "dims": None},
+    "control": None,
+    # These are not in the real stack's.
+    "hand_frame": {"name": None, "description": None},
+    "pictures": {"source": None},
 }
+# Where pictures are the nearest recorded ones, on top.
+NEAREST_METADATA_KEYS: Keys = {"pictures": {"source": None, "recorded_frames": None, "recorded_period_s": None}}
 # Where there is depth, on top.
 DEPTH_METADATA_KEYS: Keys = {"depth": {"extension": None, "sparse": None, "metric": None}}
 
@@ -81,10 +102,20 @@ SPLIT_KEYS: Keys = {"filters": {}, "size": {"n_seqs": None, "n_samples": None, "
 
 _INTRINSICS: Keys = {"camera_matrix": None, "distortion_coeffs": None, "image_size": None, "source": None}
 _TRANSFORM: Keys = {"success": None, "rotation_matrix": None, "translation_vector": None, "rotation_vector": None}
-_CAMERA: Keys = {"type": None, "serial_number": None, "intrinsics": _INTRINSICS, "num_poses_used": None}
+_CAMERA: Keys = {"type": None, "serial_number": None, "intrinsics": _INTRINSICS, "num_poses_used": None, "arm": None}
 SCENE_CAMERA_KEYS: Keys = {**_CAMERA, "extrinsics": {**_TRANSFORM, "reference_frame": None}}
-WRIST_CAMERA_KEYS: Keys = {**_CAMERA, "hand_eye_calibration": {**_TRANSFORM, "method": None}}
-CALIBRATION_KEYS: Keys = {"version": None, "timestamp": None, "coordinate_frame": None, "cameras": None}
+# `extrinsics` and `arm` are what the fork at the lab reads, `upside_down` is nobody's but ours.
+WRIST_CAMERA_KEYS: Keys = {
+    **SCENE_CAMERA_KEYS,
+    "hand_eye_calibration": {**_TRANSFORM, "method": None, "upside_down": None},
+}
+CALIBRATION_KEYS: Keys = {
+    "version": None,
+    "timestamp": None,
+    "coordinate_frame": None,
+    "hand_frame": {"name": None, "description": None},
+    "cameras": None,
+}
 # Of two arms, on top. The last one, a plain name for the inverse of the first, is not in the real stack's.
 BIMANUAL_CALIBRATION_KEYS: Keys = {
     "bimanual_transform": {

@@ -53,10 +53,11 @@ def _require_rerun() -> None:
 def _write(path: Path, source: Source, episode: StoredEpisode) -> int:
     import rerun
 
-    name = f"{source.path.absolute().name}/{episode.directory.name}"
-    # Without properties: they hold the time of day.
-    stream = rerun.RecordingStream("yamsim", recording_id=name, send_properties=False)
+    dataset = source.path.absolute().name
+    # Without properties: they hold the time of day. The name alone is what lists of recordings show.
+    stream = rerun.RecordingStream("yamsim", recording_id=f"{dataset}-{episode.directory.name}", send_properties=False)
     stream.save(path)
+    stream.send_recording_name(f"{dataset}/{episode.directory.name}")
     frames = episode.frames()
     _log_static(stream, source, episode, frames)
     with_depth = depth_cameras(episode)

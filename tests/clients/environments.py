@@ -1,0 +1,168 @@
+"""Environments of their own for programs that nobody here wrote: made once from pinned versions, and kept."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from yamsim_cli.core.files import exclusive_lock
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+REQUIREMENTS = Path(__file__).with_name("requirements")
+SCRIPTS = Path(__file__).with_name("scripts")
+
+# Printed by a Python of a client's environment: the version of an installed distribution.
+_VERSION = "import importlib.metadata, sys; print(importlib.metadata.version(sys.argv[1]))"
+
+
+class NotToBeHadError(Exception):
+    """The environment cannot be made here; the message says why."""
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Where a client runs: a Python, and what is installed for it.
+
+    Attributes:
+        requirements: stem of a file in `requirements/`; empty for the environment that runs the tests.
+        python: the Python that is needed, such as 3.12; empty for the one that runs the tests.
+        beside: the packages lie before those of the tests' own environment, which holds the rest: yamsim with another
+            version of a library. Otherwise the client is alone.
+    """
+
+    requirements: str = ""
+    python: str = ""
+    beside: bool = False
+
+    def make(self) -> Interpreter:
+        """Its interpreter; the environment is made first where it is not there.
+
+        Raises:
+            NotToBeHadError: no such Python, or the packages cannot be fetched.
+        """
+        if not self.requirements:
+            return Interpreter(Path(sys.executable), {"PYTHONPATH": str(REPOSITORY)})
+        wanted = REQUIREMENTS / f"{self.requirements}.txt"
+        base = find_python(self.python)
+        key = hashlib.sha256(wanted.read_bytes() + str(base).encode() + bytes([self.beside])).hexdigest()[:12]
+        folder = REPOSITORY / ".venv-clients" / f"{self.requirements}-{key}"
+        folder.parent.mkdir(exist_ok=True)
+        with exclusive_lock(folder.with_suffix(".lock")):
+            if not (folder / ".ready").exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                _install(base, wanted, folder, self.beside)
+                (folder / ".ready").touch()
+        if self.beside:
+            return Interpreter(base, {"PYTHONPATH": os.pathsep.join([str(folder), str(REPOSITORY)])})
+        return Interpreter(folder / "bin" / "python", {})
+
+
+@dataclass(frozen=True)
+class Interpreter:
+    """A Python with a client in it, and the variables that it is run with."""
+
+    python: Path
+    environ: Mapping[str, str]
+
+    def run(self, script: Path | str, *arguments: object, timeout_s: float = 300) -> dict[str, Any]:
+        """The JSON object that a script prints as its last line; a name alone is one of `scripts/`.
+
+        Raises:
+            AssertionError: it failed; with all that it printed.
+        """
+        path = SCRIPTS / script if isinstance(script, str) else script
+        done = self.call([str(path), *map(str, arguments)], timeout_s=timeout_s)
+        printed = f"{done.stdout}\n{done.stderr}"
+        assert done.returncode == 0, f"{path.name} ended with exit code {done.returncode}:\n{printed}"
+        answer = json.loads(done.stdout.splitlines()[-1])
+        assert isinstance(answer, dict), printed
+        return answer
+
+    def call(
+        self, arguments: Sequence[str], *, timeout_s: float = 300, cwd: Path | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        """Run its Python with arguments; what that printed."""
+        unset = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+        environ = {key: value for key, value in os.environ.items() if key not in unset}
+        # Nothing may be fetched while a client runs: it would be tested with what happens to be there today.
+        offline = {"HF_HUB_OFFLINE": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.run(
+            [str(self.python), *arguments],
+            env=environ | offline | dict(self.environ),
+            cwd=cwd,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
+
+    def version(self, distribution: str) -> str:
+        """The version of a distribution that is installed there."""
+        done = self.call(["-c", _VERSION, distribution])
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+
+def checkout(variable: str) -> Path:
+    """The repository whose path a variable holds.
+
+    Raises:
+        NotToBeHadError: the variable is not set, or names no repository.
+    """
+    path = os.environ.get(variable, "")
+    if not path:
+        raise NotToBeHadError(f"{variable} does not name a checkout, with its submodules")
+    if not Path(path).is_dir():
+        raise NotToBeHadError(f"{variable} names {path}, which is no directory")
+    return Path(path).resolve()
+
+
+def commit(repository: Path) -> str:
+    """The commit that a repository is at, in short."""
+    command = ["git", "-C", str(repository), "rev-parse", "--short", "HEAD"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{repository} is no git repository: {done.stderr}"
+    return done.stdout.strip()
+
+
+def find_python(version: str) -> Path:
+    """The Python of a version, such as 3.12: on the path, or among pyenv's; the tests' own for an empty text.
+
+    Raises:
+        NotToBeHadError: there is none.
+    """
+    if not version or version == f"{sys.version_info.major}.{sys.version_info.minor}":
+        return Path(sys.executable)
+    # A shim of pyenv's may be on the path and refuse to run: what does not answer is not there.
+    candidates = [
+        shutil.which(f"python{version}"),
+        *sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python")),
+    ]
+    for candidate in filter(None, candidates):
+        if subprocess.run([candidate, "-c", "import venv"], capture_output=True, check=False).returncode == 0:
+            return Path(candidate)
+    raise NotToBeHadError(f"Python {version} is not here")
+
+
+def _install(base: Path, requirements: Path, folder: Path, beside: bool) -> None:
+    if beside:
+        python, target = base, ["--target", str(folder)]
+    else:
+        subprocess.run([str(base), "-m", "venv", str(folder)], check=True)
+        python, target = folder / "bin" / "python", []
+    command = [str(python), "-m", "pip", "install", "-q", "--disable-pip-version-check", "--only-binary", ":all:"]
+    done = subprocess.run(
+        [*command, "--no-deps", *target, "-r", str(requirements)], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        said = done.stderr.strip().splitlines() or ["pip failed"]
+        raise NotToBeHadError(f"{requirements.name} cannot be installed: {said[-1]}")

@@ -1,0 +1,59 @@
+"""The programs that read what yamsim writes: one row of README's table each, with the test that runs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from tests.clients.environments import Environment
+
+
+@dataclass(frozen=True)
+class Row:
+    """A client.
+
+    Attributes:
+        client: its name, as the table has it.
+        distribution: whose version the table tells.
+        opens: what it is given, and what it does with that.
+        environment: where it runs.
+        heavy: takes many minutes or gigabytes: `make test-clients-heavy` runs it, by hand.
+        checkout: the variable that holds its repository's path, where no registry has it; its version is the commit.
+    """
+
+    client: str
+    distribution: str
+    opens: str
+    environment: Environment = field(default_factory=Environment)
+    heavy: bool = False
+    checkout: str = ""
+
+
+_SCENES = "`compose-xml`: all rigs and tasks load and rest; recorded episodes move as in MuJoCo 4"
+_RRD = "`export rerun`: verified; joints, commands, pictures, cameras and poses read as they were recorded"
+_ENVS = "`yamsim/PickPlace-v0`: passes its checker, and runs in processes of its own, with images"
+
+# Key, as tests give it to the fixture `client` -> row.
+ROWS: dict[str, Row] = {
+    "mujoco-3.3": Row("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
+    "mujoco-3.11": Row("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11")),
+    "mujoco-3.17": Row("MuJoCo 3.17", "mujoco", _SCENES, Environment("mujoco-3.17")),
+    "mujoco-4": Row("MuJoCo 4", "mujoco", "`compose-xml`: the same; recorded episodes move as they were recorded"),
+    "dm_control": Row(
+        "dm_control",
+        "dm_control",
+        "`compose-xml`: parsed by `mjcf.from_path`, stepped (with MuJoCo 3.17); rigs without boards attached",
+        Environment("dm_control"),
+    ),
+    "raiden": Row(
+        client="TRI's raiden, of its repository",
+        distribution="raiden",
+        opens="`export raiden`: shards it, shows it, plays it by its own kinematics, and converts to the same frames",
+        environment=Environment("raiden", python="3.11"),
+        heavy=True,
+        checkout="YAMSIM_RAIDEN",
+    ),
+    "rerun-0.30": Row("rerun 0.30", "rerun-sdk", _RRD, Environment("rerun-0.30")),
+    "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
+    "gymnasium-1.0": Row("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
+    "gymnasium": Row("gymnasium", "gymnasium", _ENVS),
+}

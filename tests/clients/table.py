@@ -1,0 +1,70 @@
+"""README's table of clients, brought up to date: `python -m tests.clients.table` after `make test-clients`.
+
+A row whose tests all passed gets their version and date; one that was not run keeps what it had. Where a test failed,
+it is named, and the table stays as it is.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterable, Mapping
+
+from tests.clients.environments import REPOSITORY
+from tests.clients.rows import ROWS
+
+README = REPOSITORY / "README.md"
+RESULTS = REPOSITORY / "out" / "clients.jsonl"
+
+_HEAD = "| client | version | what it does with our files | passed |\n|---|---|---|---|\n"
+_TABLE = re.compile(re.escape(_HEAD) + r"(?:\|.*\n)*")
+_ROW = re.compile(r"^\| (.*?) \| (.*?) \| (.*?) \| (.*?) \|$", re.MULTILINE)
+
+# Of a row: version, and the day on which it passed last.
+Passed = Mapping[str, tuple[str, str]]
+
+
+def shown(text: str) -> dict[str, tuple[str, str]]:
+    """Client -> version and date, of the table in a text; empty if there is none."""
+    found = _TABLE.search(text)
+    rows = _ROW.findall(found.group()[len(_HEAD) :]) if found else []
+    return {client: (version, date) for client, version, _, date in rows}
+
+
+def rendered(passed: Passed) -> str:
+    """The table, of all rows in their order.
+
+    Args:
+        passed: client -> version and date; what is missing has never passed.
+    """
+    lines = []
+    for row in ROWS.values():
+        version, date = passed.get(row.client, ("-", "never"))
+        lines.append(f"| {row.client} | {version} | {row.opens} | {date} |\n")
+    return _HEAD + "".join(lines)
+
+
+def results(lines: Iterable[str]) -> tuple[dict[str, tuple[str, str]], list[str]]:
+    """What tests found: client -> version and date of those that passed in all, and the tests that failed."""
+    records = [json.loads(line) for line in lines]
+    failed = sorted({record["test"] for record in records if not record["passed"]})
+    bad = {record["row"] for record in records if not record["passed"]}
+    return {
+        ROWS[record["row"]].client: (record["version"], record["date"])
+        for record in records
+        if record["row"] in ROWS and record["row"] not in bad
+    }, failed
+
+
+def main() -> None:
+    """Write the table into README.md."""
+    passed, failed = results(RESULTS.read_text(encoding="utf-8").splitlines())
+    if failed:
+        sys.exit("README's table stays as it is; these failed:\n" + "\n".join(failed))
+    text = README.read_text(encoding="utf-8")
+    README.write_text(_TABLE.sub(lambda _: rendered(shown(text) | passed), text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

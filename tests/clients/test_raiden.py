@@ -1,0 +1,131 @@
+"""raiden's own code on our exports; `YAMSIM_RAIDEN` names a checkout of it, with the submodule `third_party/i2rt`."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.clients.environments import Interpreter, checkout
+from tests.core.jobs.drawn import SMALL, write_drawn_dataset
+from tests.core.jobs.undrawn import write_dataset
+from yamsim_cli.core.config.limits import load_limits
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.jobs.exports.raiden import export_raiden
+from yamsim_cli.core.jobs.exports.raiden_options import RaidenOptions
+from yamsim_cli.core.jobs.exports.source import open_source
+from yamsim_cli.core.resources import Locations
+
+pytestmark = [pytest.mark.client_heavy, pytest.mark.render]
+
+# `rd shardify` leaves out the last 12 of an episode's frames, of which it lacks the future.
+LEFT_OUT = 12
+ONE_ARM = 108
+
+Read = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def read(client: Callable[[str], Interpreter], tmp_path: Path, locations: Locations) -> Read:
+    """Exports a dataset, and gives what raiden makes of it, see `scripts/read_raiden.py`."""
+
+    def run(dataset: Path, arms: str, options: RaidenOptions) -> dict[str, Any]:
+        interpreter = client("raiden")
+        source = open_source(dataset, None, locations)
+        out = export_raiden(source, tmp_path / "out", locations, lambda *_: None, options, {}).path
+        (tmp_path / "raiden").mkdir()
+        found = interpreter.run(
+            "read_raiden.py", checkout("YAMSIM_RAIDEN"), out, tmp_path / "raiden", arms, timeout_s=900
+        )
+        return found | {"frames": frames(out / "0000")}
+
+    return run
+
+
+def frames(episode: Path) -> list[dict[str, Any]]:
+    return [pickle.loads(file.read_bytes()) for file in sorted((episode / "lowdim").iterdir())]
+
+
+@pytest.fixture(scope="module")
+def one_arm(
+    tmp_path_factory: pytest.TempPathFactory, make_config: Callable[..., RecordConfig], locations: Locations
+) -> Path:
+    path = tmp_path_factory.mktemp("one_arm") / "dataset"
+    write_drawn_dataset(path, make_config(SMALL | {("wrist",): True}), locations, 3)
+    return path
+
+
+def shares(found: dict[str, Any], locations: Locations) -> list[float]:
+    """Of each episode, the fastest joint that `rd replay` asks for, of what its motor does."""
+    motors = np.array([joint.motor_rad_s for joint in load_limits("i2rt_yam", locations).joints])
+    return [float((np.array(episode["peak"][0]) / motors).max()) for episode in found["replay"].values()]
+
+
+def test_it_shards_shows_and_plays_one_arm(read: Read, one_arm: Path, locations: Locations) -> None:
+    found = read(one_arm, "bimanual", RaidenOptions())
+    shards = found["shards"]
+    samples = 3 * (ONE_ARM - LEFT_OUT)
+    pictures = {f"{name}_t{k}": samples for name in ("scene_camera", "left_wrist_camera") for k in (-1, 0)}
+    wanted = {f"{name}.jpg": n for name, n in pictures.items()} | {
+        f"{name}.depth.png": n for name, n in pictures.items()
+    }
+    once = dict.fromkeys(("lowdim.npz", "metadata.json", "language_instructions.json"), samples)
+    assert shards["kinds"] == wanted | once
+    assert shards["sequences"] == samples
+    assert shards["anchors"] == dict.fromkeys(("0000", "0001", "0002"), ONE_ARM - LEFT_OUT)
+    assert shards["sizes"] == [[384, 384, 3]]
+    assert shards["controls"] == ["plan"]
+    assert shards["said"] == ["pick up the banana and put it on the plate"]
+    assert found["visualized"]["pictures"] == 2 * ONE_ARM
+    # The right arm, which is not there, stands still.
+    assert shards["still"]
+    assert all("right" in key for key in shards["still"])
+    np.testing.assert_allclose(shares(found, locations), (0.373, 0.464, 0.670), atol=0.01)
+
+
+def test_at_the_recorded_rate_it_would_play_faster_than_the_motors_turn(
+    read: Read, one_arm: Path, locations: Locations
+) -> None:
+    found = read(one_arm, "bimanual", RaidenOptions(fps=None))
+    np.testing.assert_allclose(shares(found, locations), (0.711, 0.881, 1.260), atol=0.01)
+
+
+def test_arrays_of_one_arm_leave_nothing_that_stands_still(read: Read, one_arm: Path) -> None:
+    found = read(one_arm, "single", RaidenOptions(pictures="nearest", single=True))
+    assert found["shards"]["still"] == []
+    assert found["shards"]["kinds"]["left_wrist_camera_t0.jpg"] == 3 * (ONE_ARM - LEFT_OUT)
+    assert not any("right" in key for key in found["shards"]["widths"])
+    same(found["converted"], hand=0.0095)
+
+
+def same(apart: dict[str, float], *, hand: float) -> None:
+    """What its converter makes again is the same; hands, and cameras on them, to within so many metres."""
+    for key, value in apart.items():
+        limit = 1e-6
+        if key in ("action", "actual_poses") or (key.startswith("extrinsics") and "wrist" in key):
+            limit = 2e-5 if key.endswith("rotation") else hand
+        assert value <= limit, (key, value)
+
+
+def test_by_its_own_kinematics_the_hands_are_the_very_same_and_the_joints_come_back(
+    read: Read, tmp_path: Path, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("rig",): "russet", ("task",): "handover", ("wrist",): True, ("image", "size_px"): [24, 16]})
+    write_dataset(tmp_path / "dataset", config, locations, 1)
+    found = read(tmp_path / "dataset", "bimanual", RaidenOptions(pictures="nearest", hand_frame="i2rt"))
+    same(found["converted"], hand=0.004)
+    for key in ("action", "actual_poses", "T_left_from_right", "joints", "action_joints"):
+        assert found["converted"][key] == 0.0
+    assert found["shards"]["kinds"]["right_wrist_camera_t0.jpg"] == 179 - LEFT_OUT
+    assert found["shards"]["still"] == []
+    assert found["visualized"]["pictures"] == 3 * 179
+    off = np.concatenate([episode["off"] for episode in found["replay"].values()])
+    assert off.max() < 0.002
+    # Where its viewer has the right hand in the left base: T_left_from_right is the right way round.
+    hands = [frame["T_left_from_right"] @ np.append(frame["action"][13:16], 1) for frame in found["frames"]]
+    np.testing.assert_allclose(found["visualized"]["right_hand"], np.array(hands)[:, :3], atol=1e-5)
+    assert np.array(found["visualized"]["right_hand"])[:, 1].max() < 0

@@ -1,0 +1,312 @@
+"""Camera files of other programs, as those programs write them; files of several cameras; and files made to do harm."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from yamsim_cli.core.config.camera import CameraConfig
+from yamsim_cli.core.config.loader import load_config, validate_file
+from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.resources import Locations
+
+K = [[610.5, 0.0, 322.25], [0.0, 608.0, 236.75], [0.0, 0.0, 1.0]]
+DISTORTION = [-0.12, 0.05, 0.001, -0.0005, 0.01]
+WANTED = CameraModel(640, 480, tuple(map(tuple, K)), tuple(DISTORTION))
+RADTAN = CameraModel(640, 480, tuple(map(tuple, K)), tuple(DISTORTION[:4]))
+
+
+@pytest.fixture(autouse=True)
+def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def read(name: str, locations: Locations) -> CameraModel:
+    """What `--camera` makes of a name; `config validate` has to make the same of it."""
+    model = load_config(CameraConfig, "cameras", name, locations).model
+    assert validate_file(CameraConfig, Path(name), locations).model == model
+    return model
+
+
+def refusal(name: str, locations: Locations) -> str:
+    with pytest.raises(ConfigError) as caught:
+        read(name, locations)
+    with pytest.raises(ConfigError) as again:
+        validate_file(CameraConfig, Path(name), locations)
+    message = str(caught.value)
+    assert str(again.value) == message
+    assert "\n" not in message
+    return message
+
+
+def write_file_storage(name: str, distortion: np.ndarray[Any, Any], comment: str = "") -> None:
+    """What OpenCV's own calibration program writes, with its other values and its comment."""
+    storage = cv2.FileStorage(name, cv2.FILE_STORAGE_WRITE)
+    storage.write("calibration_time", 'Sat Nov 21 2026 "<&>"')
+    storage.write("nr_of_frames", 20)
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("flags", 0)
+    if comment:
+        storage.writeComment(comment)
+    storage.write("fisheye_model", 0)
+    storage.write("camera_matrix", np.array(K))
+    storage.write("distortion_coefficients", distortion)
+    storage.write("per_view_reprojection_errors", np.array([[0.2], [np.nan]], np.float32))
+    storage.startWriteStruct("grid", cv2.FileNode_SEQ)
+    storage.write("", 1.5)
+    storage.write("", 'two "words"')
+    storage.endWriteStruct()
+    storage.write("names", ["a", "b c"])
+    storage.release()
+
+
+@pytest.mark.parametrize("shape", [(5, 1), (1, 5), (5,)], ids=str)
+@pytest.mark.parametrize("comment", ["", "flags: +fix_aspectRatio, +zero_tangent_dist"], ids=["plain", "commented"])
+@pytest.mark.parametrize("ending", ["yaml", "yml", "json", "xml"])
+def test_what_opencv_writes(ending: str, comment: str, shape: tuple[int, ...], locations: Locations) -> None:
+    write_file_storage(f"c.{ending}", np.array(DISTORTION).reshape(shape), comment)
+    assert (comment in Path(f"c.{ending}").read_text()) == bool(comment) or not comment
+    assert read(f"c.{ending}", locations) == WANTED
+
+
+@pytest.mark.parametrize("ending", ["json", "xml"])
+def test_faults_in_opencvs_files_are_told_with_their_line(ending: str, locations: Locations) -> None:
+    write_file_storage(f"c.{ending}", np.array(DISTORTION), "a comment")
+    path = Path(f"c.{ending}")
+    text = path.read_text()
+    line = next(k for k, each in enumerate(text.splitlines(), start=1) if "image_width" in each)
+    path.write_text(text.replace("640", "64000", 1))
+    assert refusal(path.name, locations).startswith(f"c.{ending}:{line}: width: 64000 is not valid: must be less")
+    path.write_text(re.sub(r"(fisheye_model\W+)0", r"\g<1>1", text))
+    assert "'fisheye' is not valid: calibrate with one of OpenCV's pinhole models" in refusal(path.name, locations)
+
+
+def test_plain_json_however_it_is_laid_out(locations: Locations) -> None:
+    data = {"width": 640, "height": 480, "K": K, "distortion": DISTORTION, "focal_sigma": 0.003}
+    for layout in ({}, {"indent": 2}, {"indent": "\t"}, {"separators": (",", ":")}):
+        Path("c.json").write_text(json.dumps(data, **layout))
+        assert read("c.json", locations) == WANTED
+    Path("c.json").write_text('{"width": 640, "width": 640}')
+    assert refusal("c.json", locations) == "c.json:1: duplicate key 'width', first at line 1; remove one"
+    Path("c.json").write_text('{"width": 640,, }')
+    assert refusal("c.json", locations).startswith("c.json:1: not valid JSON: ")
+    Path("c.json").write_text("[1, 2]")
+    assert refusal("c.json", locations) == "c.json: the top level must be a mapping of keys to values"
+
+
+# Fields of sensor_msgs/msg/CameraInfo, in its order.
+MESSAGE = OrderedDict(
+    header=OrderedDict(stamp=OrderedDict(sec=12, nanosec=5), frame_id="head"),
+    height=480,
+    width=640,
+    distortion_model="plumb_bob",
+    d=DISTORTION,
+    k=[number for row in K for number in row],
+    r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+    p=[580.0, 0.0, 321.0, 0.0, 0.0, 590.0, 237.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+    binning_x=0,
+    binning_y=0,
+    roi=OrderedDict(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+)
+
+
+class RosDumper(yaml.Dumper):
+    """Ordered mappings in their order, as rosidl_runtime_py represents them."""
+
+
+RosDumper.add_representer(
+    OrderedDict,
+    lambda dumper, data: yaml.nodes.MappingNode(
+        "tag:yaml.org,2002:map", [(dumper.represent_data(key), dumper.represent_data(data[key])) for key in data]
+    ),
+)
+
+
+def echoed(flow: bool) -> str:
+    """What `ros2 topic echo` prints of one message."""
+    text = yaml.dump(MESSAGE, Dumper=RosDumper, allow_unicode=True, width=1 << 60, default_flow_style=flow)
+    return f"{text}---\n"
+
+
+@pytest.mark.parametrize("flow", [False, True])
+def test_what_ros2_topic_echo_prints(flow: bool, locations: Locations) -> None:
+    Path("c.yaml").write_text(echoed(flow))
+    assert read("c.yaml", locations) == WANTED
+    Path("c.yaml").write_text(echoed(flow) * 3)
+    message = refusal("c.yaml", locations)
+    line = echoed(flow).count("\n") + 1
+    assert message == f"c.yaml:{line}: not valid YAML: a second document begins here; keep one"
+
+
+def kalibr_camera(**changes: Any) -> dict[str, Any]:
+    camera = {
+        "camera_model": "pinhole",
+        "cam_overlaps": [1],
+        "distortion_coeffs": DISTORTION[:4],
+        "distortion_model": "radtan",
+        "intrinsics": [610.5, 608.0, 322.25, 236.75],
+        "resolution": [640, 480],
+        "rostopic": "/cam0/image_raw",
+        "timeshift_cam_imu": -0.0042,
+        "T_cam_imu": np.eye(4).tolist(),
+    }
+    return camera | changes
+
+
+def write_camchain(**cameras: dict[str, Any]) -> None:
+    # As its ConfigReader writes it, with PyYAML's styles before and since version 5.1.
+    Path("camchain.yaml").write_text(yaml.dump(cameras, default_flow_style=None))
+    assert yaml.safe_load(yaml.dump(cameras)) == cameras
+
+
+def test_kalibrs_chains(locations: Locations) -> None:
+    other = kalibr_camera(
+        intrinsics=[458.0, 457.0, 367.0, 248.0], resolution=[752, 480], T_cn_cnm1=np.eye(4).tolist(), cam_overlaps=[0]
+    )
+    write_camchain(cam0=kalibr_camera(), cam1=other)
+    assert read("camchain.yaml:cam0", locations) == RADTAN
+    second = read("camchain.yaml:cam1", locations)
+    assert (second.width, second.height) == (752, 480)
+    assert second.K == ((458.0, 0.0, 367.0), (0.0, 457.0, 248.0), (0.0, 0.0, 1.0))
+    write_camchain(cam0=kalibr_camera())
+    assert read("camchain.yaml", locations) == read("camchain.yaml:cam0", locations) == RADTAN
+    write_camchain(cam0=kalibr_camera(distortion_model="none", distortion_coeffs=[]))
+    assert read("camchain.yaml", locations).distortion == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({"distortion_model": "equidistant"}, "cam0.distortion_model: 'equidistant' is not valid: calibrate with one"),
+        ({"distortion_model": "fov"}, "valid: none, radtan"),
+        ({"camera_model": "omni", "intrinsics": [0.9, 1.0, 2.0, 3.0, 4.0]}, "cam0.camera_model: 'omni' is not valid"),
+        ({"camera_model": "ds"}, "valid: pinhole"),
+        ({"intrinsics": [1.0, 2.0]}, "cam0.intrinsics: [1.0, 2.0] is not valid: must be 4 numbers"),
+        ({"intrinsics": ["six", 608.0, 322.25, 236.75]}, "'six' is not valid"),
+        ({"resolution": 640}, "cam0.resolution: 640 is not valid: must be 2 numbers"),
+        ({"resolution": [1280, 960]}, "K does not fit images of 1280 x 960"),
+        ({"distortion_coeffs": [0.1]}, "distortion has 1 numbers"),
+    ],
+)
+def test_faults_in_a_chain(changes: dict[str, Any], part: str, locations: Locations) -> None:
+    write_camchain(cam0=kalibr_camera(**changes), cam1=kalibr_camera())
+    message = refusal("camchain.yaml:cam0", locations)
+    assert message.startswith("camchain.yaml:")
+    assert part in message
+    assert read("camchain.yaml:cam1", locations) == RADTAN
+
+
+@pytest.mark.parametrize("key", ["camera_model", "distortion_model", "distortion_coeffs", "intrinsics", "resolution"])
+def test_what_a_chain_lacks_is_named(key: str, locations: Locations) -> None:
+    camera = kalibr_camera()
+    del camera[key]
+    write_camchain(cam0=camera)
+    assert f"cam0.{key}: missing; add it" in refusal("camchain.yaml", locations)
+
+
+def raiden_camera(kind: str) -> dict[str, Any]:
+    """As raiden's CalibrationRunner makes it of a camera of 640 x 480."""
+    return {
+        "type": kind,
+        "serial_number": 37038161,
+        "intrinsics": {
+            "camera_matrix": K,
+            "distortion_coeffs": DISTORTION,
+            "image_size": [640, 480],
+            "source": "zed_sdk_factory_calibration",
+        },
+        "num_poses_used": 8,
+    }
+
+
+def write_raiden(cameras: dict[str, Any]) -> None:
+    results = {"version": "1.0", "coordinate_frame": "left_arm_base", "cameras": cameras, "bimanual_transform": None}
+    with Path("calibration_results.json").open("w") as file:
+        json.dump(results, file, indent=2)
+
+
+def test_raidens_calibration(locations: Locations) -> None:
+    write_raiden({"left_wrist_camera": raiden_camera("hand_eye"), "scene_camera": raiden_camera("scene")})
+    assert read("calibration_results.json:scene_camera", locations) == WANTED
+    assert refusal("calibration_results.json", locations) == (
+        "calibration_results.json: 2 cameras are in it: name one, as in calibration_results.json:left_wrist_camera; "
+        "valid: left_wrist_camera, scene_camera"
+    )
+    assert refusal("calibration_results.json:scene_cam", locations) == (
+        "calibration_results.json: there is no camera 'scene_cam' in it; did you mean 'scene_camera'? "
+        "valid: left_wrist_camera, scene_camera"
+    )
+    bare = {key: value for key, value in raiden_camera("scene").items() if key != "intrinsics"}
+    write_raiden({"scene_camera": bare})
+    message = refusal("calibration_results.json", locations)
+    assert message == "calibration_results.json:5: cameras.scene_camera.intrinsics: missing; add it"
+    write_raiden({"scene_camera": None})
+    assert "cameras.scene_camera.intrinsics: missing" in refusal("calibration_results.json", locations)
+
+
+def test_the_cameras_of_a_file(locations: Locations) -> None:
+    write_raiden({"left": raiden_camera("hand_eye"), "scene_camera": raiden_camera("scene")})
+    write_camchain(cam0=kalibr_camera())
+    for name, parts in {
+        "calibration_results.json": ["calibration_results.json:left", "calibration_results.json:scene_camera"],
+        "calibration_results.json:left": ["calibration_results.json:left"],
+        "camchain.yaml": ["camchain.yaml:cam0"],
+    }.items():
+        assert list(map(str, CameraConfig.within(Path(name)))) == parts
+
+
+def test_a_name_where_there_is_none_and_files_that_are_not_there(locations: Locations) -> None:
+    write_file_storage("c.json", np.array(DISTORTION))
+    assert refusal("c.json:head", locations) == "c.json: the camera in it has no name: leave out ':head'"
+    Path("c.txt").write_text("width: 640\n")
+    for name, part in {
+        "none.json": "camera config file none.json does not exist",
+        "none.xml:head": "camera config file none.xml does not exist",
+        "c.txt": "unknown camera 'c.txt'; valid: example_640x480; the name of a file has to end in .yaml or",
+    }.items():
+        with pytest.raises(ConfigError) as caught:
+            load_config(CameraConfig, "cameras", name, locations)
+        assert part in str(caught.value)
+
+
+BOMB = """<?xml version="1.0"?>
+<!DOCTYPE opencv_storage [
+  <!ENTITY a "1 2 3 4 5 6 7 8 9">
+  <!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">
+]>
+<opencv_storage><image_width>&b;</image_width></opencv_storage>
+"""
+FILE_OF_OURS = """<!DOCTYPE x SYSTEM "file:///etc/passwd"><opencv_storage><a>1</a></opencv_storage>"""
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        (BOMB, "c.xml:2: a document type is not read: remove <!DOCTYPE ...>"),
+        (FILE_OF_OURS, "c.xml:1: a document type is not read"),
+        ("<opencv_storage>&a;</opencv_storage>", "c.xml:1: not valid XML: undefined entity"),
+        ("<opencv_storage>" + "<a>" * 60 + "</a>" * 60 + "</opencv_storage>", "nested more than 50 deep"),
+        ("<opencv_storage><a>1</opencv_storage>", "not valid XML: mismatched tag"),
+        ("", "not valid XML: no element found"),
+        ('<?xml version="1.0" encoding="none"?><opencv_storage/>', "not valid XML: unknown encoding"),
+        ("<calibration>\n</calibration>", "c.xml:1: <calibration> is not OpenCV's: its XML files begin with <opencv_s"),
+        ("<opencv_storage>\n<a>1</a>\n<a>2</a></opencv_storage>", "c.xml:3: duplicate key 'a'; remove one"),
+        ("<opencv_storage>1 2</opencv_storage>", "the top level must be a mapping"),
+        ("<opencv_storage><width>" + "9" * 5000 + "</width></opencv_storage>", "c.xml: not valid: "),
+        ("<opencv_storage>" + "<a/>" * 300_000 + "</opencv_storage>", "is too large for a config"),
+    ],
+    ids=range(12),
+)
+def test_xml_that_is_no_camera_or_would_do_harm(text: str, part: str, locations: Locations) -> None:
+    Path("c.xml").write_text(text)
+    assert part in refusal("c.xml", locations)

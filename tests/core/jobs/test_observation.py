@@ -1,0 +1,190 @@
+"""What policies are told: pictures when they are read and not before, and the state for those that ask."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.core.policies import sample_policies
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.jobs.asking import Asker, TooSlowError
+from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.jobs.observation import LazyObservation, Pictures
+from yamsim_cli.core.jobs.trials import Ended, PolicyChoice, TrialRunner
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.vision.renderer import Image
+
+SAMPLES = Path(sample_policies.__file__).parent
+CAMERAS = {"scene_rgb": "scene_camera", "wrist_rgb": "right_wrist_camera"}
+
+
+class Easel:
+    """Draws the first of the positions, and remembers which cameras it drew."""
+
+    def __init__(self) -> None:
+        self.drawn: list[str] = []
+        self.pictures = Pictures(self.draw)
+
+    def draw(self, qpos: Array, camera: str) -> Image:
+        self.drawn.append(camera)
+        return np.full((2, 2, 3), qpos[0], np.uint8)
+
+    def observe(self) -> LazyObservation:
+        return LazyObservation({"time": 0.5}, np.array([7.0]), CAMERAS, self.pictures)
+
+
+def test_a_picture_is_drawn_when_it_is_read_and_once() -> None:
+    easel = Easel()
+    seen = easel.observe()
+    assert (list(seen), len(seen), "wrist_rgb" in seen, "left" in seen) == (["time", *CAMERAS], 3, True, False)
+    assert (seen["time"], seen.get("left"), repr(seen)) == (0.5, None, "LazyObservation(time, scene_rgb, wrist_rgb)")
+    assert easel.drawn == []
+    assert seen["wrist_rgb"][0, 0, 0] == 7
+    assert seen.get("wrist_rgb") is seen["wrist_rgb"]
+    assert easel.drawn == ["right_wrist_camera"]
+    with pytest.raises(KeyError):
+        seen["left"]
+
+
+@pytest.mark.parametrize(
+    "make", [dict, lambda seen: {**seen}, copy.copy, copy.deepcopy, lambda seen: pickle.loads(pickle.dumps(seen))]
+)
+def test_a_copy_is_a_dictionary_of_everything(make: Callable[[LazyObservation], object]) -> None:
+    easel = Easel()
+    made = make(easel.observe())
+    assert isinstance(made, dict)
+    assert (made["time"], made["scene_rgb"].shape, made["wrist_rgb"].shape) == (0.5, (2, 2, 3), (2, 2, 3))
+    assert sorted(easel.drawn) == sorted(CAMERAS.values())
+
+
+def test_what_can_no_longer_be_drawn_is_told() -> None:
+    easel = Easel()
+    seen = easel.observe()
+    errors: list[Exception] = []
+
+    def read() -> None:
+        try:
+            seen["scene_rgb"]
+        except RuntimeError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    thread.join()
+    assert "scene_rgb cannot be drawn in another thread: read observation['scene_rgb']" in str(errors[0])
+    kept = seen["wrist_rgb"]
+    easel.pictures.end()
+    assert seen["wrist_rgb"] is kept
+    with pytest.raises(RuntimeError, match=r"scene_rgb cannot be drawn once its trial is over"):
+        seen["scene_rgb"]
+    assert easel.pictures.failure is None
+
+
+def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
+    asker = Asker(0.5, SAMPLES)
+
+    def look() -> str:
+        with asker.waits():
+            time.sleep(0.8)
+        return "seen"
+
+    assert asker.ask(look) == "seen"
+    assert asker.seconds < 0.3
+
+    def look_and_dawdle() -> None:
+        look()
+        time.sleep(5)
+
+    began = time.monotonic()
+    with pytest.raises(TooSlowError):
+        asker.ask(look_and_dawdle)
+    assert time.monotonic() - began < 3
+
+
+@contextmanager
+def trial(name: str, config: RecordConfig, locations: Locations) -> Iterator[TrialRunner]:
+    with TrialRunner(config, locations, {}, PolicyChoice(f"sample_policies.py:{name}", SAMPLES)) as runner:
+        yield runner
+
+
+def test_who_does_not_look_needs_no_renderer(config: RecordConfig, locations: Locations) -> None:
+    with trial("Blind", config, locations) as runner:
+        assert runner.run(EpisodeJob(0, 0)).ended is Ended.TIME_LIMIT
+        assert runner._runner._renderer is None
+
+
+def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
+    config: RecordConfig, locations: Locations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise ResourceError("no OpenGL here")
+
+    monkeypatch.setattr(EpisodeRunner, "draw", refuse)
+    with trial("Swallows", config, locations) as runner, pytest.raises(ResourceError, match="no OpenGL here"):
+        runner.run(EpisodeJob(0, 0))
+
+
+@pytest.mark.render
+def test_a_picture_shows_what_was_when_it_was_told(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    """Whenever it is read: as the policy was asked, not as things are by then."""
+    config = make_config({("image", "size_px"): [48, 36]})
+    with trial("Remembering", config, locations) as runner:
+        result = runner.run(EpisodeJob(0, 0))
+        assert (result.ended, result.error) == (Ended.DONE, "")
+        seen = type(runner._policy).seen  # type: ignore[attr-defined]
+        assert result.start is not None
+        drawn = runner._runner.draw(result.start, ("scene_camera",))["scene_camera"]
+    np.testing.assert_array_equal(seen[0]["scene_rgb"], drawn)
+    with pytest.raises(RuntimeError, match="once its trial is over"):
+        seen[8]["scene_rgb"]
+
+
+@pytest.mark.parametrize("rig", ["single", "bimanual"])
+def test_the_state_is_told_to_who_asks(
+    rig: str, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("rig",): rig})
+    with trial("Knowing", config, locations) as runner:
+        assert runner.run(EpisodeJob(0, 0)).ended is Ended.DONE
+        seen = list(type(runner._policy).seen)  # type: ignore[attr-defined]
+    with EpisodeRunner(config, locations, {}, draw=False) as made:
+        rollout = made.simulate(EpisodeJob(0, 0))[2]
+        assert rollout
+        frame = made.frames(rollout.states[:1])[0]
+        T_base = made.scene.T_base_in_world
+    for key, item in (("T_object_in_world", "banana"), ("T_target_in_world", "plate")):
+        np.testing.assert_allclose(seen[0][key], T_base @ frame[f"{item}_pose"], atol=1e-6)
+    joints, speeds = (np.array([one[key] for one in seen]) for key in ("joints", "joint_velocities"))
+    assert speeds.shape == joints.shape
+    np.testing.assert_array_equal(speeds[0], 0)
+    # What the joints did is what their speeds at both ends, on the average, say; the fingers' too.
+    moved, said = np.diff(joints, axis=0), (speeds[:-1] + speeds[1:]) / 2 * config.task.timing.tick
+    for number in range(joints.shape[1] // 7):
+        for joint in (7 * number, 7 * number + 6):
+            assert abs(moved[:, joint].sum()) > 0.005
+            assert said[:, joint].sum() == pytest.approx(moved[:, joint].sum(), rel=0.1)
+
+
+def test_the_state_is_told_to_nobody_else(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    (tmp_path / "plain.py").write_text(
+        "class Plain:\n    images = ()\n    def reset(self):\n        pass\n"
+        "    def __call__(self, observation):\n"
+        "        assert sorted(observation) == ['K_scene', 'T_cam_in_world', 'ee_pose_world', 'gripper', 'joints', "
+        "'prompt', 'time']\n"
+        "        return {'ctrl': observation['joints'], 'done': True}\n"
+    )
+    with TrialRunner(config, locations, {}, PolicyChoice("plain.py", tmp_path)) as runner:
+        assert runner.run(EpisodeJob(0, 0)).error == ""

@@ -1,0 +1,211 @@
+"""A dataset says which meshes it shows, and goes on with no others."""
+
+from __future__ import annotations
+
+import functools
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.core.jobs.fake_episodes import Inline, Recording, tree
+from tests.stand_in_meshes import stand_ins
+from yamsim_cli.core.config.document import load_yaml
+from yamsim_cli.core.config.loader import parse_config
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.dataset.reader import open_episodes
+from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.errors import ConfigError, ResourceError
+from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.jobs.executors import LocalProcesses
+from yamsim_cli.core.jobs.inline import InlineExecutor
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.build import noting_meshes
+from yamsim_cli.core.types import EpisodeJob
+
+Make = Callable[..., RecordConfig]
+Meshes = dict[str, Path | None]
+ARM, YCB, SMALL = "i2rt_yam_crank", "ycb", "ycb_small"
+
+
+@pytest.fixture
+def recording(make_config: Make, tmp_path: Path) -> Recording:
+    return Recording(make_config({("episodes",): 2, ("seed",): 1}), tmp_path / "dataset")
+
+
+@pytest.fixture
+def meshes(locations: Locations, tmp_path: Path) -> Meshes:
+    return stand_ins(tmp_path / "meshes", locations, ARM, YCB, SMALL)
+
+
+def go_on(recording: Recording, meshes: Meshes, mode: OpenMode = OpenMode.RESUME) -> None:
+    """Record more, with these meshes."""
+    recording.meshes = meshes
+    recording.config = recording.config.model_copy(update={"episodes": recording.config.episodes + 1})
+    recording.run(mode=mode)
+
+
+def test_the_config_and_every_episode_say_it(recording: Recording, meshes: Meshes, locations: Locations) -> None:
+    recording.meshes = meshes | {YCB: None}
+    recording.run()
+    said = load_yaml(recording.path / "config.yaml").data["meshes"]
+    assert said.keys() == {ARM, YCB}
+    assert re.fullmatch("full [0-9a-f]{64}", said[ARM])
+    assert said[YCB] == "primitives"
+    assert [episode.record.meshes for episode in open_episodes(recording.path)] == [said, said]
+    text = (recording.path / "config.yaml").read_text()
+    assert parse_config(RecordConfig, text, "config.yaml", locations).meshes == said
+
+
+def test_meshes_that_came_since_do_not_go_into_the_same_dataset(recording: Recording, meshes: Meshes) -> None:
+    recording.run()
+    before = tree(recording.path)
+    with pytest.raises(ConfigError) as caught:
+        go_on(recording, meshes)
+    changes = "; ".join(rf"{name}: primitives there, full \w{{12}} now" for name in (ARM, YCB))
+    assert re.search(
+        rf"dataset was recorded with other meshes: {changes}; to go on with primitives, set YAMSIM_ASSETS to an empty "
+        r"folder, or record into another --out$",
+        str(caught.value),
+    )
+    assert tree(recording.path) == before
+    go_on(recording, {})
+
+
+def test_meshes_that_went_since_do_not_either(recording: Recording, meshes: Meshes) -> None:
+    recording.meshes = meshes
+    recording.run()
+    before = tree(recording.path)
+    with pytest.raises(ConfigError) as caught:
+        go_on(recording, meshes | {ARM: None})
+    assert re.search(
+        rf"dataset was recorded with other meshes: {ARM}: full \w{{12}} there, primitives now; `yamsim assets fetch`",
+        str(caught.value),
+    )
+    assert tree(recording.path) == before
+    go_on(recording, meshes)
+
+
+@pytest.mark.parametrize("change", [{"edge": 0.03}, {"reduced": True}])
+def test_other_meshes_do_not_either(
+    recording: Recording, meshes: Meshes, locations: Locations, tmp_path: Path, change: dict[str, float]
+) -> None:
+    recording.meshes = meshes
+    recording.run()
+    others = stand_ins(tmp_path / "others", locations, ARM, **change)
+    with pytest.raises(ConfigError, match=rf"{ARM}: full \w+ there, \w+ \w+ now; set YAMSIM_ASSETS to the meshes that"):
+        go_on(recording, meshes | others)
+
+
+def test_what_is_not_shown_does_not_matter(recording: Recording, meshes: Meshes) -> None:
+    recording.meshes = meshes
+    recording.run()
+    go_on(recording, meshes | {SMALL: None})
+
+
+def test_distractors_matter_where_they_are_shown(recording: Recording, meshes: Meshes, make_config: Make) -> None:
+    recording.config = make_config({("episodes",): 2, ("seed",): 1, ("randomization",): "default"})
+    recording.meshes = meshes
+    recording.run()
+    with pytest.raises(ConfigError, match=f"{SMALL}: full .* there, primitives now"):
+        go_on(recording, meshes | {SMALL: None})
+
+
+def test_of_another_configuration_its_keys_are_named_first(
+    recording: Recording, meshes: Meshes, make_config: Make
+) -> None:
+    recording.run()
+    recording.config = make_config({("episodes",): 3, ("seed",): 2})
+    with pytest.raises(
+        ConfigError, match=rf"another configuration: seed: 1 there, 2 now; meshes\.{ARM}: primitives there"
+    ):
+        go_on(recording, meshes)
+
+
+def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Recording, meshes: Meshes) -> None:
+    """What it says of them was so for that dataset."""
+    recording.config = noting_meshes(recording.config, Locations.find({}), meshes)
+    recording.run()
+    assert load_yaml(recording.path / "config.yaml").data["meshes"] == {ARM: "primitives", YCB: "primitives"}
+
+
+def says_nothing(dataset: Path) -> bool:
+    """Whether neither a dataset nor one of its episodes says which meshes it shows."""
+    said = [
+        load_yaml(dataset / "config.yaml").data,
+        *map(json.loads, (p.read_text() for p in dataset.glob("*/*.json"))),
+    ]
+    return not any("meshes" in data for data in said)
+
+
+class TestOfAnEarlierVersion:
+    """A dataset that does not say what it shows."""
+
+    @pytest.fixture
+    def old(self, recording: Recording, monkeypatch: pytest.MonkeyPatch) -> Recording:
+        with monkeypatch.context() as patch:
+            patch.setattr("yamsim_cli.core.jobs.record.noting_meshes", lambda config, locations, meshes: config)
+            recording.run()
+        assert says_nothing(recording.path)
+        return recording
+
+    def test_goes_on_saying_nothing_and_the_user_is_told(self, old: Recording, meshes: Meshes) -> None:
+        before = tree(old.path)
+        go_on(old, meshes)
+        (told,) = old.warnings
+        assert told.startswith(
+            f"{old.path}/config.yaml does not say which meshes the episodes show, as an earlier yamsim recorded them. "
+            f"New ones show {ARM}: full "
+        )
+        assert f"`yamsim verify {old.path} --sample 1 --images` tells" in told
+        assert len(open_episodes(old.path)) == 3
+        assert says_nothing(old.path)
+        kept = {name: data for name, data in before.items() if name not in ("manifest.json", "attempts.jsonl")}
+        assert kept.items() <= tree(old.path).items()
+
+    @pytest.mark.parametrize("staged", [False, True])
+    def test_a_lost_episode_is_made_again_as_it_was(self, old: Recording, tmp_path: Path, staged: bool) -> None:
+        before = tree(old.path)
+        (old.path / "ep_000001/lowdim/000000.pkl").write_bytes(b"")
+        old.stage = tmp_path / "stage" if staged else None
+        old.resume()
+        assert {name: data for name, data in tree(old.path).items() if ".damaged" not in name} == before
+
+
+@dataclass
+class WithOther:
+    """Executors whose workers find other meshes than the recorder."""
+
+    meshes: Meshes
+
+    def open(self, config: RecordConfig, locations: Locations, meshes: object, workers: int) -> InlineExecutor:
+        factory = functools.partial(EpisodeRunner, config, locations, self.meshes, draw=True)
+        return InlineExecutor(factory)
+
+
+def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: Recording, meshes: Meshes) -> None:
+    recording.meshes = meshes
+    with pytest.raises(ResourceError) as caught:
+        recording.run(WithOther(meshes | {YCB: None}))
+    assert re.fullmatch(
+        r"a worker on \S+ would draw other meshes than the recorder: "
+        rf"{YCB}: full \w{{12}} for the recorder, primitives there; "
+        r"they changed meanwhile, or yamsim is another one there: mend that, and go on with --resume",
+        str(caught.value),
+    )
+    assert json.loads((recording.path / "manifest.json").read_text())["episodes"] == []
+    recording.run(Inline(), OpenMode.RESUME)
+
+
+@pytest.mark.slow
+def test_a_process_that_would_draw_otherwise_is_refused_at_the_start(
+    config: RecordConfig, locations: Locations, meshes: Meshes
+) -> None:
+    noted = noting_meshes(config, locations, meshes)
+    with LocalProcesses().open(noted, locations, {}, 1) as executor:
+        executor.submit(EpisodeJob(0, 0))
+        with pytest.raises(ResourceError, match="would draw other meshes than the recorder"):
+            executor.result()

@@ -1,0 +1,213 @@
+"""The MJCF for MuJoCo 3.3 and newer: the same model in older words."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+
+from yamsim_cli.core.assets import AssetStore, load_lock
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.jobs.compose import rig_spec, task_spec
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.classic import classic_xml
+from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.scene.export import scene_files
+from yamsim_cli.core.scene.robot import Meshes
+
+Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
+
+# Rig, task and grasp of everything that can be composed.
+SCENES = [
+    *((rig, None, "weld") for rig in ("single", "single_linear", "bimanual", "russet")),
+    *((rig, "pickplace", "weld") for rig in ("single", "single_linear", "bimanual", "russet")),
+    *((rig, "handover", "weld") for rig in ("bimanual", "russet")),
+    ("single_linear", "pickplace", "contact"),
+]
+
+# What the two ways of writing may differ in: looks, names of files, and the name of an actuator's only control.
+NOT_PHYSICS = {"geom_castshadow", "tex_colorspace", "actuator_ctrlspec", "npaths", "nbuffer", "paths", "signature"}
+
+
+@pytest.fixture
+def composed(make_config: Callable[..., RecordConfig], locations: Locations) -> Callable[..., Composed]:
+    """Composes a scene, with boards and all."""
+
+    def compose(rig: str, task: str | None, grasp: str, meshes: Meshes) -> Composed:
+        if task is None:
+            studio = load_config(SceneConfig, "scenes", "studio", locations)
+            return rig_spec(load_config(RigConfig, "rigs", rig, locations), studio, Contents(), locations, meshes)
+        config = make_config({("rig",): rig, ("task",): task, ("grasp",): grasp})
+        return task_spec(config, Contents(objects=(config.task.object, config.task.target)), locations, meshes)
+
+    return compose
+
+
+@pytest.fixture(params=SCENES, ids=lambda scene: "-".join(map(str, scene)))
+def scene(request: pytest.FixtureRequest, composed: Callable[..., Composed]) -> Composed:
+    return composed(*request.param, {})
+
+
+def _differences(one: mujoco.MjModel, other: mujoco.MjModel) -> dict[str, float]:
+    """Array or number of a model, its options included -> how far two models are apart in it, where they are."""
+    found: dict[str, float] = {}
+    for a, b in ((one, other), (one.opt, other.opt)):
+        for name in dir(a):
+            p, q = getattr(a, name), getattr(b, name)
+            if name.startswith("_") or name in NOT_PHYSICS or not isinstance(p, np.ndarray | float | int):
+                continue
+            if np.shape(p) != np.shape(q):
+                found[name] = np.inf
+            elif name.endswith("pathadr"):
+                continue
+            elif not np.array_equal(p, q):
+                found[name] = float(np.abs(np.subtract(p, q, dtype=float)).max())
+    return found
+
+
+def _read(files: dict[str, bytes]) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), files)
+
+
+def test_it_compiles_to_the_same_model(scene: Composed) -> None:
+    differences = _differences(_read(scene_files(*scene)), scene[1])
+    # Poses in frames are multiplied out, here and by MuJoCo, which rounds otherwise. Six digits would be 1e-6.
+    assert max(differences.values(), default=0) < 1e-15, differences
+
+
+@pytest.mark.parametrize("scene_of", [("single_linear", "pickplace", "contact"), ("russet", "handover", "weld")])
+def test_it_does_with_meshes_too(
+    scene_of: tuple[str, str, str], composed: Callable[..., Composed], locations: Locations
+) -> None:
+    lock, store = load_lock(locations), AssetStore(locations.assets)
+    meshes = {assets.name: store.resolve(assets) for assets in lock.sets.values()}
+    if None in meshes.values():
+        pytest.skip("not all meshes are here: `yamsim assets fetch`")
+    spec, model = composed(*scene_of, meshes)
+    assert model.nmesh > 15
+    differences = _differences(_read(scene_files(spec, model)), model)
+    assert max(differences.values(), default=0) < 1e-15, differences
+
+
+def test_only_words_of_3_3_are_in_it(scene: Composed) -> None:
+    root = ElementTree.fromstring(classic_xml(*scene))
+    assert not [element for element in root.iter() if element.tag in ("frame", "pid", "dcmotor", "flexstrain")]
+    newer = {
+        "geom": {"castshadow", "adhesion", "surfacevel"},
+        "general": {"input", "inheritrange", "damping", "armature", "delay"},
+        "light": {"type", "intensity", "range", "softness", "texture"},
+        "texture": {"colorspace", "class", "embed"},
+        "body": {"sleep", "simple", "fuse"},
+        "compiler": {"savecompiled", "savecanonical", "saveinertial", "conflict", "passthrough"},
+    }
+    for element in root.iter():
+        assert not newer.get(element.tag, set()) & set(element.attrib), ElementTree.tostring(element)
+
+
+def test_what_has_another_default_in_another_version_is_said(scene: Composed) -> None:
+    spec, model = scene
+    root = ElementTree.fromstring(classic_xml(spec, model))
+    assert root.find("option").get("ccd_iterations") == str(model.opt.ccd_iterations)
+    assert root.find("option/flag").attrib == {"multiccd": "enable"}
+    assert root.find("visual/headlight").get("active") == "1"
+    for actuator in root.find("actuator"):
+        assert len(actuator.get("ctrlrange").split()) == 2
+    # 3.3 looks for the centre of all that has geoms, even where they weigh nothing.
+    for body in root.iter("body"):
+        if model.body(body.get("name")).mass[0] == 0:
+            assert body.find("inertial").get("mass") == "0"
+
+
+def test_a_flag_that_is_off_stays_off(locations: Locations) -> None:
+    studio = load_config(SceneConfig, "scenes", "studio", locations)
+    spec, _ = rig_spec(load_config(RigConfig, "rigs", "single", locations), studio, Contents(), locations, {})
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD | mujoco.mjtDisableBit.mjDSBL_ISLAND
+    spec.visual.headlight.active = 0
+    model = spec.compile()
+    files = scene_files(spec, model)
+    assert _differences(_read(files), model).keys() <= {"geom_pos", "bvh_aabb"}
+    root = ElementTree.fromstring(files["scene.xml"])
+    assert root.find("option/flag").attrib == {"island": "disable", "multiccd": "disable"}
+    assert root.find("visual/headlight").get("active") == "0"
+
+
+FRAMES = """
+<mujoco>
+  <compiler angle="radian"/>
+  <default>
+    <default class="small"><geom size="0.01" rgba="1 0 0 1"/><joint damping="3"/></default>
+    <default class="large"><geom size="0.02"/></default>
+  </default>
+  <worldbody>
+    <frame pos="1 2 3" quat="0.5 0.5 -0.5 0.5" childclass="small">
+      <geom name="in_world" pos="0.1 0 0"/>
+      <light name="light" pos="0 0 1" dir="0 1 0" type="directional"/>
+      <light name="spot" type="spot"/>
+      <camera name="camera" pos="0 1 0" quat="0.6 0.8 0 0"/>
+      <body name="body" pos="0 0 0.5" quat="0.8 0 0.6 0">
+        <frame pos="0.3 0.2 0.1" quat="0.6 0 0 0.8">
+          <frame pos="0 0 1" quat="0 1 0 0" childclass="large">
+            <joint name="hinge" pos="0.1 0 0" axis="1 0 0"/>
+            <geom name="inner" type="capsule" fromto="0 0 0 0.1 0.2 0.3"/>
+            <geom name="own" class="small"/>
+            <site name="site" euler="0.1 0.2 0.3"/>
+          </frame>
+          <body name="plain"><geom name="inherited"/></body>
+        </frame>
+      </body>
+      <body name="other" childclass="large"><geom name="of_other"/></body>
+    </frame>
+  </worldbody>
+  <actuator><position name="drive" joint="hinge" kp="3" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+
+def test_frames_become_part_of_what_is_in_them() -> None:
+    spec = mujoco.MjSpec.from_string(FRAMES)
+    model = spec.compile()
+    text = classic_xml(spec, model)
+    assert "<frame" not in text
+    differences = _differences(mujoco.MjModel.from_xml_string(text), model)
+    # Of numbers up to 75; the capsule and its quarter turns round more often.
+    assert max(differences.values(), default=0) < 1e-12, differences
+
+
+def test_writing_leaves_the_spec_as_it_was() -> None:
+    spec = mujoco.MjSpec.from_string(FRAMES)
+    model = spec.compile()
+    before = spec.to_xml()
+    classic_xml(spec, model)
+    assert spec.to_xml() == before
+    assert scene_files(spec, model, "4") == {"scene.xml": before.encode()}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("<compiler", '<option integrator="discrete"/><compiler', 'integrator="discrete" of <option>'),
+        ("<compiler", '<option><flag speculative="enable"/></option><compiler', 'speculative="enable" of <flag>'),
+        ('<geom name="own"', '<geom name="own" adhesion="3"', 'adhesion="3" of <geom> own'),
+        ('<geom name="own"', '<geom name="own" margin="0.2" gap="0.1"', 'gap="0.1" of <geom> own'),
+        ('type="directional"', 'type="point"', 'type="point" of <light> light'),
+        ('<position name="drive"', '<position name="drive" delay="0.1" nsample="3"', "of <general> drive"),
+        ("<actuator>", '<sensor><clock name="clock"/></sensor><actuator>', "<sensor>"),
+    ],
+)
+def test_what_3_3_has_no_words_for_is_refused(old: str, new: str, what: str) -> None:
+    spec = mujoco.MjSpec.from_string(FRAMES.replace(old, new))
+    spec.modelname = "mine"
+    model = spec.compile()
+    with pytest.raises(UsageError) as refusal:
+        scene_files(spec, model)
+    assert what in str(refusal.value)
+    assert "scene 'mine' has" in str(refusal.value)
+    assert "--mujoco 4" in str(refusal.value)
+    assert "scene.xml" in scene_files(spec, model, "4")

@@ -1,0 +1,95 @@
+"""Physics that breaks down is a cause of failure; MuJoCo's words on it reach no terminal and no file."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.breakdown import breakdown, keep_warnings_quiet
+from yamsim_cli.core.types import Cause, EpisodeJob
+
+# Joints in degrees, past the check that refuses them: the arm starts many turns beyond its stops.
+ABSURD = """
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import EpisodeJob
+where = Locations.find({})
+config = load_config(RecordConfig, "record", "default", where)
+task = config.task.model_copy(update={"start_joints": (0.0, 106.0, 109.0, -78.5, 0.0, 0.0)})
+with EpisodeRunner(config.model_copy(update={"task": task}), where, {}, draw=False) as runner:
+    causes = [runner.simulate(EpisodeJob(0, number))[1] for number in (1, 3)]
+for outcome in causes:
+    print(outcome.cause, "|", outcome.detail)
+"""
+
+
+def test_a_simulation_that_breaks_down_fails_for_that_and_writes_nothing(tmp_path: Path, repository: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", ABSURD],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(repository), "MUJOCO_GL": "disabled"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert run.returncode == 0, run.stderr
+    assert (run.stderr, list(tmp_path.iterdir())) == ("", [])
+    assert "unstable | physics broke down within 0.0" in run.stdout
+    assert "s: Nan, Inf or huge value in Q" in run.stdout
+
+
+def test_an_attempt_that_holds_says_nothing_of_it(config: RecordConfig, locations: Locations) -> None:
+    with EpisodeRunner(config, locations, {}, draw=False) as runner:
+        _, outcome, rollout = runner.simulate(EpisodeJob(0, 0))
+    assert outcome.cause is not Cause.UNSTABLE
+    assert rollout
+    assert rollout.motion.breakdown is None
+
+
+@pytest.fixture
+def falling() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    body = '<body><freejoint/><geom size=".1" mass="1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    return model, mujoco.MjData(model)
+
+
+def test_each_fatal_warning_is_told_in_mujocos_words(
+    falling: tuple[mujoco.MjModel, mujoco.MjData], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    keep_warnings_quiet()
+    model, data = falling
+    assert breakdown(data) is None
+    data.qvel[2] = 1e20
+    mujoco.mj_step(model, data)
+    assert breakdown(data) == "Nan, Inf or huge value in QVEL at DOF 2"
+    mujoco.mj_resetData(model, data)
+    assert breakdown(data) is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_program_that_listens_itself_goes_on_hearing(
+    falling: tuple[mujoco.MjModel, mujoco.MjData], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    hear: Callable[[str], None] = heard.append
+    mujoco.set_mju_user_warning(hear)
+    try:
+        keep_warnings_quiet()
+        model, data = falling
+        data.qvel[0] = 1e20
+        mujoco.mj_step(model, data)
+    finally:
+        mujoco.set_mju_user_warning(before)
+    assert len(heard) == 1

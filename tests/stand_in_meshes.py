@@ -1,0 +1,27 @@
+"""Meshes in the place of the real ones: small cubes under the locked names, for what only has to tell meshes apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.meshes import box
+from yamsim_cli.core.assets import load_lock
+from yamsim_cli.core.geometry.stl import stl_bytes
+from yamsim_cli.core.resources import Locations
+
+
+def stand_ins(
+    folder: Path, locations: Locations, *names: str, edge: float = 0.02, reduced: bool = False
+) -> dict[str, Path | None]:
+    """Asset set -> a folder with cubes of `edge` m, below `folder`; `reduced` as `assets.reduced` leaves it."""
+    cube = stl_bytes(*box(edge, cuts=1))
+    made: dict[str, Path | None] = {}
+    for assets in load_lock(locations).select(names):
+        place = folder / assets.name
+        place.mkdir(parents=True)
+        for file in assets.files:
+            (place / file).write_bytes(cube)
+        if reduced:
+            (place / "reduction.json").write_text("{}")
+        made[assets.name] = place
+    return made

@@ -1,0 +1,187 @@
+"""Kinematics from Python: what goes forwards comes back, errors say how far off, and nothing of the CLI is loaded."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.readme import snippet
+from yamsim_cli.core.config.record import RecordConfig
+from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
+from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_from_vector, rotation_vector, rotation_z
+from yamsim_cli.core.jobs.episode import EpisodeRunner
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.kinematics import Kinematics, OutOfReachError, Site
+
+START = np.array([0, 1.85, 1.90, -1.37, 0, 0])
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def run(code: str, repository: Path, **environ: str) -> subprocess.CompletedProcess[str]:
+    """Run a program of the user's, with no OpenGL chosen for it."""
+    env = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env=env | {"PYTHONPATH": str(repository)} | environ,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("site", ["pinch_site", "grasp_site"])
+@pytest.mark.parametrize(("rig", "arm"), [("single", None), ("single_linear", "right"), ("russet", "left")])
+def test_what_goes_forwards_comes_back(rig: str, arm: str | None, site: Site) -> None:
+    kinematics = Kinematics(rig, arm, site=site)
+    low, high = kinematics.joint_range.T
+    rng = np.random.default_rng(3)
+    for _ in range(12):
+        T = kinematics.fk(rng.uniform(low, high))
+        joints = kinematics.ik(T)
+        assert ((low - 1e-9 <= joints) & (joints <= high + 1e-9)).all()
+        found = kinematics.fk(joints)
+        assert np.linalg.norm(found[:3, 3] - T[:3, 3]) <= 1e-3
+        assert np.linalg.norm(rotation_vector(T[:3, :3].T @ found[:3, :3])) <= math.radians(1)
+
+
+def test_the_answer_is_the_same_every_time_and_near_the_start() -> None:
+    kinematics = Kinematics()
+    T = kinematics.fk(START)
+    T[:3, 3] += (0.02, 0.01, -0.01)
+    joints = kinematics.ik(T, START)
+    assert np.abs(joints - START).max() < 0.3
+    np.testing.assert_array_equal(joints, kinematics.ik(T, START))
+    np.testing.assert_array_equal(joints, Kinematics().ik(T, START))
+    np.testing.assert_allclose(kinematics.fk(joints), T, atol=1e-6)
+
+
+@pytest.mark.parametrize("arm", ["left", "right"])
+def test_poses_are_those_of_observations_and_of_physics(
+    arm: str, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("rig",): "russet"})
+    with EpisodeRunner(config, locations, {}, draw=False) as runner:
+        rollout = runner.simulate(EpisodeJob(0, 0))[2]
+        assert rollout
+        frame, scene = runner.frames(rollout.states[:1])[0], runner.scene
+    number = ("left", "right").index(arm)
+    grasp, pinch = (Kinematics("russet", arm, site=site) for site in ("grasp_site", "pinch_site"))
+    np.testing.assert_allclose(grasp.T_base_in_world, scene.arms[number].T_base_in_world)
+    joints = frame["joints"][7 * number :][:6]
+    T_grasp_in_world = grasp.T_base_in_world @ grasp.fk(joints)
+    # Datasets have poses in the left arm's base.
+    np.testing.assert_allclose(T_grasp_in_world, scene.T_base_in_world @ frame["ee_pose"][number], atol=1e-5)
+    # The crank's pads meet 42 mm beside its axis. Source: robot_models/i2rt_yam/yam_crank.xml.
+    between = inverse(grasp.fk(joints)) @ pinch.fk(joints)
+    np.testing.assert_allclose(np.abs(between[:3, 3]), [0.042, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(between[:3, :3], np.eye(3), atol=1e-12)
+
+
+def test_out_of_reach_says_how_far_off_the_nearest_is() -> None:
+    kinematics = Kinematics()
+    with pytest.raises(OutOfReachError, match=r"out of the arm's reach: the nearest it gets is \d+\.\d mm") as caught:
+        kinematics.ik(pose((1.2, 0, 0.1), DOWN))
+    assert isinstance(caught.value, SimulationError)
+    nearest = caught.value.nearest
+    reached = kinematics.fk(nearest.joints)
+    assert nearest.position_error == pytest.approx(np.linalg.norm(reached[:3, 3] - (1.2, 0, 0.1)), abs=1e-6)
+    turned = np.linalg.norm(rotation_vector(reached[:3, :3].T @ DOWN))
+    assert nearest.rotation_error == pytest.approx(turned, abs=1e-6)
+    assert 0.3 < nearest.position_error < 0.6
+    assert f"{nearest.position_error * 1000:.1f} mm" in str(caught.value)
+
+
+def test_a_hand_may_lean_where_the_arm_is_too_short() -> None:
+    kinematics = Kinematics()
+    # The hand as over the near half of the table, turned outwards.
+    far = pose((0.60, 0.15, 0.08), rotation_z(math.atan2(0.15, 0.60)) @ kinematics.fk(START)[:3, :3])
+    with pytest.raises(OutOfReachError, match=r"is 0\.0 mm and 2\d\.\d deg away \(at most 1 mm and 1 deg\)"):
+        kinematics.ik(far, START)
+    found = kinematics.fk(kinematics.ik(far, START, rotation_tolerance=0.6))
+    assert np.linalg.norm(found[:3, 3] - far[:3, 3]) <= 1e-3
+    assert math.radians(20) < np.linalg.norm(rotation_vector(found[:3, :3].T @ far[:3, :3])) <= 0.6
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "told"),
+    [
+        (lambda: Kinematics("russet"), UsageError, "rig 'russet' has two arms: give arm='left' or arm='right'"),
+        (lambda: Kinematics("single", "left"), UsageError, "rig 'single' has no arm 'left'; valid: right"),
+        (lambda: Kinematics("singl"), ConfigError, "unknown rig 'singl'; did you mean 'single'"),
+        (lambda: Kinematics(site="tcp"), UsageError, "there is no site 'tcp'; valid: grasp_site, pinch_site"),  # type: ignore[arg-type]
+        (lambda: Kinematics().fk(np.zeros(7)), UsageError, r"joints has the shape \(7,\), and needs \(6,\)"),
+        (lambda: Kinematics().fk([0, 0, 0, 0, 0, math.nan]), UsageError, "joints is not finite"),
+        (lambda: Kinematics().fk("joints"), UsageError, "joints is no array of numbers"),
+        (
+            lambda: Kinematics().fk([0, 106, 109, -78, 0, 0]),
+            UsageError,
+            r"joint2: 106 rad lies outside .*; is it in degrees\?",
+        ),
+        (lambda: Kinematics().ik(np.eye(3)), UsageError, r"T_site_in_base has the shape \(3, 3\)"),
+        (lambda: Kinematics().ik(np.zeros((4, 4))), UsageError, "is no pose: its upper left 3 x 3 is no rotation"),
+        (lambda: Kinematics().ik(pose(rotation=np.diag([1, 1, -1]))), UsageError, "is no pose"),
+        (lambda: Kinematics().ik(np.eye(4), START[:5]), UsageError, r"start has the shape \(5,\)"),
+    ],
+)
+def test_what_is_wrong_is_told(make: Callable[[], object], error: type[Exception], told: str) -> None:
+    with pytest.raises(error, match=told):
+        make()
+
+
+def test_it_loads_nothing_of_the_command_line(repository: Path) -> None:
+    code = (
+        "import sys\nfrom yamsim_cli.kinematics import Kinematics\nKinematics('russet', 'left').fk([0] * 6)\n"
+        "print([name for name in ('typer', 'rich', 'click', 'cv2', 'yamsim_cli.commands') if name in sys.modules])"
+    )
+    assert run(code, repository).stdout.strip() == "[]"
+
+
+def test_the_readmes_example_does_what_it_says(repository: Path) -> None:
+    code = snippet("python", "from yamsim_cli.kinematics import Kinematics")
+    done = run(f"{code}\nprint(joints.shape, arm.fk(joints)[2, 3] - T_pinch_in_base[2, 3])", repository)
+    assert done.returncode == 0, done.stderr
+    shape, _, off = done.stdout.rpartition(" ")
+    assert (shape, abs(float(off)) < 1e-3) == ("(6,)", True)
+
+
+@pytest.mark.render
+@pytest.mark.parametrize(
+    "first",
+    [
+        "import mujoco",
+        "from yamsim_cli.kinematics import Kinematics; Kinematics()",
+        "yamsim_cli.evaluate('hold_still', n=1)",
+    ],
+)
+def test_pictures_can_be_drawn_later_in_the_same_process(first: str, repository: Path, tmp_path: Path) -> None:
+    """MuJoCo is imported by then, without OpenGL."""
+    if os.environ["YAMSIM_TEST_GL"] == "native":
+        pytest.skip("MuJoCo's own choice is right here")
+    code = (
+        f"import yamsim_cli\nif __name__ == '__main__':\n    {first}\n"
+        f"    print(yamsim_cli.record({str(tmp_path / 'out')!r}, size=(32, 32), quality='fast').episodes)"
+    )
+    (tmp_path / "script.py").write_text(code)
+    done = run(f"import runpy; runpy.run_path({str(tmp_path / 'script.py')!r}, run_name='__main__')", repository)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "1"
+
+
+def test_a_target_beyond_the_solvers_numbers_is_out_of_reach() -> None:
+    """Task and damping are twelve orders of magnitude apart there, and the QP has no solution."""
+    kinematics = Kinematics()
+    # Joints at their stops, as they are after some steps towards something far away.
+    start = [-2.61799, 3.66519, 0, -1.5708, 0.24, -2.0944]
+    for direction in ((0, -1, 0), (1, 0, 0), (0.3, 0.9, 0.2)):
+        for lean in (0, 0.5, 2):
+            place = 60 * np.array(direction) / np.linalg.norm(direction)
+            with pytest.raises(OutOfReachError):
+                kinematics.ik(pose(place, rotation_from_vector([lean, 0.0, 0.0])), start)

@@ -1,0 +1,176 @@
+"""The ledger of attempts, read line by line: what is whole counts, and what is lost is found in the episodes.
+
+Lines are kept as the bytes they are, so that a ledger that is written anew differs only where it was damaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import DatasetError
+from ..files import write_file
+from .integrity import place_for_damaged
+from .layout import ATTEMPTS, episode_name
+from .records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
+
+# Stands for an attempt that cannot be made again and whose line is lost.
+LINE_LOST = OutcomeRecord(
+    success=False,
+    cause="line_lost",
+    detail=f"its line in {ATTEMPTS} could not be read",
+    dxy_m=None,
+    dz_m=None,
+    speed_mps=None,
+    plan_error_m=None,
+    tilt_rad=None,
+)
+
+
+class Ledger:
+    """What a dataset's `attempts.jsonl` holds.
+
+    Attributes:
+        known: attempt -> its record, of the lines that are whole; in order.
+        fault: the first thing wrong with the file; None if nothing is but, perhaps, a cut-off end.
+    """
+
+    def __init__(self, dataset: Path) -> None:
+        """Read it. One that is not there knows of no attempt; a last line that a power cut broke off is left out."""
+        self._file = dataset / ATTEMPTS
+        self.known: dict[int, AttemptRecord] = {}
+        self.fault: str | None = None
+        self._lines: dict[int, bytes] = {}
+        self._read = self._file.read_bytes() if self._file.is_file() else b""
+        lines = self._read.split(b"\n")
+        for number, line in enumerate(lines, start=1):
+            if line:
+                self._take(number, line, last=number == len(lines))
+        self.known = dict(sorted(self.known.items()))
+
+    def _take(self, number: int, line: bytes, *, last: bool) -> None:
+        try:
+            attempt = from_json(AttemptRecord, line, f"line {number}")
+            if attempt.attempt < 0:
+                raise DatasetError(f"line {number}: attempt: {attempt.attempt} is no number of an attempt")
+        except DatasetError as error:
+            if not last:
+                self.fault = self.fault or str(error)
+            return
+        if attempt.attempt in self.known:
+            self.fault = self.fault or f"line {number}: attempt {attempt.attempt} is there twice"
+            if attempt.attempt != number - 1:
+                # In its place is the other one.
+                return
+        self._put(attempt, line + b"\n")
+
+    def _put(self, attempt: AttemptRecord, line: bytes) -> None:
+        self.known[attempt.attempt] = attempt
+        self._lines[attempt.attempt] = line
+
+    @property
+    def missing(self) -> set[int]:
+        """Attempts before the last known one whose lines are lost."""
+        return set(range(max(self.known, default=-1))) - self.known.keys()
+
+    def adopt(self, episodes: Sequence[EpisodeRecord]) -> None:
+        """Fill in from the dataset's whole episodes what their lines said, and leave out what nothing vouches for.
+
+        Raises:
+            DatasetError: an episode and the ledger cannot both be right.
+        """
+        made = {record.episode: record for record in episodes}
+        for attempt in list(self.known.values()):
+            if attempt.episode in made and made[attempt.episode].attempt != attempt.attempt:
+                name, other = episode_name(attempt.episode), made[attempt.episode].attempt
+                self.fault = self.fault or f"attempt {attempt.attempt} is to be {name}, which is attempt {other}"
+                del self.known[attempt.attempt], self._lines[attempt.attempt]
+        for record in episodes:
+            line = self.known.get(record.attempt)
+            if line is not None and line.episode != record.episode:
+                raise DatasetError(
+                    f"{self._file.parent / episode_name(record.episode)} is attempt {record.attempt}, which {ATTEMPTS} "
+                    "tells otherwise; it cannot be resumed"
+                )
+            if line is None:
+                adopted = _attempt_of(record)
+                self._put(adopted, to_json(adopted))
+        self._check_order()
+        self._drop_end()
+        self.known = dict(sorted(self.known.items()))
+
+    def _check_order(self) -> None:
+        numbers = [self.known[number].episode for number in sorted(self.known)]
+        episodes = [number for number in numbers if number is not None]
+        if episodes != sorted(set(episodes)):
+            raise DatasetError(
+                f"{self._file.parent} has episodes that are not in the order of their attempts; it cannot be resumed"
+            )
+
+    def _drop_end(self) -> None:
+        """Leave out failures after a gap that no episode follows: they are made again, if they are needed at all."""
+        last = max((number for number, attempt in self.known.items() if attempt.episode is not None), default=-1)
+        while last + 1 in self.known:
+            last += 1
+        for number in [number for number in self.known if number > last]:
+            self.fault = self.fault or f"attempt {number} is there, and {last + 1} is not"
+            del self.known[number], self._lines[number]
+
+    def insert(self, attempt: AttemptRecord) -> None:
+        """Put an attempt whose line was lost into its place.
+
+        Raises:
+            OSError: the file is as it was.
+        """
+        self._put(attempt, to_json(attempt))
+        self._write()
+
+    def mend(self) -> Path | None:
+        """Write the file anew if it says anything else than what is known, and say where a damaged one is kept.
+
+        Raises:
+            OSError: the file is as it was.
+        """
+        if self._read == self._text():
+            return None
+        kept = None
+        if self.fault is not None:
+            # A copy, so that there is a ledger at every moment.
+            kept = place_for_damaged(self._file)
+            write_file(kept, self._read)
+        self._write()
+        return kept
+
+    def _text(self) -> bytes:
+        return b"".join(self._lines[number] for number in sorted(self._lines))
+
+    def _write(self) -> None:
+        write_file(self._file, self._text())
+
+
+def vacant_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:
+    """The number of the episode that an attempt gave, if it gave one: numbers follow the order of attempts.
+
+    Returns:
+        None where the episodes around it leave none out, so that it failed.
+    """
+    before = [record.episode for record in attempts[:attempt] if record.episode is not None]
+    after = [record.episode for record in attempts[attempt:] if record.episode is not None]
+    number = before[-1] + 1 if before else 0
+    return number if not after or after[0] > number else None
+
+
+def lost_line(attempt: int, seed: int) -> AttemptRecord:
+    """What is known of an attempt whose line is lost."""
+    return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LINE_LOST, layout={})
+
+
+def _attempt_of(record: EpisodeRecord) -> AttemptRecord:
+    return AttemptRecord(
+        attempt=record.attempt,
+        seed=record.seed,
+        episode=record.episode,
+        outcome=record.outcome,
+        layout=record.layout,
+        randomized=record.randomized,
+    )

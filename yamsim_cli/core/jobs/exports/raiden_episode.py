@@ -1,0 +1,190 @@
+"""One episode's frames and pictures for raiden's layout: as they were recorded, or made at another rate."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from ...boards.image import encode_png
+from ...config.record import RecordConfig
+from ...dataset.faults import explain
+from ...dataset.layout import depth_name
+from ...dataset.reader import StoredEpisode, open_episode
+from ...dataset.truth import dump_depth
+from ...errors import DatasetError, PartialJobError
+from ...resources import Locations
+from ...vision.jpeg import decode_jpeg, encode_jpeg
+from ...vision.renderer import Image
+from ..episode import EpisodeRunner
+from . import raiden_schema as schema
+from .raiden_options import RaidenOptions
+from .resample import Resampled, nearest_frames, resample
+from .source import depth_cameras
+
+# A picture drawn anew at a recorded frame's time may differ from the recorded one by this in the mean, of 255. Another
+# machine's OpenGL stays below; missing meshes, or another version's looks, do not.
+_MOST_OTHER = 3.0
+
+
+@dataclass(frozen=True)
+class MadeEpisode:
+    """What was made of an episode; its pictures are on the disk.
+
+    Attributes:
+        times: of the frames, s.
+        frames: as recorded ones are.
+        pictures: where they come from, for the metadata.
+    """
+
+    times: Sequence[float]
+    frames: list[dict[str, Any]]
+    pictures: Mapping[str, Any]
+
+
+class EpisodeMaker:
+    """Makes episodes of one dataset; a context manager, since it may own a renderer.
+
+    Args:
+        config: the dataset's own; of drawn pictures it has the size.
+        meshes: asset set -> folder of its files, or None for primitives; they matter to drawn pictures alone.
+        names: camera -> its name in raiden's layout.
+    """
+
+    def __init__(
+        self,
+        config: RecordConfig,
+        locations: Locations,
+        meshes: Mapping[str, Path | None],
+        names: Mapping[str, str],
+        options: RaidenOptions,
+    ) -> None:
+        self._names = names
+        self._options = options
+        self._quality = config.image.jpeg_quality
+        self._truth = config.truth
+        self._runner = None if options.fps is None else EpisodeRunner(config, locations, meshes, draw=False)
+
+    def run(self, job: tuple[Path, Path]) -> MadeEpisode:
+        """Make an episode, given by its directory, and write its pictures below a folder.
+
+        Raises:
+            DatasetError: it is damaged, or cannot be made; see `resample`.
+            ResourceError: nothing can be drawn here.
+            PartialJobError: the disk refused something.
+        """
+        directory, folder = job
+        try:
+            return self._make(open_episode(directory), folder)
+        except OSError as error:
+            raise PartialJobError(f"{explain(error, folder)}: nothing was exported") from error
+
+    def _make(self, episode: StoredEpisode, folder: Path) -> MadeEpisode:
+        frames = episode.frames()
+        if self._runner is None or self._options.fps is None:
+            self._copy(episode, folder, range(len(frames)))
+            return MadeEpisode([frame["timestamp"] for frame in frames], frames, {"source": "recorded"})
+        made = resample(self._runner, episode, self._options.fps)
+        if self._options.draws:
+            self._draw(self._runner, episode, folder, made)
+            return MadeEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
+        nearest = nearest_frames(made.times, len(frames), episode.record.frame_period_s)
+        self._copy(episode, folder, nearest)
+        period = episode.record.frame_period_s
+        told = {"source": "nearest", "recorded_frames": nearest, "recorded_period_s": period}
+        return MadeEpisode(made.times.tolist(), made.frames, told)
+
+    def _copy(self, episode: StoredEpisode, folder: Path, frames: Sequence[int]) -> None:
+        """Recorded pictures, given by their frames: JPEGs byte for byte, PNGs of the very pixels that OpenCV reads."""
+        depths = depth_cameras(episode)
+        for camera, name in self._names.items():
+            before, data, depth = -1, b"", b""
+            for k, frame in enumerate(frames):
+                if frame != before:
+                    data = self._stored(episode, camera, frame)
+                    depth = _depth(episode, camera, frame) if camera in depths else b""
+                    before = frame
+                _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
+                if depth:
+                    _write(folder / "depth" / name / schema.frame_name(k, "npz"), depth)
+
+    def _stored(self, episode: StoredEpisode, camera: str, frame: int) -> bytes:
+        data = episode.image(camera, frame)
+        return data if self._options.images == "jpg" else encode_png(_decoded(episode, camera, frame, data))
+
+    def _draw(self, runner: EpisodeRunner, episode: StoredEpisode, folder: Path, made: Resampled) -> None:
+        depths = depth_cameras(episode)
+        if depths and not self._truth:
+            raise DatasetError(
+                f"{episode.directory} has depth, and its dataset was recorded without --truth: how it was made is not "
+                "known; take the recorded pictures with --pictures nearest"
+            )
+        for k, camera, image in runner.pictures(made.qpos):
+            name = self._names[camera]
+            if k == 0:
+                self._require_looks(episode, camera, image)
+            data = encode_png(image) if self._options.images == "png" else encode_jpeg(image, self._quality)
+            _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
+            if camera in depths:
+                depth = dump_depth(runner.depth(made.qpos[k], camera))
+                _write(folder / "depth" / name / schema.frame_name(k, "npz"), depth)
+
+    def _require_looks(self, episode: StoredEpisode, camera: str, image: Image) -> None:
+        """Raise DatasetError unless the first picture looks as it was recorded."""
+        recorded = _decoded(episode, camera, 0, episode.image(camera, 0))
+        drawn = decode_jpeg(encode_jpeg(image, self._quality))
+        assert drawn is not None
+        apart = np.inf
+        if drawn.shape == recorded.shape:
+            apart = float(np.abs(drawn.astype(np.int16) - recorded).mean())
+        if apart > _MOST_OTHER:
+            raise DatasetError(
+                f"{episode.directory}: {camera} drawn anew is not what was recorded ({apart:.1f} of 255 off in the "
+                f"mean, at most {_MOST_OTHER:g}): run `yamsim assets fetch` if meshes are missing, or take the "
+                "recorded pictures with --pictures nearest"
+            )
+
+    def __enter__(self) -> EpisodeMaker:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._runner is not None:
+            self._runner.close()
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+
+
+def _decoded(episode: StoredEpisode, camera: str, frame: int, data: bytes) -> Image:
+    image = decode_jpeg(data)
+    if image is None:
+        raise DatasetError(f"{episode.directory}: frame {frame} of {camera} is no whole JPEG; --images jpg copies it")
+    return image
+
+
+def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
+    """A depth image's file as it is, once it was seen to hold what it should."""
+    name = depth_name(camera, number)
+    data = episode.whole(name)
+    width, height = episode.record.cameras[camera]
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            depth = archive[schema.DEPTH_KEY]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise DatasetError(f"{episode.directory / name} holds no array {schema.DEPTH_KEY!r}: {error}") from error
+    if depth.dtype != schema.DEPTH.dtype or depth.shape != (height, width):
+        raise DatasetError(
+            f"{episode.directory / name}: depth is {depth.dtype} {depth.shape}, not {schema.DEPTH.dtype} "
+            f"{(height, width)}"
+        )
+    return data

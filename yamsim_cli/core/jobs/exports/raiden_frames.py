@@ -1,0 +1,156 @@
+"""A frame of raiden's layout, from a recorded one: joints, hands and cameras, with the left arm first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...config.limits import load_limits
+from ...config.rig import ArmConfig
+from ...dataset.lowdim import BETWEEN_BASES
+from ...errors import UsageError
+from ...geometry.se3 import Array
+from ...planning.kinematics import ArmKinematics
+from ...resources import Locations
+from ...scene.robot import bare_arm
+from . import raiden_schema as schema
+from .raiden_options import HandFrameName, RaidenOptions
+from .source import Source
+
+# Of the arms in order: a lone arm is the left one, and so is its camera.
+WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
+
+
+@dataclass(frozen=True)
+class HandFrame:
+    """Whose kinematics hand poses are by.
+
+    Attributes:
+        model: file in the robot model's folder; empty for the one that was simulated.
+        description: for whoever reads the metadata.
+    """
+
+    model: str
+    description: str
+
+
+HAND_FRAMES: Mapping[HandFrameName, HandFrame] = {
+    "yamsim": HandFrame("", "site grasp_site of the simulated arm: where the pictures show the hand"),
+    "i2rt": HandFrame(
+        "raiden_kinematics.xml",
+        "site grasp_site of i2rt 7b6d501, yam with linear_4310: what raiden's kinematics make of the joints",
+    ),
+}
+
+
+def hand_frame(name: HandFrameName) -> dict[str, str]:
+    """What is written of a hand's frame."""
+    return {"name": name, "description": HAND_FRAMES[name].description}
+
+
+def camera_names(source: Source) -> dict[str, str]:
+    """Camera -> its name in raiden's layout."""
+    wrists = wrist_arms(source)
+    return {name: WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.cameras}
+
+
+def wrist_arms(source: Source) -> dict[str, int]:
+    """Wrist camera -> its arm's place."""
+    config = source.config
+    arms = [config.rig.arms[k] for k in config.rig.recorded]
+    return {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}
+
+
+class _Arm:
+    """What the real stack tells of an arm, from recorded joints (7,): six in rad, and one finger's opening in m."""
+
+    def __init__(self, arm: ArmConfig, locations: Locations, frame: HandFrame) -> None:
+        if frame.model:
+            file = locations.file(f"robot_models/{arm.model}/{frame.model}")
+            self._kinematics = ArmKinematics(mujoco.MjModel.from_xml_path(str(file)))
+        else:
+            self._kinematics = ArmKinematics(bare_arm(arm, locations))
+        self._opening = load_limits(arm.model, locations).fingers[arm.gripper][1]
+
+    def shared(self, joints: ArrayLike) -> Array:
+        """Six joints, and the gripper as a share of its opening."""
+        values = np.array(joints, dtype=np.float64)
+        values[6] = np.clip(values[6] / self._opening, 0.0, 1.0)
+        return values
+
+    def hand(self, shared: Array) -> Array:
+        """The hand's position, its rotation row by row and the gripper (13,), in this arm's base."""
+        T = self.T_hand_in_base(shared)
+        return np.concatenate([T[:3, 3], T[:3, :3].ravel(), shared[6:]])
+
+    def T_hand_in_base(self, joints: ArrayLike) -> Array:
+        """The hand's pose (4, 4) in this arm's base, by kinematics."""
+        return self._kinematics.T_grasp_in_base(np.asarray(joints)[:6])
+
+
+class FrameConverter:
+    """Turns frames of one dataset into those of raiden's layout.
+
+    Attributes:
+        names: camera -> its name there.
+        arms: how many its arrays hold.
+
+    Raises:
+        UsageError: two arms cannot be written as one.
+    """
+
+    def __init__(self, source: Source, locations: Locations, options: RaidenOptions) -> None:
+        config = source.config
+        arms = [config.rig.arms[k] for k in config.rig.recorded]
+        if options.single and len(arms) > 1:
+            raise UsageError(f"--single is for recordings of one arm, and {source.path} has {len(arms)}: leave it out")
+        self.names = camera_names(source)
+        self.arms = 1 if options.single else 2
+        frame = HAND_FRAMES[options.hand_frame]
+        # Where there is one alone, the other is like it.
+        self._arms = [_Arm(arm, locations, frame) for arm in (arms[0], arms[-1])[: self.arms]]
+
+    def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
+        """A frame's dictionary, as `raiden_schema.lowdim` has it."""
+        joints, command = self._shared(frame["joints"]), self._shared(frame["action_joints"])
+        data = {
+            "intrinsics": {self.names[camera]: frame["intrinsics"][camera] for camera in self.names},
+            "extrinsics": {self.names[camera]: frame["extrinsics"][camera] for camera in self.names},
+            "joints": _f32(joints),
+            "action": _f32(self._hands(command)),
+            "actual_poses": _f32(self._hands(joints)),
+            "action_joints": _f32(command),
+            "language_task": _text(frame["language_task"]),
+            "language_prompt": _text(frame["language_prompt"]),
+        }
+        if BETWEEN_BASES in frame:
+            data[schema.BETWEEN_ARMS] = np.asarray(frame[BETWEEN_BASES], dtype=np.float32)
+        return data
+
+    def T_hand_in_base(self, arm: int, joints: ArrayLike) -> Array:
+        """An arm's hand (4, 4) in its own base, from all joints of a frame that was converted."""
+        return self._arms[arm].T_hand_in_base(np.asarray(joints)[7 * arm :])
+
+    def _shared(self, joints: ArrayLike) -> list[Array]:
+        """Each arm's joints (7,), of recorded ones (7,) or (14,)."""
+        rows = np.zeros((self.arms, 7))
+        recorded = np.reshape(joints, (-1, 7))
+        rows[: len(recorded)] = recorded
+        return [arm.shared(row) for arm, row in zip(self._arms, rows, strict=True)]
+
+    def _hands(self, shared: Sequence[Array]) -> list[Array]:
+        return [arm.hand(row) for arm, row in zip(self._arms, shared, strict=True)]
+
+
+def _f32(arms: Sequence[ArrayLike]) -> NDArray[np.float32]:
+    return np.concatenate(arms).astype(np.float32)
+
+
+def _text(text: str) -> NDArray[np.object_]:
+    """Text as raiden's converter writes it. Source: TRI-ML/raiden, `converter.py`: an array of no dimensions."""
+    return np.array(text, dtype=object)

@@ -1,0 +1,154 @@
+"""What a policy is told of a trial: numbers at once, pictures when they are read."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+from ..config.record import RecordConfig
+from ..errors import UsageError, suggest
+from ..geometry.se3 import Array
+from ..policies.base import OBJECTS, SCENE, VELOCITIES, WRIST
+from ..scene.build import SCENE_CAMERA
+from ..scene.compiled import CompiledScene
+from ..sim.closed_loop import ClosedLoop
+from ..sim.replica import Replica
+from ..vision.renderer import Image
+
+# Draws what a camera sees at MuJoCo's positions (nq,).
+Draw = Callable[[Array, str], Image]
+
+
+def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
+    """Key in a policy's observation -> camera, of the images that it asks for.
+
+    Raises:
+        UsageError: there is no such camera on this rig, in this task.
+    """
+    if len(config.rig.arms) == 1:
+        there = {WRIST: {"wrist_rgb": config.rig.arms[0].wrist_camera_name}}
+    else:
+        sides = {f"{arm.side}_wrist": {f"{arm.side}_wrist_rgb": arm.wrist_camera_name} for arm in config.wrist_arms}
+        there = sides | {WRIST: {key: camera for one in sides.values() for key, camera in one.items()}}
+    there[SCENE] = {"scene_rgb": SCENE_CAMERA}
+    cameras: dict[str, str] = {}
+    for name in images:
+        if name not in there:
+            raise UsageError(
+                f"the policy asks for the image {name!r}, which rig {config.rig.name!r} with task {config.task.name!r} "
+                f"does not have; {suggest(name, there)}"
+            )
+        cameras |= there[name]
+    return cameras
+
+
+class Pictures:
+    """Draws for the observations of one trial.
+
+    Attributes:
+        failure: what drawing raised, if it did: not the policy's fault, whatever the policy makes of it.
+    """
+
+    def __init__(self, draw: Draw) -> None:
+        self._draw = draw
+        self._thread = threading.get_ident()
+        self._is_over = False
+        self.failure: Exception | None = None
+
+    def draw(self, key: str, qpos: Array, camera: str) -> Image:
+        """The picture that an observation has under `key`.
+
+        Raises:
+            RuntimeError: it is read in another thread, which OpenGL does not bear, or after its trial.
+        """
+        hint = f"read observation[{key!r}], or dict(observation) for all, while you are asked"
+        if threading.get_ident() != self._thread:
+            raise RuntimeError(f"{key} cannot be drawn in another thread: {hint}, and hand that on")
+        if self._is_over:
+            raise RuntimeError(f"{key} cannot be drawn once its trial is over: {hint}")
+        try:
+            return self._draw(qpos, camera)
+        except Exception as error:
+            self.failure = error
+            raise
+
+    def end(self) -> None:
+        """The trial is over: the next one may look different."""
+        self._is_over = True
+
+
+class LazyObservation(Mapping[str, Any]):
+    """An observation whose pictures are drawn when they are first read, as everything was when it was made.
+
+    `dict(observation)` is all of it. Its keys are known, and counted, without drawing.
+
+    Args:
+        numbers: all but the pictures.
+        qpos: MuJoCo's positions (nq,); not changed from now on.
+        cameras: key -> camera of the pictures.
+    """
+
+    def __init__(self, numbers: dict[str, Any], qpos: Array, cameras: Mapping[str, str], pictures: Pictures) -> None:
+        self._known, self._qpos, self._cameras, self._pictures = numbers, qpos, cameras, pictures
+        self._keys = (*numbers, *cameras)
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in self._known and key in self._cameras:
+            self._known[key] = self._pictures.draw(key, self._qpos, self._cameras[key])
+        return self._known[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._known or key in self._cameras
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self._keys)})"
+
+    def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
+        # Copied, or sent to another process, it is a dictionary of everything.
+        return dict, (dict(self),)
+
+
+class Observer:
+    """Makes the observations that a policy asks for.
+
+    Args:
+        images, wants: what it asks for, see `policies.base.IMAGES` and `STATE`.
+
+    Raises:
+        UsageError: it asks for a camera that there is not.
+    """
+
+    def __init__(self, config: RecordConfig, scene: CompiledScene, images: Iterable[str], wants: Iterable[str]) -> None:
+        self._config, self._scene = config, scene
+        self._replica = Replica(scene)
+        self._cameras = policy_cameras(config, images)
+        self._wants = frozenset(wants)
+
+    def observe(self, loop: ClosedLoop, pictures: Pictures) -> LazyObservation:
+        """What the policy is told of a scene's state now."""
+        scene, replica, task = self._scene, self._replica, self._config.task
+        replica.show(loop.data.qpos)
+        T_base = scene.T_base_in_world
+        joints = replica.joints()
+        told: dict[str, Any] = {
+            "joints": joints,
+            "gripper": joints[6::7] if len(scene.arms) > 1 else float(joints[6]),
+            "ee_pose_world": T_base @ replica.T_grasp_in_base(),
+            "K_scene": replica.intrinsics(SCENE_CAMERA, self._config.image.size_px).K,
+            "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
+            "time": loop.ticks * task.timing.tick,
+            "prompt": task.language_prompt,
+        }
+        if OBJECTS in self._wants:
+            told["T_object_in_world"] = T_base @ replica.T_object_in_base(task.object.name)
+            told["T_target_in_world"] = T_base @ replica.T_object_in_base(task.target.name)
+        if VELOCITIES in self._wants:
+            told["joint_velocities"] = loop.joint_velocities
+        return LazyObservation(told, loop.data.qpos.copy(), self._cameras, pictures)

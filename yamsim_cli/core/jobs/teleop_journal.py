@@ -1,0 +1,176 @@
+"""A recording on the disk while it is being driven, so that one whose session is killed can still be judged."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..dataset.layout import RECORDINGS
+from ..geometry.se3 import Array
+from ..types import EpisodeJob
+
+_STOP = "stop"
+
+
+@dataclass(frozen=True)
+class Opening:
+    """How a recording began.
+
+    Attributes:
+        job: its attempt.
+        layout: object -> start pose `[x, y, z, yaw]` in `world`, m and rad.
+        start: MuJoCo's positions (nq,).
+    """
+
+    job: EpisodeJob
+    layout: Mapping[str, tuple[float, float, float, float]]
+    start: Array
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What acted in a control tick, the left arm first.
+
+    Attributes:
+        ctrl: what the drives were told (arms x 7), rad and m.
+        magnet: whether each arm's weld was to hold.
+        asked: the joints and the opening (arms x 7) that each arm was asked for, rad and m.
+    """
+
+    ctrl: Array
+    magnet: tuple[bool, ...]
+    asked: Array
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A recording that a killed session left behind.
+
+    Attributes:
+        path: its file.
+        ticks: all that passed.
+        stopped: the number of ticks after which it was stopped; None if it never was.
+    """
+
+    path: Path
+    opening: Opening
+    ticks: tuple[Tick, ...]
+    stopped: int | None
+
+
+class Journal:
+    """Writes recordings tick by tick, each into a file of its own in a dataset.
+
+    A file is there from a recording's start until its attempt is in the dataset, or discarded. What a tick wrote
+    outlives this process, and at worst the last second of it a loss of power.
+
+    Args:
+        dataset: its directory.
+    """
+
+    def __init__(self, dataset: Path) -> None:
+        self._folder = dataset / RECORDINGS
+        self._file: BinaryIO | None = None
+        self._attempt = -1
+
+    def begin(self, opening: Opening) -> None:
+        """Open the file of a recording.
+
+        Raises:
+            OSError: the disk refused it.
+        """
+        self.end()
+        self._folder.mkdir(exist_ok=True)
+        self._attempt = opening.job.attempt
+        # Unbuffered: what is still in this process's memory would die with it.
+        self._file = self._place(self._attempt).open("wb", buffering=0)
+        self._write(
+            {
+                "seed": opening.job.seed,
+                "attempt": opening.job.attempt,
+                "layout": {name: list(pose) for name, pose in opening.layout.items()},
+                "start": opening.start.tolist(),
+            }
+        )
+
+    def add(self, tick: Tick) -> None:
+        """Write a tick; nothing where nothing is recorded."""
+        if self._file is not None:
+            self._write({"ctrl": tick.ctrl.tolist(), "magnet": list(tick.magnet), "asked": tick.asked.tolist()})
+
+    def stop(self) -> None:
+        """Write that the recording was stopped: what follows is the time in which all comes to rest."""
+        self._write({"event": _STOP})
+
+    def end(self) -> None:
+        """Close the file; it stays until its attempt is dropped."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def discard(self) -> None:
+        """Close the file and drop it."""
+        self.end()
+        self.drop(self._attempt)
+
+    def drop(self, attempt: int) -> None:
+        """Remove an attempt's file: it is in the dataset, or was not wanted."""
+        self._place(attempt).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self._folder.rmdir()
+
+    def unfinished(self) -> list[Unfinished]:
+        """What is left of sessions before this one, in order; files that hold no beginning are removed."""
+        found = []
+        for path in sorted(self._folder.glob("*.jsonl")):
+            recording = _read(path)
+            if recording is None:
+                path.unlink()
+            else:
+                found.append(recording)
+        return found
+
+    def _place(self, attempt: int) -> Path:
+        return self._folder / f"{attempt:06d}.jsonl"
+
+    def _write(self, line: Mapping[str, Any]) -> None:
+        assert self._file is not None, "begin comes first"
+        self._file.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
+
+
+def _read(path: Path) -> Unfinished | None:
+    """A recording as far as it was written; None where not even its beginning was."""
+    lines: list[dict[str, Any]] = []
+    for line in path.read_bytes().split(b"\n"):
+        try:
+            lines.append(json.loads(line))
+        except ValueError:
+            # The last one may be cut off, and nothing follows it.
+            break
+    try:
+        opening = _opening(lines[0])
+        ticks = tuple(_tick(line) for line in lines[1:] if "ctrl" in line)
+    except (IndexError, KeyError, TypeError, ValueError):
+        return None
+    stops = [k for k, line in enumerate(lines[1:]) if line.get("event") == _STOP]
+    return Unfinished(path, opening, ticks, stops[0] if stops else None)
+
+
+def _opening(line: Mapping[str, Any]) -> Opening:
+    layout = {str(name): _pose(pose) for name, pose in line["layout"].items()}
+    return Opening(EpisodeJob(int(line["seed"]), int(line["attempt"])), layout, np.array(line["start"], float))
+
+
+def _pose(values: Sequence[float]) -> tuple[float, float, float, float]:
+    x, y, z, yaw = values
+    return float(x), float(y), float(z), float(yaw)
+
+
+def _tick(line: Mapping[str, Any]) -> Tick:
+    return Tick(np.array(line["ctrl"], float), tuple(bool(on) for on in line["magnet"]), np.array(line["asked"], float))

@@ -1,0 +1,158 @@
+"""Forward and inverse kinematics of any rig's arm.
+
+    from yamsim_cli.kinematics import Kinematics
+
+    arm = Kinematics("russet", arm="left")
+    T_pinch_in_base = arm.fk(joints)
+    joints = arm.ik(T_pinch_in_base, start=joints)
+
+Needs no OpenGL, no meshes and no scene.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .core.config.limits import Stops
+from .core.config.loader import load_config
+from .core.config.rig import RigConfig
+from .core.errors import UsageError, suggest
+from .core.geometry.se3 import Array, inverse
+from .core.planning.ik import IkSolver
+from .core.planning.kinematics import ArmKinematics, OutOfReachError, reach
+from .core.resources import Locations
+from .core.scene.robot import HOME, bare_arm
+
+__all__ = ["Kinematics", "OutOfReachError", "Site"]
+
+Site = Literal["pinch_site", "grasp_site"]
+
+# How often a pose is tried from other joints before it counts as out of reach. Of 1,000 poses of joints drawn evenly
+# from their ranges every one was found, from 29 starts at most.
+_RESTARTS = 50
+# Of a rad, where a metre costs 10: a pose is wanted whole, and about the hand's length makes one of the other. Where
+# the arm does not reach it so, the position decides.
+_ROTATION_COSTS = (1.0, 1.0, 1.0)
+# A real arm reports, and a simulated one reaches, joints a little beyond their stops, rad.
+_SLACK = 0.1
+# Farther than this from the identity, R^T R is no rotation's.
+_ORTHONORMAL = 1e-4
+
+
+class Kinematics:
+    """Where one arm's hand is for given joints, and which joints bring it to a pose.
+
+    Joints are (6,) in rad, without the gripper, whose opening changes nothing here. Poses are (4, 4), in m, of `site`
+    in the arm's own base (x forward, y left, z up).
+
+    Args:
+        rig: a name from `configs/rigs/`, or a YAML file.
+        arm: "left" or "right"; may be left out of a rig with one arm.
+        site: "pinch_site", where the finger tips meet, or "grasp_site", on the gripper's axis, whose pose observations
+            (`ee_pose_world`) and datasets (`ee_pose`) hold. In both, z points where the fingers do, and y is the
+            direction in which they close.
+
+    Raises:
+        ConfigError: there is no such rig, or it is not valid.
+        UsageError: there is no such arm on it, or no such site.
+    """
+
+    def __init__(self, rig: str = "single", arm: str | None = None, *, site: Site = "pinch_site") -> None:
+        where = Locations.find(os.environ)
+        config = load_config(RigConfig, "rigs", rig, where, {})
+        sides = [one.side for one in config.arms]
+        if arm is None and len(sides) > 1:
+            raise UsageError(f"rig {config.name!r} has two arms: give arm='left' or arm='right'")
+        if arm is not None and arm not in sides:
+            raise UsageError(f"rig {config.name!r} has no arm {arm!r}; {suggest(str(arm), sides)}")
+        if site not in get_args(Site):
+            raise UsageError(f"there is no site {site!r}; {suggest(str(site), get_args(Site))}")
+        number = sides.index(arm) if arm in sides else 0
+        model = bare_arm(config.arms[number], where)
+        self._site = site
+        self._stops = Stops(config.arms[number], where)
+        self._range: Array = model.jnt_range.copy()
+        self._T_base_in_world = config.T_base_in_world(number)
+        self._forward = ArmKinematics(model)
+        self._solvers = (IkSolver(model, np.eye(4), _ROTATION_COSTS), IkSolver(model, np.eye(4)))
+        home = np.array(HOME)
+        T_pinch_in_base, T_site_in_base = (self._forward.T_site_in_base(home, name) for name in ("pinch_site", site))
+        for solver in self._solvers:
+            solver.hold(inverse(T_pinch_in_base) @ T_site_in_base)
+
+    @property
+    def T_base_in_world(self) -> Array:
+        """Pose (4, 4) of the arm's base, so that `T_site_in_world = T_base_in_world @ fk(joints)`."""
+        return self._T_base_in_world.copy()
+
+    @property
+    def joint_range(self) -> Array:
+        """Each joint's lowest and highest angle (6, 2), rad."""
+        return self._range.copy()
+
+    def fk(self, joints: ArrayLike) -> Array:
+        """The pose (4, 4) of the site in the arm's base.
+
+        Raises:
+            UsageError: `joints` are not six numbers, or lie beyond the joints' stops.
+        """
+        return self._forward.T_site_in_base(self._joints(joints, "joints"), self._site)
+
+    def ik(
+        self,
+        T_site_in_base: ArrayLike,
+        start: ArrayLike | None = None,
+        *,
+        position_tolerance: float = 1e-3,
+        rotation_tolerance: float = np.radians(1.0),
+    ) -> Array:
+        """Joints (6,), within their range, that bring the site to a pose (4, 4) in the arm's base.
+
+        The answer is the same for the same arguments. Of several, it is one that the search from `start` leads to,
+        which is usually near: give the joints as they are now. Only if that leads nowhere, it starts elsewhere.
+
+        Args:
+            start: joints (6,) to search from; home unless given.
+            position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad. With more of the
+                latter, the hand leans where the arm is too short for the pose as it is, and the position stays.
+
+        Raises:
+            UsageError: the pose is none, or `start` are no joints.
+            OutOfReachError: no such joints were found; its `nearest` has those that come nearest, and what they lack.
+        """
+        T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
+        if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(T[:3, :3]) < 0:
+            raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
+        first = np.array(HOME) if start is None else self._joints(start, "start")
+        return reach(self._solvers, T, self._starts(first), position_tolerance, rotation_tolerance).joints
+
+    def _joints(self, values: ArrayLike, name: str) -> Array:
+        joints = _numbers(values, (6,), name)
+        if fault := self._stops.fault(joints, _SLACK):
+            raise UsageError(f"{name}: {fault}")
+        return joints
+
+    def _starts(self, first: Array) -> Iterator[Array]:
+        """Where to search from: first within the range, then anywhere in it, the same places every time."""
+        low, high = self._range.T
+        yield np.clip(first, low, high)
+        rng = np.random.default_rng(0)
+        for _ in range(_RESTARTS):
+            yield rng.uniform(low, high)
+
+
+def _numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
+    try:
+        found = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{name} is no array of numbers: {error}") from error
+    if found.shape != shape:
+        raise UsageError(f"{name} has the shape {found.shape}, and needs {shape}")
+    if not np.isfinite(found).all():
+        raise UsageError(f"{name} is not finite: {found.tolist()}")
+    return found
