@@ -92,7 +92,9 @@ def with_noise(clean: NDArray[np.float32], noise: float = 2.0, seed: int = 0) ->
 def _lay(picture: NDArray[np.float32], field: NDArray[np.float32], board: Board, T: Array) -> None:
     onto_board = np.linalg.inv(T[:3, [0, 1, 3]])
     # Number by number: large photos, three times as fine, would not fit into memory as vectors of doubles.
-    x, y, depth = (np.float32(a) * field[..., 0] + np.float32(b) * field[..., 1] + np.float32(c) for a, b, c in onto_board)
+    x, y, depth = (
+        np.float32(a) * field[..., 0] + np.float32(b) * field[..., 1] + np.float32(c) for a, b, c in onto_board
+    )
     across, down = x / depth + np.float32(board.width / 2), np.float32(board.height / 2) - y / depth
     image = board_image(board, _CELL_PX, _QUIET_CELLS)
     px_per_metre = marker_cells(board).shape[1] * _CELL_PX / board.marker_length

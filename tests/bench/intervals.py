@@ -25,13 +25,14 @@ from rich.table import Table
 from tests.random_views import Lens, View, random_camera, random_view
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, rotation_vector
 from yamsim_cli.core.jobs import arm_poses
 from yamsim_cli.core.jobs.arm_poses import PhotoResult, find_arms, unknown_lens
 from yamsim_cli.core.jobs.photos import Photo
 from yamsim_cli.core.resources import Locations
 
 TILTS = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 70))
+PINHOLE = Lens()
 # A calibrated camera is off by about what its file says.
 FOCAL_SIGMA = 0.003
 
@@ -46,7 +47,7 @@ class Case:
     """
 
     name: str
-    lens: Lens = Lens()
+    lens: Lens = PINHOLE
     photos: int = 1
     given: bool = False
 
@@ -183,9 +184,7 @@ def table(title: str, rows: Iterable[tuple[str, Sequence[Outcome]]]) -> Table:
         result.add_column(column, justify="right" if column else "left", no_wrap=True)
     for name, found in rows:
         good = [one for one in found if one.status == "ok"]
-        held = [
-            f"{np.mean(np.array(offs) <= 1):.1%}" if offs else "-" for offs in coverage(found).values()
-        ]
+        held = [f"{np.mean(np.array(offs) <= 1):.1%}" if offs else "-" for offs in coverage(found).values()]
         result.add_row(
             name,
             str(len(found)),
@@ -220,7 +219,7 @@ def main() -> None:
         done = list(pool.map(run, cases, [options.views] * len(cases), [options.seed] * len(cases)))
     rows = [(case.name, found) for case, found in zip(cases, done, strict=True)]
     console = Console(width=150)
-    console.print("How often what is stated with 95 % holds the truth; worst: the largest error in standard deviations.")
+    console.print("How often 95 % intervals hold the truth; worst: the largest error in standard deviations.")
     console.print(table("All views, tilt 0-70 deg", rows))
     for name, found in rows:
         parts = [(f"{low}-{high} deg", [one for one in found if low <= one.tilt_deg < high]) for low, high in TILTS]

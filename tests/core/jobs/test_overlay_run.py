@@ -104,7 +104,16 @@ def test_the_report_has_what_is_promised(run: Runner, photo: Path) -> None:
     (image,) = plain["images"]
     assert {"image", "camera", "joints", "ids_seen", "arms", "T_arm2_in_arm1", "margin_m", "rig_margin_m"} <= set(image)
     assert image["image"] == "photo.png"
-    assert set(image["camera"]) == {"source", "K", "distortion", "width", "height", "focal_sigma", "focal_low", "focal_high"}
+    assert set(image["camera"]) == {
+        "source",
+        "K",
+        "distortion",
+        "width",
+        "height",
+        "focal_sigma",
+        "focal_low",
+        "focal_high",
+    }
     for arm, name in zip(image["arms"], ("arm1", "arm2"), strict=True):
         assert (arm["name"], arm["status"], arm["reason"]) == (name, "ok", "")
         # A finger's tip hides a corner of one of the 18.

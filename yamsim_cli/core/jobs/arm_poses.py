@@ -121,9 +121,7 @@ def unknown_lens(images: Iterable[Image], size: tuple[int, int], rig: RigConfig)
     return Lens(estimate_focal(outlines, (width, height)), "estimated")
 
 
-def find_arms(
-    rig: RigConfig, photo: Photo, grey: NDArray[np.uint8], lens: Lens, trust_margin: bool
-) -> PhotoResult:
+def find_arms(rig: RigConfig, photo: Photo, grey: NDArray[np.uint8], lens: Lens, trust_margin: bool) -> PhotoResult:
     """Each arm's pose from its board; else from the other's or from the recording.
 
     Args:

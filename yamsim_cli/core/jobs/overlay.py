@@ -138,10 +138,10 @@ class Overlayer:
 
 def _changed(picture: Image, image: Image) -> NDArray[np.bool_]:
     """Which pixels (height, width) of a picture are no longer the photo's; channel by channel, which is much faster."""
-    red, green, blue = (picture[..., k] != image[..., k] for k in range(3))
-    red |= green
-    red |= blue
-    return red
+    changed = np.zeros(image.shape[:2], dtype=np.bool_)
+    for k in range(3):
+        changed |= picture[..., k] != image[..., k]
+    return changed
 
 
 def captions(result: PhotoResult) -> list[str]:

@@ -15,8 +15,7 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.core.vision.fiducials.locate import Sighting, Status, at_pose, locate, locate_together
-from yamsim_cli.core.vision.fiducials import markers as markers_module
-from yamsim_cli.core.vision.fiducials.markers import find_markers, seen_ids
+from yamsim_cli.core.vision.fiducials.markers import seen_ids
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 WEBCAM = replace(
@@ -273,44 +272,3 @@ def test_a_turned_board_keeps_its_corners_in_order() -> None:
     for angle in (0.0, 1.6, 3.0, -1.5):
         truth = facing(0, 0, 0.5) @ pose((0, 0, 0), rotation_from_vector([0, 0, angle]))
         assert_exact(seen(photograph(CAMERA, [(ONE, truth)])), truth)
-
-
-@pytest.fixture(scope="module")
-def large_photo() -> np.ndarray:
-    """39 megapixels; the first board's markers are about the smallest that the detector reads at this size, 54 px."""
-    camera = CameraModel.pinhole(7200, 5400, 6500.0)
-    small, large = facing(-0.4, 0.3, 3.0, 0.3, 0.2), facing(0.2, 0.0, 1.2, 0.6, -0.2)
-    return photograph(camera, [(ONE, small), (TWO, large)], blur=2.0)
-
-
-def test_large_photos_show_the_same_markers_at_a_size_the_detector_needs(
-    large_photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sizes = []
-    stretched = markers_module._stretched
-
-    def spy(grey: np.ndarray) -> np.ndarray:
-        sizes.append(grey.shape)
-        return stretched(grey)
-
-    monkeypatch.setattr(markers_module, "_stretched", spy)
-    found = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
-    monkeypatch.setattr(markers_module, "_SHRINK_TO", 10**6)
-    whole = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
-    assert sizes == [(3072, 4096), (5400, 7200)]
-    assert set(found) >= set(whole) >= set(TWO.ids)
-    assert set(found) & set(ONE.ids)
-    # Only where the search starts from; a pixel there is 1.8 px here.
-    assert max(np.abs(found[number] - whole[number]).max() for number in whole) < 4.0
-
-
-def test_a_board_in_a_large_photo_is_where_it_is(large_photo: np.ndarray) -> None:
-    camera = CameraModel.pinhole(7200, 5400, 6500.0)
-    for sighting, truth in zip(
-        locate(large_photo, camera, [ONE, TWO])[0],
-        (facing(-0.4, 0.3, 3.0, 0.3, 0.2), facing(0.2, 0.0, 1.2, 0.6, -0.2)),
-        strict=True,
-    ):
-        shift, turn = errors(sighting, truth)
-        assert shift < 1.5e-3
-        assert turn < math.radians(0.2)

@@ -177,7 +177,7 @@ class _PoseProblem:
         return System(normal, gradient, cost, system.weight, system.pixels, system.noise, system.tiles)
 
     def _columns(self, pixels: Pixels, piece: Piece, T: Array, larger: float) -> Array:
-        """Derivatives (n, 7 + k) of the drawn print: by a turn and a shift, its size, and what is doubted of the lens."""
+        """Derivatives (n, 7 + k) of the drawn print: by turn, shift, size, and what the lens is doubted for."""
         R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.at
         on_board = at @ (R @ T_board[:3, :2]).T
         from_centre = on_board + R @ (T_board[:3, 3] - self._centre)

@@ -106,7 +106,7 @@ def estimate_focal(outlines: Sequence[Outline], size: tuple[int, int]) -> FocalE
 
 
 def _deepest(outlines: Sequence[Outline], size: tuple[int, int], wide: Profile) -> Profile:
-    """The profile around the best focal length: valleys may be narrower than the nodes are apart, so several are tried."""
+    """The profile around the best focal length; valleys may be narrower than nodes are apart, so several are tried."""
     misfit = np.pad(wide.misfit, 1, constant_values=math.inf)
     bottoms = np.flatnonzero((misfit[1:-1] <= misfit[:-2]) & (misfit[1:-1] <= misfit[2:]))
     ends = np.isin(bottoms, (0, len(wide.spread) - 1))

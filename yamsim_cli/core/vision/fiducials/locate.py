@@ -103,7 +103,7 @@ def locate(grey: Grey, camera: CameraModel, boards: Sequence[Board]) -> tuple[li
 def unlocated(
     grey: Grey, camera: CameraModel, boards: Sequence[Board], reason: str
 ) -> tuple[list[Sighting], dict[str, list[Marker]]]:
-    """Boards in a photo (height, width) whose camera is not known well enough for any pose: which are seen, and why not.
+    """Boards in a photo (height, width) whose camera is not known well enough for any pose: which are seen.
 
     Args:
         camera: any, to put markers together.

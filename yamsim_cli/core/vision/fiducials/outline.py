@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -62,10 +63,11 @@ def outline_of(photo: NDArray[np.float32], group: Group, board: Board) -> Outlin
     # Any lens would do: the map takes it out again.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     corners = board.corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
-    plane, _ = cv2.findHomography(corners, rays(camera, group.corners.reshape(-1, 2)))
+    plane: Any = cv2.findHomography(corners, rays(camera, group.corners.reshape(-1, 2)))[0]
+    # None where corners lie in one line, which OpenCV's type hints do not know of.
     if plane is None:
         return None
-    found = _fitted(photo, camera, board, group.places, plane)
+    found = _fitted(photo, camera, board, group.places, np.asarray(plane, dtype=np.float64))
     if found is None:
         return None
     # Markers hidden since, or read wrongly, are left out.
@@ -103,9 +105,8 @@ def _fitted(
 class _PlaneProblem:
     """Least squares over the map's eight numbers and the blur."""
 
-    free = list(range(9))
-
     def __init__(self, view: PrintView, focal: float) -> None:
+        self.free = list(range(9))
         self._view, self._focal = view, focal
         board = view.piece.board
         # In half boards, the eight numbers are of a size.
