@@ -46,10 +46,10 @@ def test_it_records_the_same_bytes_in_this_process_and_in_others(tmp_path: Path)
     assert [episode.record.attempt for episode in yamsim_cli.open_dataset(more.path)] == [0, 1, 2]
 
 
-def test_errors_are_the_command_lines(tmp_path: Path) -> None:
+def test_errors_name_the_keyword(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="unknown rig 'singl'; did you mean 'single'"):
         yamsim_cli.record(tmp_path / "out", rig="singl")
-    with pytest.raises(UsageError, match=r"^--arm: arm 'left': rig 'single' has only a right one; leave `arm` out$"):
+    with pytest.raises(UsageError, match=r"^arm=: arm 'left': rig 'single' has only a right one; leave `arm` out$"):
         yamsim_cli.record(tmp_path / "out", arm="left")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").touch()
@@ -59,6 +59,23 @@ def test_errors_are_the_command_lines(tmp_path: Path) -> None:
         yamsim_cli.recrod  # noqa: B018
 
 
+def test_neither_typer_nor_rich_is_loaded() -> None:
+    script = (
+        "import sys\n"
+        "from yamsim_cli import evaluate, open_dataset, record\n"
+        "import yamsim_cli.gym_env, yamsim_cli.kinematics\n"
+        "record.__call__, evaluate.__call__, open_dataset.__call__\n"
+        "print(sorted({name.partition('.')[0] for name in sys.modules} & {'typer', 'rich', 'click'}))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
 def test_evaluate_returns_what_the_command_prints() -> None:
     report = yamsim_cli.evaluate("hold_still", n=2, seed=1)
     assert (report["stats"]["n"], report["stats"]["success_rate"], len(report["trials"])) == (2, 0.0, 2)
+
+
+@pytest.mark.parametrize("name", yamsim_cli.__all__)
+def test_every_public_name_is_there(name: str) -> None:
+    assert getattr(yamsim_cli, name).__name__ == name

@@ -40,6 +40,7 @@ FLOORS: dict[str, int] = {
     "core.viewers": 6,
     "core.report": 6,
     "core.attempt": 7,
+    "core.session": 7,
     # One for each thing that a user does.
     "core.doctor": 8,
     "core.import_thing": 8,
@@ -56,7 +57,7 @@ FLOORS: dict[str, int] = {
     "kinematics": 10,
     "commands": 11,
     "api": 12,
-    "gym_env": 12,
+    "gym_env": 13,
     "main": 12,
     "__main__": 13,
 }

@@ -6,15 +6,36 @@ import importlib
 import sys
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
-# From Python, see `yamsim_cli.api`; loaded when first asked for, so that the command line starts quickly.
-__all__ = ["evaluate", "open_dataset", "record"]
+# From Python: name -> where it is. Loaded when first asked for, so that the command line starts quickly.
+_PUBLIC = {
+    **dict.fromkeys(("evaluate", "open_dataset", "record"), "api"),
+    **dict.fromkeys(("Kinematics", "OutOfReachError"), "kinematics"),
+    "RecordReport": "core.record.recorder",
+    **dict.fromkeys(("StoredEpisode", "StoredEpisodes"), "core.dataset.reader"),
+    **dict.fromkeys(("EpisodeRecord", "OutcomeRecord"), "core.dataset.records"),
+    **dict.fromkeys(
+        (
+            "ConfigError",
+            "DatasetError",
+            "InterruptedJobError",
+            "PartialJobError",
+            "ResourceError",
+            "SimulationError",
+            "UsageError",
+            "YamsimError",
+        ),
+        "core.errors",
+    ),
+}
+
+__all__ = sorted(_PUBLIC)
 
 
 def __getattr__(name: str) -> Any:
-    if name in __all__:
-        return getattr(importlib.import_module(f"{__name__}.api"), name)
+    if name in _PUBLIC:
+        return getattr(importlib.import_module(f"{__name__}.{_PUBLIC[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

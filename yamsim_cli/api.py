@@ -1,19 +1,28 @@
 """yamsim from Python: what the commands do, as functions that return what they found.
 
-Errors are `yamsim_cli.core.errors.YamsimError`, with the text that the command line would show.
+Errors are `yamsim_cli.core.errors.YamsimError`, with the text that the command line would show, keywords for flags.
 """
 
 from __future__ import annotations
 
+import logging
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .commands.session import scene_meshes
-from .commands.settings import drawn_config, undrawn_config
+from .core.session import Opener
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisodes
     from .core.record.recorder import RecordReport
+
+
+def _keyword(setting: str) -> str:
+    return f"{setting}="
+
+
+# For programs; what a user should read goes to their log.
+PROGRAM = Opener(os.environ, logging.getLogger("yamsim").warning, _keyword)
 
 
 def record(
@@ -45,7 +54,7 @@ def record(
     Returns:
         path, episodes, attempts, seconds.
     """
-    settings, where = drawn_config(
+    session = PROGRAM.open(
         config,
         parallel=workers is not None,
         n=episodes,
@@ -72,7 +81,7 @@ def record(
     output = Output(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
     watch = Notifier(lambda *_: None, lambda text: None)
     executors = ThisProcess() if workers is None else LocalProcesses()
-    return run(settings, where, scene_meshes(settings, where), output, executors, watch, Stop())
+    return run(*session.parts, output, executors, watch, Stop())
 
 
 def open_dataset(path: str | Path) -> StoredEpisodes:
@@ -110,8 +119,9 @@ def evaluate(
     """
     from .core.policies.loading import sees_images
 
-    make = drawn_config if sees_images(policy) else undrawn_config
-    settings, where = make(config, n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True)
+    session = PROGRAM.open(
+        config, draws=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
+    )
 
     from .core.dataset.statistics import THRESHOLDS
     from .core.evaluate.evaluation import evaluate as run
@@ -119,5 +129,5 @@ def evaluate(
     from .core.evaluate.policy_trial import PolicyChoice
 
     choice = PolicyChoice(policy, Path.cwd())
-    found = run(settings, where, scene_meshes(settings, where), choice, lambda done, total: None)
-    return summary(found, settings, THRESHOLDS)
+    found = run(*session.parts, choice, lambda done, total: None)
+    return summary(found, session.config, THRESHOLDS)

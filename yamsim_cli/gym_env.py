@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import gymnasium
@@ -10,8 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from .commands.session import locations, scene_meshes
-from .commands.settings import drawn_config, task_config
+from .api import PROGRAM
 
 ENV_ID = "yamsim/PickPlace-v0"
 
@@ -71,12 +69,13 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self.render_mode = render_mode
         self._images = observation == "images"
         drawn = self._images or render_mode is not None
-        given = {"rig": rig, "task": task, "arm": arm, "wrist": True, "size": size, "quality": quality}
+        given: dict[str, Any] = {"rig": rig, "task": task, "arm": arm, "wrist": True, "size": size, "quality": quality}
         if drawn:
-            self._config, where = drawn_config(config, parallel=False, **given)
+            session = PROGRAM.open(config, parallel=False, **given)
+            self._config, where, meshes = session.config, session.locations, dict(session.meshes)
         else:
-            where = locations()
-            self._config = task_config(config, where, **given)
+            where, meshes = PROGRAM.locations(), {}
+            self._config = PROGRAM.config(config, where, **given)
 
         from .core.attempt.runner import EpisodeRunner
         from .core.evaluate.observation import policy_cameras
@@ -85,7 +84,6 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         from .core.tasks.kinds import kind_of
 
         self._max_ticks = max_ticks or 2 * kind_of(self._config.task).ticks(self._config)
-        meshes: dict[str, Path | None] = scene_meshes(self._config, where) if drawn else {}
         self._runner = EpisodeRunner(self._config, where, meshes, draw=False)
         self._replica = Replica(self._runner.scene)
         self._cameras = policy_cameras(self._config, (SCENE, WRIST))

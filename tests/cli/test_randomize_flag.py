@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from yamsim_cli.commands.settings import task_config
+from yamsim_cli.commands.session import opener
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.resources import Locations
 
@@ -33,7 +33,7 @@ def test_the_flag_takes_the_default_and_leaves_ones_own_ranges(
     flag: bool | None, own: str, wanted: str, tmp_path: Path, locations: Locations, repository: Path
 ) -> None:
     mine = write_config(tmp_path / "mine.yaml", repository, own)
-    parts = task_config(str(mine), locations, randomize=flag).randomization.parts
+    parts = opener.config(str(mine), locations, randomize=flag).randomization.parts
     if wanted == "default":
         assert len(parts) > 5
     else:
@@ -42,9 +42,9 @@ def test_the_flag_takes_the_default_and_leaves_ones_own_ranges(
 
 def test_a_file_may_name_or_spell_out_a_randomization(tmp_path: Path, locations: Locations, repository: Path) -> None:
     mine = write_config(tmp_path / "mine.yaml", repository, "default")
-    assert "distractors" in task_config(str(mine), locations).randomization.parts
+    assert "distractors" in opener.config(str(mine), locations).randomization.parts
     write_config(mine, repository, MINE)
-    assert task_config(str(mine), locations).randomization.parts == ("lens_deg",)
+    assert opener.config(str(mine), locations).randomization.parts == ("lens_deg",)
 
 
 @pytest.mark.parametrize(
@@ -69,6 +69,6 @@ def test_what_is_wrong_with_ranges_is_told(
 ) -> None:
     mine = write_config(tmp_path / "mine.yaml", repository, ranges)
     with pytest.raises(ConfigError) as caught:
-        task_config(str(mine), locations)
+        opener.config(str(mine), locations)
     assert named in str(caught.value)
     assert str(mine) in str(caught.value)

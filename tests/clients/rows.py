@@ -31,6 +31,10 @@ class Row:
 _SCENES = "`compose-xml`: all rigs and tasks load and rest; recorded episodes move as in MuJoCo 4"
 _RRD = "`export rerun`: verified; joints, commands, pictures, cameras and poses read as they were recorded"
 _ENVS = "`yamsim/PickPlace-v0`: passes its checker, and runs in processes of its own, with images"
+_VIDEOS = "writes our videos and exports, as the newest does: their tests pass with it"
+_LEROBOT = (
+    "`export lerobot`: every frame read; episodes deleted, split and merged, features removed; training starts on both"
+)
 
 # Key, as tests give it to the fixture `client` -> row.
 ROWS: dict[str, Row] = {
@@ -56,4 +60,22 @@ ROWS: dict[str, Row] = {
     "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
     "gymnasium-1.0": Row("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
     "gymnasium": Row("gymnasium", "gymnasium", _ENVS),
+    "av-15": Row("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
+    "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True)),
+    "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True)),
+    "lerobot": Row(
+        "LeRobot 0.6",
+        "lerobot",
+        f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`",
+        Environment("lerobot", "3.12"),
+        heavy=True,
+    ),
+    "lerobot-0.4": Row("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
+    "lerobot-doctor": Row(
+        "lerobot-doctor",
+        "lerobot-doctor",
+        "`export lerobot`: checked, without a failure",
+        Environment("lerobot", "3.12"),
+        heavy=True,
+    ),
 }

@@ -11,7 +11,7 @@ import typer
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 
 from .console import print_json, print_line
-from .session import Json, locations
+from .session import Json, opener
 
 if TYPE_CHECKING:
     from yamsim_cli.core.boards.sheet import Sheet
@@ -44,7 +44,7 @@ def boards(
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.files import write_file
 
-    arms = load_config(RigConfig, "rigs", rig, locations()).arms
+    arms = load_config(RigConfig, "rigs", rig, opener.locations()).arms
     owned = {arm.name: arm.board for arm in arms if arm.board}
     if not owned:
         raise ConfigError(f"rig {rig!r} has no boards to print; give one of its arms a `board`, or choose another rig")

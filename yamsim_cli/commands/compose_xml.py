@@ -10,8 +10,8 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line
-from .session import Json, Margin, RigName, locations, resolve_meshes, rig_config, skip_gl
-from .settings import Grasp, task_config
+from .session import Json, Margin, RigName, opener
+from .settings import Grasp
 
 
 def compose_xml(
@@ -39,9 +39,9 @@ def compose_xml(
     """
     if grasp is not None and task is None:
         raise UsageError("--grasp says how a task's object is held: give --task too, or leave it out")
-    where = locations()
-    settings = rig_config(rig, where, margin)
-    skip_gl()
+    where = opener.locations()
+    settings = opener.rig(rig, where, margin)
+    opener.skip_gl()
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
@@ -50,12 +50,12 @@ def compose_xml(
 
     if task is None:
         scene = load_config(SceneConfig, "scenes", "studio", where)
-        meshes = resolve_meshes(mesh_sets(settings), where)
+        meshes = opener.meshes(mesh_sets(settings), where)
         spec, model = rig_spec(settings, scene, Contents(boards, background), where, meshes)
     else:
-        config = task_config("default", where, rig=rig, margin=margin, task=task, seed=seed, grasp=grasp)
+        config = opener.config("default", where, rig=rig, margin=margin, task=task, seed=seed, grasp=grasp)
         objects = (config.task.object, config.task.target)
-        meshes = resolve_meshes(mesh_sets(settings, objects), where)
+        meshes = opener.meshes(mesh_sets(settings, objects), where)
         spec, model = task_spec(config, Contents(boards, background, objects), where, meshes)
     target = out.with_name(f"{out.name}.zip") if as_zip and out.suffix != ".zip" else out
     report = write_scene(spec, model, target, as_zip=as_zip, overwrite=overwrite, reader=mujoco)

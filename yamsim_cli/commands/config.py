@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import print_json, print_line, print_table
-from .session import Json, locations
+from .session import Json, opener
 from .tables import facts
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
@@ -28,7 +28,7 @@ def list_configs(json: Json = False) -> None:
     """
     from yamsim_cli.core.config.loader import KINDS
 
-    where = locations()
+    where = opener.locations()
     items = [
         {"kind": kind, "name": name, "path": str(where.config_file(kind, name))}
         for kind in KINDS
@@ -50,7 +50,7 @@ def _named(context: typer.Context, name: str) -> str:
     from yamsim_cli.core.config.loader import model_of
 
     model_of(kind)
-    raise typer.BadParameter(f"say which one; valid: {', '.join(locations().config_names(kind)) or 'none'}")
+    raise typer.BadParameter(f"say which one; valid: {', '.join(opener.locations().config_names(kind)) or 'none'}")
 
 
 @app.command()
@@ -68,7 +68,7 @@ def show(
     from yamsim_cli.core.config.document import dump_yaml
     from yamsim_cli.core.config.loader import load_config, model_of
 
-    data: dict[str, Any] = load_config(model_of(kind), kind, name, locations()).model_dump(mode="json")
+    data: dict[str, Any] = load_config(model_of(kind), kind, name, opener.locations()).model_dump(mode="json")
     if json:
         print_json(data)
     else:
@@ -92,7 +92,7 @@ def validate(
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in KINDS:
         raise UsageError(f"{file} is in no folder named after a kind of config; say --kind: {', '.join(KINDS)}")
-    model, where = model_of(guessed), locations()
+    model, where = model_of(guessed), opener.locations()
     parts = model.within(file)
     for part in parts:
         validate_file(model, part, where)

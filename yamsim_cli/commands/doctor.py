@@ -12,7 +12,7 @@ import typer
 from yamsim_cli.core.errors import ResourceError
 
 from .console import print_json, print_line, print_text
-from .session import Json, locations
+from .session import Json, opener
 
 if TYPE_CHECKING:
     from yamsim_cli.core.doctor import Check
@@ -32,7 +32,7 @@ def doctor(
     """
     from yamsim_cli.core.doctor import examine, faults
 
-    checks = examine(os.environ, locations(), out, (lambda check: None) if json else _show)
+    checks = examine(os.environ, opener.locations(), out, (lambda check: None) if json else _show)
     wrong = faults(checks)
     if json:
         print_json({"ok": not wrong, "checks": [asdict(check) for check in checks]})

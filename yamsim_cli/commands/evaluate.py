@@ -11,7 +11,7 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
 from .films import film, films_at
-from .session import Json, scene_meshes
+from .session import Json, opener
 from .settings import (
     Arm,
     ConfigOption,
@@ -28,8 +28,6 @@ from .settings import (
     Task,
     Threshold,
     Workers,
-    drawn_config,
-    undrawn_config,
 )
 from .trials import evaluation_table
 
@@ -82,8 +80,9 @@ def evaluate(
         raise UsageError("--overwrite is for videos: give --video")
     from yamsim_cli.core.policies.loading import sees_images
 
-    settings, where = (drawn_config if video or sees_images(policy) else undrawn_config)(
+    session = opener.open(
         config,
+        draws=video is not None or sees_images(policy),
         n=n,
         seed=seed,
         workers=workers,
@@ -106,17 +105,20 @@ def evaluate(
     from yamsim_cli.core.trials.batch import write_report
     from yamsim_cli.core.trials.tally import require_success
 
-    films = films_at(video, settings, overwrite=overwrite) if video else None
+    films = films_at(video, session.config, overwrite=overwrite) if video else None
     choice = PolicyChoice(policy, Path.cwd(), policy_timeout, time_limit)
-    meshes = scene_meshes(settings, where)
     with progress_bar("trials", "trials") as advance:
         found = evaluation.evaluate(
-            settings, where, meshes, choice, lambda done, total: advance(done, total, ""), trial_timeout
+            *session.parts,
+            choice,
+            lambda done, total: advance(done, total, ""),
+            trial_timeout,
         )
-    report = evaluation.summary(found, settings, THRESHOLDS)
+    report = evaluation.summary(found, session.config, THRESHOLDS)
     if films:
         report["videos"] = film(
-            films, lambda told: evaluation.film(found, video_trials, films, settings, where, meshes, told)
+            films,
+            lambda told: evaluation.film(found, video_trials, films, *session.parts, told),
         )
     if out is not None:
         write_report(report, out)

@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import ResourceError, UsageError, counted
 
 from .console import note, print_json, print_line, progress_bar
-from .session import Json, locations, scene_meshes, skip_gl, use_gl
+from .session import Json, opener
 
 if TYPE_CHECKING:
     from yamsim_cli.core.export.source import Exported, Source
@@ -69,17 +69,17 @@ def raiden(
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} is for other times than the recorded ones: leave out --fps source")
     options = RaidenOptions(_rate(fps), pictures or "draw", images, single, hand_frame)
-    where = locations()
+    where = opener.locations()
     if options.draws:
         where = _drawing(where)
     else:
-        skip_gl()
+        opener.skip_gl()
 
     from yamsim_cli.core.export.raiden import export_raiden
     from yamsim_cli.core.export.source import open_source
 
     source = open_source(dataset, episodes, where)
-    meshes = scene_meshes(source.config, where) if options.draws else {}
+    meshes = opener.scene_meshes(source.config, where) if options.draws else {}
     with progress_bar("exporting", "episodes") as advance:
 
         def progress(n: int, total: int) -> None:
@@ -174,18 +174,18 @@ def _rate(text: str) -> float | None:
 def _drawing(where: Locations) -> Locations:
     """Settle on what draws; where nothing does, say what can be exported without."""
     try:
-        return use_gl(where, workers=True)
+        return opener.use_gl(where, workers=True)
     except ResourceError as error:
         raise ResourceError(f"{error}; or draw nothing, with --pictures nearest or --fps source") from None
 
 
 def _source(dataset: Path, episodes: str | None) -> tuple[Source, Locations]:
     """The chosen episodes; nothing is drawn for an export."""
-    skip_gl()
+    opener.skip_gl()
 
     from yamsim_cli.core.export.source import open_source
 
-    where = locations()
+    where = opener.locations()
     return open_source(dataset, episodes, where), where
 
 

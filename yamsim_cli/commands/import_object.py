@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import print_json, print_line
-from .session import Json, locations
+from .session import Json, opener
 
 
 def import_object(
@@ -33,7 +33,7 @@ def import_object(
     """
     from yamsim_cli.core.import_thing import import_stl, import_ycb
 
-    where = locations()
+    where = opener.locations()
     mass_g = None if mass is None else mass * 1000
     if not source.lower().endswith(".stl"):
         if name is not None:

@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line, progress_bar
-from .session import Json, Margin, locations, resolve_meshes, rig_config, use_gl
+from .session import Json, Margin, opener
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
@@ -61,7 +61,7 @@ def overlay(
         raise UsageError("--camera goes with --img: an episode knows its own")
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
-    where = locations()
+    where = opener.locations()
     settings = _rig(rig, episode, margin, where)
 
     from yamsim_cli.core.config.camera import CameraConfig
@@ -72,7 +72,7 @@ def overlay(
     model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
-    use_gl(where)
+    opener.use_gl(where)
 
     from yamsim_cli.core.overlay.joint_files import load_joints
     from yamsim_cli.core.overlay.overlayer import OverlayOptions
@@ -98,7 +98,7 @@ def overlay(
         max_reprojection,
         min_iou,
     )
-    meshes = resolve_meshes(mesh_sets(settings), where)
+    meshes = opener.meshes(mesh_sets(settings), where)
     with progress_bar("overlays", "photos") as advance:
         report = run_overlays(
             settings, request, scene, quality, where, meshes, lambda done, total: advance(done, total, "")
@@ -119,7 +119,7 @@ def _rig(name: str | None, episode: Path | None, margin: float | None, where: Lo
         if margin is not None:
             raise UsageError(f"--margin {margin:g}: an episode's arms stand as they were recorded; give --rig with it")
         return dataset_config(dataset, where).rig
-    return rig_config(name or "single", where, margin)
+    return opener.rig(name or "single", where, margin)
 
 
 def _tell(report: OverlayReport) -> None:

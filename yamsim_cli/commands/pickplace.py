@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import UsageError
 from .console import note, print_json, print_table, progress_bar
 from .films import film, films_at
 from .pages import require_free
-from .session import Json, scene_meshes
+from .session import Json, opener
 from .settings import (
     Arm,
     ConfigOption,
@@ -26,8 +26,6 @@ from .settings import (
     Task,
     Threshold,
     Workers,
-    drawn_config,
-    undrawn_config,
 )
 from .trials import trials_table
 
@@ -74,8 +72,9 @@ def batch(
         raise UsageError("--overwrite is for videos and pages: give --video or --html")
     if html:
         require_free(html, overwrite)
-    settings, where = (drawn_config if video else undrawn_config)(
+    settings, where = opener.settle(
         config,
+        draws=video is not None,
         n=n,
         seed=seed,
         threshold=threshold,
@@ -97,7 +96,7 @@ def batch(
     with progress_bar("trials", "trials") as advance:
         report = run_batch(settings, where, THRESHOLDS, lambda done, wanted: advance(done, wanted, ""))
     if films:
-        meshes = scene_meshes(settings, where)
+        meshes = opener.scene_meshes(settings, where)
         report["videos"] = film(
             films, lambda told: film_trials(report["trials"], video_trials, films, settings, where, meshes, told)
         )

@@ -11,7 +11,7 @@ import typer
 from yamsim_cli.core.errors import UsageError, counted
 
 from .console import note, print_json, print_line, progress_bar
-from .session import Json, scene_meshes
+from .session import Json, opener
 from .settings import (
     Arm,
     ConfigOption,
@@ -26,7 +26,6 @@ from .settings import (
     Task,
     Workers,
     Wrist,
-    drawn_config,
 )
 from .signals import stoppable
 
@@ -80,7 +79,7 @@ def record(
     Example: yamsim record --n 500 --workers 4
     """
     mode = mode_of(resume=resume, overwrite=overwrite)
-    settings, where = drawn_config(
+    session = opener.open(
         config,
         workers=workers,
         n=n,
@@ -104,11 +103,10 @@ def record(
     from yamsim_cli.core.record.destination import Output
     from yamsim_cli.core.record.recorder import record as run
 
-    meshes = scene_meshes(settings, where)
     executors = _executors(executor, address, attempt_timeout)
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
         watch = Notifier(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
-        report = run(settings, where, meshes, Output(out, mode, stage), executors, watch, stop)
+        report = run(*session.parts, Output(out, mode, stage), executors, watch, stop)
     _show(report, json)
 
 

@@ -7,8 +7,10 @@ from typing import Annotated
 
 import typer
 
+from yamsim_cli.core.session import parse_size
+
 from .console import print_json, print_line
-from .session import Json, Margin, RigName, locations, parse_size, resolve_meshes, rig_config, use_gl
+from .session import Json, Margin, RigName, opener
 from .settings import Quality
 
 
@@ -24,8 +26,8 @@ def render_views(
 
     Example: yamsim render-views --rig russet
     """
-    where = locations()
-    settings = rig_config(rig, where, margin)
+    where = opener.locations()
+    settings = opener.rig(rig, where, margin)
     pixels = parse_size(size)
 
     from yamsim_cli.core.config.loader import load_config
@@ -35,7 +37,7 @@ def render_views(
     scene = load_config(SceneConfig, "scenes", "studio", where)
     # Once without OpenGL: what is wrong with it is told at once.
     load_config(RenderConfig, "quality", quality or "auto", where)
-    spending = load_config(RenderConfig, "quality", quality or "auto", use_gl(where))
+    spending = load_config(RenderConfig, "quality", quality or "auto", opener.use_gl(where))
 
     from yamsim_cli.core.scene.compose import mesh_sets
     from yamsim_cli.core.show.views import render_views as run
@@ -47,7 +49,7 @@ def render_views(
         spending,
         pixels,
         where,
-        resolve_meshes(mesh_sets(settings), where, reduced=spending.reduced_meshes),
+        opener.meshes(mesh_sets(settings), where, reduced=spending.reduced_meshes),
     )
     files = write_views(run(settings, stage), out)
     if json:

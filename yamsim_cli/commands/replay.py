@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
+from yamsim_cli.core.session import parse_size
 
 from .console import note, print_json, print_line
-from .session import Json, locations, parse_size, scene_meshes, skip_gl, use_gl
+from .session import Json, opener
 from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
@@ -56,7 +57,7 @@ def replay(
 
     from yamsim_cli.core.dataset.reader import find_episode
 
-    stored, where = find_episode(episode, number), locations()
+    stored, where = find_episode(episode, number), opener.locations()
     if video is None:
         watch(stored, where, speed, choose_viewer(web, port, host), json)
         return
@@ -88,9 +89,9 @@ def _film(
     overwrite: bool,
 ) -> Film:
     if render:
-        use_gl(where)
+        opener.use_gl(where)
     else:
-        skip_gl()
+        opener.skip_gl()
     period = stored.record.frame_period_s / speed
 
     from yamsim_cli.core.show.replay import film_recorded, film_rendered, scene_config
@@ -101,7 +102,7 @@ def _film(
     from yamsim_cli.core.attempt.runner import EpisodeRunner
 
     config = scene_config(_config(stored, where), size)
-    with EpisodeRunner(config, where, scene_meshes(config, where), draw=False) as runner:
+    with EpisodeRunner(config, where, opener.scene_meshes(config, where), draw=False) as runner:
         return film_rendered(stored, runner, cameras, video, period, overwrite=overwrite)
 
 
@@ -117,7 +118,7 @@ def watch(stored: StoredEpisode, where: Locations, speed: float, page: PageAddre
         sys.stdout.flush()
 
     config = _config(stored, where)
-    meshes = scene_meshes(config, where)
+    meshes = opener.scene_meshes(config, where)
     # A server or a window that is broken off while it starts cannot be closed.
     with noted_signals() as stopped:
         found = _physics(stored, where)

@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import DatasetError, UsageError
 
 from .console import note, print_json, print_table, progress_bar
 from .pages import require_free
-from .session import Json, locations
+from .session import Json, opener
 
 
 def summarize(
@@ -47,7 +47,7 @@ def summarize(
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
         survey = survey_dataset(
-            dataset, locations(), workers or usable_cores(), lambda done, total: advance(done, total, "")
+            dataset, opener.locations(), workers or usable_cores(), lambda done, total: advance(done, total, "")
         )
     report = count(survey, thresholds)
     if html:

@@ -13,8 +13,8 @@ from yamsim_cli.core.errors import UsageError, counted
 
 from .console import note, print_json, print_line
 from .record import mode_of
-from .session import Json, scene_meshes
-from .settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist, drawn_config
+from .session import Json, opener
+from .settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist
 from .signals import stoppable
 from .viewing import Host, Port, page_address, quiet_page
 
@@ -64,7 +64,7 @@ def teleop(
             raise UsageError(f"{flag} is of the page: leave it out, or leave out --input")
     if realtime and stream is None:
         raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
-    settings, where = drawn_config(
+    session = opener.open(
         config,
         rig=rig,
         arm=arm,
@@ -81,7 +81,7 @@ def teleop(
     from yamsim_cli.core.teleop.loop import check_page, open_seat, run_page, run_stream
     from yamsim_cli.core.teleop.stream import read_stream
 
-    commands = None if stream is None else read_stream(stream, settings, where)
+    commands = None if stream is None else read_stream(stream, session.config, session.locations)
     page = None if commands else page_address(port, host)
     if page is not None:
         check_page(page)
@@ -91,13 +91,15 @@ def teleop(
         note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 
-    meshes = scene_meshes(settings, where)
-    with stoppable(_ENDING) as stop, open_seat(settings, where, meshes, out, mode, note, time_limit=time_limit) as seat:
+    with (
+        stoppable(_ENDING) as stop,
+        open_seat(*session.parts, out, mode, note, time_limit=time_limit) as seat,
+    ):
         if page is None:
             assert commands is not None
             report = run_stream(seat, commands, stop, realtime=realtime)
         else:
-            report = run_page(seat, settings, page, ready, stop)
+            report = run_page(seat, session.config, page, ready, stop)
     _show(report, json)
 
 

@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import DatasetError, UsageError
 
 from .console import print_json, print_table, progress_bar
 from .divergence import WAYS, sentence, trouble, verdict
-from .session import Json, locations, scene_meshes, skip_gl, use_gl
+from .session import Json, opener
 from .tables import facts
 
 if TYPE_CHECKING:
@@ -51,19 +51,19 @@ def verify(
     from yamsim_cli.core.dataset.reader import dataset_config
     from yamsim_cli.core.dataset.selection import select_episodes
 
-    where = locations()
+    where = opener.locations()
     chosen = select_episodes(dataset, episodes, sample)
     config = dataset_config(dataset, where)
     if images:
-        use_gl(where, workers=True)
+        opener.use_gl(where, workers=True)
     else:
-        skip_gl()
+        opener.skip_gl()
 
     from yamsim_cli.core.verify.remake import Limits
     from yamsim_cli.core.verify.verifier import verify as run
 
     # Without images nobody looks.
-    meshes = scene_meshes(config, where) if images else {}
+    meshes = opener.scene_meshes(config, where) if images else {}
     limits = Limits(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, config, where, meshes, limits, workers, lambda done, total: advance(done, total, ""))

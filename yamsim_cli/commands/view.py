@@ -11,8 +11,8 @@ import typer
 from yamsim_cli.core.errors import ResourceError, UsageError
 
 from .console import print_json, print_line
-from .session import Json, Margin, locations, resolve_meshes, rig_config, use_gl
-from .settings import Rig, Seed, Task, task_config
+from .session import Json, Margin, opener
+from .settings import Rig, Seed, Task
 from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
@@ -51,7 +51,7 @@ def view(
     if seed is not None and task is None:
         raise UsageError(f"--seed {seed} is of a task's layout; give --task with it")
     page = choose_viewer(web, port, host)
-    where = locations()
+    where = opener.locations()
     if episode is not None:
         from yamsim_cli.core.dataset.reader import find_episode
 
@@ -62,9 +62,9 @@ def view(
 
     settings: RigConfig | RecordConfig
     if task is None:
-        settings = rig_config(rig or "single", where, margin)
+        settings = opener.rig(rig or "single", where, margin)
     else:
-        settings = task_config("default", where, rig=rig, margin=margin, task=task, seed=seed)
+        settings = opener.config("default", where, rig=rig, margin=margin, task=task, seed=seed)
     pictures = page is not None and _can_draw(where)
     prepare_viewer(page)
 
@@ -90,7 +90,7 @@ def view(
 def _can_draw(where: Locations) -> bool:
     """Whether the cameras' pictures can be drawn here; settles by what."""
     try:
-        use_gl(where)
+        opener.use_gl(where)
     except ResourceError:
         return False
     return True
@@ -111,8 +111,8 @@ def _live(
     if isinstance(settings, RecordConfig):
         items = (settings.task.object, settings.task.target)
         contents = Contents(boards=boards, objects=items)
-        meshes = resolve_meshes(mesh_sets(settings.rig, items), where)
+        meshes = opener.meshes(mesh_sets(settings.rig, items), where)
         return live_task(settings, contents, where, meshes, quality), task_viewpoint(settings)
     assert isinstance(settings, RigConfig)
     scene = load_config(SceneConfig, "scenes", "studio", where)
-    return live_rig(settings, scene, contents, where, resolve_meshes(mesh_sets(settings), where), quality), None
+    return live_rig(settings, scene, contents, where, opener.meshes(mesh_sets(settings), where), quality), None

@@ -11,7 +11,7 @@ import typer
 from yamsim_cli.core.errors import ResourceError, UsageError
 
 from .console import note
-from .session import skip_gl
+from .session import opener
 
 if TYPE_CHECKING:
     from yamsim_cli.core.viewers.address import PageAddress
@@ -68,7 +68,7 @@ def prepare_viewer(page: PageAddress | None) -> None:
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
-    skip_gl()
+    opener.skip_gl()
     quiet_page()
 
 

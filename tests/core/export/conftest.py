@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,13 +67,3 @@ def two_armed(
     config = make_config({("rig",): "russet", ("task",): "handover", ("wrist",): True})
     write_dataset(path, config, locations, 1, jpeg)
     return path
-
-
-@pytest.fixture(scope="session")
-def lerobot_python() -> str:
-    """A Python that has lerobot: this one, or `$YAMSIM_LEROBOT_PYTHON`."""
-    python = os.environ.get("YAMSIM_LEROBOT_PYTHON", sys.executable)
-    probe = [python, "-c", "from lerobot.datasets.lerobot_dataset import LeRobotDataset"]
-    if subprocess.run(probe, capture_output=True, check=False).returncode:
-        pytest.skip("lerobot 0.4 is not installed (it needs torch); YAMSIM_LEROBOT_PYTHON names a Python that has it")
-    return python

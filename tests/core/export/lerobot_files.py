@@ -1,12 +1,18 @@
-"""What is in a LeRobot dataset: file by file, and as lerobot's own loader gives it."""
+"""What is in a LeRobot dataset, file by file, and what was recorded, to hold it against."""
 
 from __future__ import annotations
 
-import subprocess
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from yamsim_cli.core.dataset.lowdim import load_frame
+from yamsim_cli.core.images.jpeg import decode_jpeg
+
+# One episode's frames, as they were recorded.
+Frames = list[dict[str, Any]]
 
 
 def rows(root: Path, pattern: str) -> dict[str, list[Any]]:
@@ -17,10 +23,34 @@ def rows(root: Path, pattern: str) -> dict[str, list[Any]]:
     return {key: [value for table in tables for value in table[key]] for key in tables[0]}
 
 
-def run_reader(python: str, root: Path, tmp_path: Path) -> dict[str, Any]:
-    """What lerobot's loader gives of a dataset: feature -> values of all frames."""
-    reader = Path(__file__).with_name("lerobot_reader.py")
-    run = [python, str(reader), str(root), str(tmp_path / "read.npz")]
-    done = subprocess.run(run, capture_output=True, text=True, check=False, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return dict(np.load(tmp_path / "read.npz"))
+def recorded(dataset: Path) -> list[Frames]:
+    """What a dataset's episodes hold."""
+    folders = sorted(dataset.glob("ep_*/lowdim"))
+    return [[load_frame(file.read_bytes()) for file in sorted(folder.iterdir())] for folder in folders]
+
+
+def jpegs(dataset: Path, camera: str) -> np.ndarray:
+    """All pictures of a camera, (frames, height, width, 3)."""
+    files = [file for folder in sorted(dataset.glob(f"ep_*/rgb/{camera}")) for file in sorted(folder.iterdir())]
+    return np.array([decode_jpeg(file.read_bytes()) for file in files])
+
+
+def check_numbers(found: Mapping[str, Any], episodes: Sequence[Frames], cameras: Iterable[str]) -> None:
+    """Every number of an export of these episodes, in this order, is the recorded one, to single precision."""
+    frames = [frame for episode in episodes for frame in episode]
+
+    def same(key: str, wanted: Any) -> None:
+        np.testing.assert_array_equal(np.asarray(found[key], np.float32), np.asarray(wanted, np.float32), err_msg=key)
+
+    same("observation.state", [frame["joints"] for frame in frames])
+    same("action", [[*frame["ctrl"], *np.atleast_1d(frame["magnet"]).astype(float)] for frame in frames])
+    for camera in cameras:
+        for what, size in (("intrinsics", 9), ("extrinsics", 16)):
+            key = f"camera.{what}.{camera}"
+            if key in found:
+                same(key, [np.reshape(frame[what][camera], size) for frame in frames])
+    same("timestamp", [frame["timestamp"] for frame in frames])
+    same("frame_index", [k for episode in episodes for k in range(len(episode))])
+    same("episode_index", [number for number, episode in enumerate(episodes) for _ in episode])
+    same("index", range(len(frames)))
+    same("task_index", [0] * len(frames))

@@ -27,6 +27,11 @@ _FLOAT = re.compile(
 )
 
 
+def is_setting(place: str) -> bool:
+    """Whether a value came by a flag, `--arm`, or by a keyword, `arm=`, and not from a file."""
+    return place.startswith("--") or place.endswith("=")
+
+
 class _Loader(yaml.SafeLoader):
     """A safe loader with YAML 1.2's idea of what a plain scalar means."""
 

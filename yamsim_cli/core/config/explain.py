@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 
 from ..errors import counted, suggest
 from .base import Config, ConflictError, ordered
-from .document import Document, KeyPath
+from .document import Document, KeyPath, is_setting
 
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 
@@ -43,7 +43,7 @@ def explain(
         path, place = _culprit(document, [(*path, *part) for part in fault.paths], flags)
     else:
         place = document.place(path)
-    key = "" if place.startswith("--") else f"{dotted(path) or 'config'}: "
+    key = "" if is_setting(place) else f"{dotted(path) or 'config'}: "
     return place, f"{key}{_reason(model, path, first)}{more}"
 
 

@@ -12,7 +12,7 @@ from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
 from .base import Config, Reference
 from .camera import CameraConfig
-from .document import Document, KeyPath, parse_yaml
+from .document import Document, KeyPath, is_setting, parse_yaml
 from .explain import dotted, explain, kind_instead, models_in
 from .randomization import RandomizationConfig
 from .recording import RecordConfig, RenderConfig
@@ -78,7 +78,7 @@ def load_config(
     for path, (place, value) in changes.items():
         if len(path) > 1:
             document.set(path, value, place)
-    flags = {path: place for path, (place, _) in changes.items() if place.startswith("--")}
+    flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
     return _check(model, document, locations, flags)
 
 
@@ -128,7 +128,7 @@ def _check(
     except ValidationError as error:
         place, message = explain(model, document, error, flags or {})
         # A bad value that came by a flag is a fault of the command line, not of any config.
-        kind = UsageError if place.startswith("--") else ConfigError
+        kind = UsageError if is_setting(place) else ConfigError
         raise kind(f"{place}: {message}") from error
 
 

@@ -18,16 +18,13 @@ from ..dataset.lowdim import BETWEEN_BASES
 from ..dataset.reader import StoredEpisode
 from ..dataset.recorded_images import recorded_images
 from ..images.video import VideoWriter, require_encoder
+from ..images.yuv import BT601
 from . import lerobot_schema as schema
 from .lerobot_schema import Place
 from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
 from .lerobot_tables import TableSeries, episode_table, frames_table, require_parquet, write_tasks
 from .source import Exported, Progress, Source
 from .target import export_directory
-
-# Training asks for single frames at random. Source: lerobot 0.4.4 encodes so.
-_KEY_FRAME_INTERVAL = 2
-_MEGABYTE = 1_000_000
 
 
 def export_lerobot(source: Source, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
@@ -51,52 +48,28 @@ def export_lerobot(source: Source, out: Path, progress: Progress, *, overwrite: 
 
 @dataclass(frozen=True)
 class _Filmed:
-    """Where an episode's images of one camera are: file, times (s) in it, and their statistics."""
+    """Where an episode's images of one camera are, how long they last (s), and their statistics."""
 
     place: Place
-    start: float
     end: float
     stats: Stats
 
 
-class _Film:
-    """One camera's videos: a series of files, a new one where one has grown large enough."""
+def _film(root: Path, episode: StoredEpisode, place: Place, camera: str, period: float) -> _Filmed:
+    """Write an episode's images of one camera into a file of their own.
 
-    def __init__(self, root: Path, camera: str, period: float) -> None:
-        self._root, self._key, self._period = root, schema.image_key(camera), period
-        self._camera = camera
-        self._place = Place(-1)
-        self._open = contextlib.ExitStack()
-        self._video: VideoWriter | None = None
-
-    def add(self, episode: StoredEpisode) -> _Filmed:
-        """Add an episode's images."""
-        if self._video is None or self._video.written >= schema.VIDEO_FILE_MB * _MEGABYTE:
-            self._next_file()
-        assert self._video is not None
-        start, counts = self._video.frames, PixelCounts()
-        for image in recorded_images(episode, (self._camera,)):
-            self._video.write(image)
+    lerobot's tools delete and split such episodes by copying files. Where several share a file, they encode it anew,
+    and then with whole frames a second (seen in 0.6.1), so that no frame is at its time any more.
+    """
+    path = root / place.path(schema.VIDEO, video_key=schema.image_key(camera))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    counts = PixelCounts()
+    # lerobot's decoder by PyAV, older than 17, does not look at the tag that says how colours are stored.
+    with VideoWriter(path, period, key_frame_interval=schema.KEY_FRAME_INTERVAL, matrix=BT601) as video:
+        for image in recorded_images(episode, (camera,)):
+            video.write(image)
             counts.add(image)
-        times = start * self._period, self._video.frames * self._period
-        return _Filmed(self._place, *times, counts.stats())
-
-    def _next_file(self) -> None:
-        self._open.close()
-        self._place = Place(self._place.number + 1)
-        path = self._root / self._place.path(schema.VIDEO, video_key=self._key)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        video = VideoWriter(path, self._period, key_frame_interval=_KEY_FRAME_INTERVAL)
-        self._video = self._open.enter_context(video)
-
-    def __enter__(self) -> _Film:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        # Without images there would be no file to be finished.
-        self._open.__exit__(kind, error, trace)
+    return _Filmed(place, video.frames * period, counts.stats())
 
 
 class _Writer:
@@ -120,12 +93,8 @@ class _Writer:
         root = self._root
         self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
         self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
-        self._films = {
-            camera: self._open.enter_context(_Film(root, camera, self._source.frame_period))
-            for camera in self._source.cameras
-        }
         # Decoding and encoding do not hold the interpreter: cameras go side by side.
-        self._threads = self._open.enter_context(ThreadPoolExecutor(len(self._films)))
+        self._threads = self._open.enter_context(ThreadPoolExecutor(len(self._source.cameras)))
         return self
 
     def __exit__(
@@ -135,8 +104,12 @@ class _Writer:
 
     def add(self, episode: StoredEpisode) -> None:
         """Write one episode."""
-        filming = {camera: self._threads.submit(film.add, episode) for camera, film in self._films.items()}
-        number, frames = len(self._provenance), episode.frames()
+        number, period = len(self._provenance), self._source.frame_period
+        filming = {
+            camera: self._threads.submit(_film, self._root, episode, Place(number), camera, period)
+            for camera in self._source.cameras
+        }
+        frames = episode.frames()
         task = frames[0]["language_prompt"]
         values = self._values(frames, number, self._tasks.setdefault(task, len(self._tasks)))
         filmed = {camera: film.result() for camera, film in filming.items()}
@@ -157,7 +130,7 @@ class _Writer:
         for camera, film in filmed.items():
             prefix = f"videos/{schema.image_key(camera)}"
             row |= {f"{prefix}/chunk_index": film.place.chunk, f"{prefix}/file_index": film.place.file}
-            row |= {f"{prefix}/from_timestamp": film.start, f"{prefix}/to_timestamp": film.end}
+            row |= {f"{prefix}/from_timestamp": 0.0, f"{prefix}/to_timestamp": film.end}
         row |= {f"stats/{key}/{name}": value for key, found in stats.items() for name, value in _whole(found).items()}
         self._data.write(frames_table(self._columns, values))
         self._episodes.write(episode_table(row))
@@ -174,8 +147,8 @@ class _Writer:
         command = [np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32)) for frame in frames]
         values = {schema.STATE: np.array([frame["joints"] for frame in frames]), schema.ACTION: np.array(command)}
         for camera in self._source.cameras:
-            values[schema.intrinsics_key(camera)] = np.array([frame["intrinsics"][camera] for frame in frames])
-            values[schema.extrinsics_key(camera)] = np.array([frame["extrinsics"][camera] for frame in frames])
+            for key, name in ((schema.intrinsics_key, "intrinsics"), (schema.extrinsics_key, "extrinsics")):
+                values[key(camera)] = np.array([np.ravel(frame[name][camera]) for frame in frames])
         return values | {
             "timestamp": np.arange(n) * self._source.frame_period,
             "frame_index": np.arange(n),

@@ -1,6 +1,6 @@
 """LeRobotDataset v3.0 as data: where its files lie, its features, and what `meta/info.json` says.
 
-Source: lerobot 0.4.4, `lerobot.datasets`; the format's version is `CODEBASE_VERSION` there.
+Source: lerobot 0.4.4 and 0.6.1, `lerobot.datasets`; the format's version is `CODEBASE_VERSION` there.
 """
 
 from __future__ import annotations
@@ -9,12 +9,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ..images.video import ENCODER
 from ..scene.robot import ACTUATORS
 
 VERSION = "v3.0"
 CHUNK_FILES = 1000
 DATA_FILE_MB = 100
+# To this size lerobot's merging joins videos. They are written one for an episode, see `lerobot`.
 VIDEO_FILE_MB = 200
+# Training asks for single frames at random. Source: lerobot encodes so.
+KEY_FRAME_INTERVAL = 2
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
@@ -57,7 +61,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Feature:
-    """A column: dtype and shape of one frame's value, and its parts' names."""
+    """A column: dtype and shape of one frame's value, a number or a row of them, and its parts' names."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -78,6 +82,15 @@ INDEX_FEATURES: Mapping[str, Feature] = {
 }
 
 
+def _matrix(letter: str, size: int) -> Feature:
+    """A square matrix row by row, its elements named by row and column from 0: `K02` is the third of the first row.
+
+    Flat, since lerobot's own tools for editing datasets do not write arrays of two dimensions.
+    """
+    names = tuple(f"{letter}{row}{column}" for row in range(size) for column in range(size))
+    return Feature("float32", (len(names),), names)
+
+
 def image_key(camera: str) -> str:
     """Feature of a camera's images."""
     return f"observation.images.{camera}"
@@ -85,12 +98,12 @@ def image_key(camera: str) -> str:
 
 def intrinsics_key(camera: str) -> str:
     """Feature of a camera's matrix K."""
-    return f"observation.intrinsics.{camera}"
+    return f"camera.intrinsics.{camera}"
 
 
 def extrinsics_key(camera: str) -> str:
     """Feature of a camera's pose in the robot's base; of two arms, in the left one's."""
-    return f"observation.extrinsics.{camera}"
+    return f"camera.extrinsics.{camera}"
 
 
 def columns(cameras: Mapping[str, tuple[int, int]], prefixes: Sequence[str]) -> dict[str, Feature]:
@@ -106,8 +119,8 @@ def columns(cameras: Mapping[str, tuple[int, int]], prefixes: Sequence[str]) -> 
         ACTION: Feature("float32", (len(commands),), commands),
     }
     for camera in cameras:
-        features[intrinsics_key(camera)] = Feature("float32", (3, 3))
-        features[extrinsics_key(camera)] = Feature("float32", (4, 4))
+        features[intrinsics_key(camera)] = _matrix("K", 3)
+        features[extrinsics_key(camera)] = _matrix("T", 4)
     return features | dict(INDEX_FEATURES)
 
 
@@ -157,6 +170,12 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
         "video.fps": int(fps) if fps == int(fps) else fps,
         "video.channels": 3,
         "has_audio": False,
+        # With these lerobot encodes what it has to encode again.
+        "video.g": KEY_FRAME_INTERVAL,
+        "video.crf": int(ENCODER["crf"]),
+        "video.preset": ENCODER["preset"],
+        "video.fast_decode": 0,
+        "video.extra_options": {key: ENCODER[key] for key in ("bf", "mbtree")},
     }
     return {
         "dtype": "video",

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..geometry.se3 import Array
 from ..images.image import Image
 
-# Source: lerobot 0.4.4, `compute_stats.DEFAULT_QUANTILES`.
+# Source: lerobot 0.4.4 and 0.6.1, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _LEVELS = 256
 # Every so many pixels in both directions count: means and quantiles hardly change, and it costs little.
@@ -67,7 +67,7 @@ class PixelCounts:
 class RunningStats:
     """The statistics of many episodes as one: exact but for the quantiles, which are means weighted by frames.
 
-    Source: lerobot 0.4.4, `aggregate_feature_stats`: so the numbers are those that lerobot would give.
+    Source: lerobot 0.4.4 and 0.6.1, `aggregate_feature_stats`: so the numbers are those that lerobot would give.
     """
 
     def __init__(self) -> None:

@@ -96,19 +96,8 @@ def _array(feature: Feature, values: NDArray[Any]) -> Any:
 
     if feature.shape == (1,):
         return pyarrow.array(values.ravel())
-    if len(feature.shape) == 1:
-        return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(values.ravel()), feature.shape[0])
-    # A matrix is a list of its rows, each a list.
-    flat = pyarrow.array(values.ravel())
-    for size, count in zip(feature.shape[::-1], _counts(len(values), feature.shape), strict=True):
-        offsets = pyarrow.array(np.arange(count + 1, dtype=np.int32) * size)
-        flat = pyarrow.ListArray.from_arrays(offsets, flat)
-    return flat
-
-
-def _counts(frames: int, shape: Sequence[int]) -> list[int]:
-    """How many lists there are on each level, the innermost first."""
-    return [frames * int(np.prod(shape[: len(shape) - k - 1])) for k in range(len(shape))]
+    (width,) = feature.shape
+    return pyarrow.FixedSizeListArray.from_arrays(pyarrow.array(values.ravel()), width)
 
 
 def episode_table(row: Mapping[str, Any]) -> Any:
