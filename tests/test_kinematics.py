@@ -145,7 +145,7 @@ def test_it_loads_nothing_of_the_command_line(repository: Path) -> None:
 
 
 def test_the_readmes_example_does_what_it_says(repository: Path) -> None:
-    code = snippet("python", "from yamsim_cli.kinematics import Kinematics")
+    code = snippet("python", 'Kinematics("russet"')
     done = run(f"{code}\nprint(joints.shape, arm.fk(joints)[2, 3] - T_pinch_in_base[2, 3])", repository)
     assert done.returncode == 0, done.stderr
     shape, _, off = done.stdout.rpartition(" ")
