@@ -62,7 +62,7 @@ test-slow: setup-dev gl meshes test-programs ## run the rest: the slow ones, and
 	$(PYTHON_BIN) -m pytest -n auto -m "(slow or network) and not client and not client_heavy" $(PYTEST_ARGS)
 
 # Each client has an environment of its own in .venv-clients, made once. What was found lies in out/clients.jsonl, from which
-# `python -m tests.clients.table` brings README's table up to date.
+# `python -m tests.clients.table` brings the table in docs/clients.md up to date.
 test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute
 	rm -f out/clients.jsonl
 	$(PYTHON_BIN) -m pytest -n auto -m client $(PYTEST_ARGS)

@@ -12,7 +12,7 @@ import pytest
 
 import yamsim_cli
 from tests.e2e.test_record_summarize import digest
-from tests.readme import snippet
+from tests.pages import snippet
 from yamsim_cli.core.errors import ConfigError, UsageError
 
 pytestmark = pytest.mark.render

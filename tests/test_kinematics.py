@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.readme import snippet
+from tests.pages import snippet
 from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
@@ -145,7 +145,7 @@ def test_it_loads_nothing_of_the_command_line(repository: Path) -> None:
 
 
 def test_the_readmes_example_does_what_it_says(repository: Path) -> None:
-    code = snippet("python", "from yamsim_cli.kinematics import Kinematics")
+    code = snippet("python", 'Kinematics("russet"')
     done = run(f"{code}\nprint(joints.shape, arm.fk(joints)[2, 3] - T_pinch_in_base[2, 3])", repository)
     assert done.returncode == 0, done.stderr
     shape, _, off = done.stdout.rpartition(" ")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -184,3 +185,16 @@ def test_core_does_not_reach_outside(module: str) -> None:
             }, f"{module}:{node.lineno}"
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             assert node.func.id not in {"print", "input", "exit"}, f"{module}:{node.lineno}"
+
+
+ARCHITECTURE = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+
+def test_the_page_on_architecture_has_the_floors() -> None:
+    rows = re.findall(r"^\| (\d+) \| (.*?) \|", ARCHITECTURE, re.MULTILINE)
+    assert {unit: int(floor) for floor, units in rows for unit in re.findall(r"`(.*?)`", units)} == FLOORS
+
+
+def test_the_page_on_architecture_names_modules_that_exist() -> None:
+    named = set(re.findall(r"`((?:core|commands)\.[\w.]+)`", ARCHITECTURE))
+    assert named and named - set(_modules()) == set()

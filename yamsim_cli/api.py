@@ -112,7 +112,7 @@ def evaluate(
     """Evaluate a policy, as `yamsim eval --json` does; in processes of its own, so guard a script's main part.
 
     Args:
-        policy: such as `my_policy.py:MyPolicy`, see README.
+        policy: such as `my_policy.py:MyPolicy`, see docs/policies.md.
 
     Returns:
         What `--json` prints: stats, trials.

@@ -21,14 +21,14 @@ import cv2
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from yamsim_cli.core.overlay import arm_poses
-from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms, unknown_lens
-from yamsim_cli.core.overlay.photos import Photo
 
 from tests.random_views import Lens, View, random_camera, random_view
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import Array, rotation_vector
+from yamsim_cli.core.overlay import arm_poses
+from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms, unknown_lens
+from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
 
 TILTS = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 70))

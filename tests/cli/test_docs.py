@@ -1,4 +1,4 @@
-"""What the README and --help say about the command line, held against the command line itself."""
+"""What README, docs and --help say about the command line, held against the command line itself."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from typing import Any
 import pytest
 import typer
 
-from tests.e2e import readme_lines
-from tests.readme import TEXT as README
-from tests.readme import shell_blocks
+from tests.e2e import page_lines
+from tests.pages import DOCS, PAGES, README, TEXT, shell_blocks, without_blocks
 from tools import reference
 from yamsim_cli.main import app
 
@@ -67,9 +66,9 @@ def test_help_says_what_it_does(path: str) -> None:
 
 
 @pytest.mark.parametrize("path", LEAVES)
-def test_readme_shows_it(path: str) -> None:
+def test_a_page_shows_it(path: str) -> None:
     shown = any(line.startswith(f"yamsim {path} ") for line in (f"{line} " for line in YAMSIM_LINES))
-    assert shown, f"no shell block of README.md has a line `yamsim {path} ...`"
+    assert shown, f"no shell block of README.md or docs/ has a line `yamsim {path} ...`"
 
 
 @pytest.mark.parametrize("path", LEAVES)
@@ -84,40 +83,78 @@ def test_every_command_can_answer_in_json(path: str) -> None:
     assert any("--json" in parameter.opts for parameter in LEAVES[path].params)
 
 
-@pytest.mark.parametrize("line", YAMSIM_LINES)
-def test_readmes_command_lines_parse(line: str) -> None:
+@pytest.mark.parametrize("line", sorted(set(YAMSIM_LINES)))
+def test_the_pages_command_lines_parse(line: str) -> None:
     parse(line)
     # So does what the test that runs them makes of it.
-    parse(readme_lines.prepared(line, policy_port=8081))
+    parse(page_lines.prepared(line, policy_port=8081))
 
 
-def test_readmes_make_targets_exist() -> None:
+def test_the_pages_make_targets_exist() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     shown = re.findall(r"^make ([a-z-]+)", "\n".join(SHELL_LINES), re.MULTILINE)
-    named = re.findall(r"`make ([a-z-]+)`", README)
+    named = re.findall(r"`make ([a-z-]+)`", TEXT)
     assert {*shown, *named} - targets == set()
 
 
-def test_what_is_known_of_readmes_lines_is_about_some() -> None:
-    patterns = [*readme_lines.SMALLER, *readme_lines.NOT_RUN, *readme_lines.CHEAPER, *readme_lines.SERVERS]
+def test_what_is_known_of_the_pages_lines_is_about_some() -> None:
+    patterns = [*page_lines.SMALLER, *page_lines.NOT_RUN, *page_lines.CHEAPER, *page_lines.SERVERS]
     assert [pattern for pattern in patterns if not any(re.search(pattern, line) for line in SHELL_LINES)] == []
-    assert any(readme_lines.serves(line) for line in SHELL_LINES)
+    assert any(page_lines.serves(line) for line in SHELL_LINES)
 
 
-def test_readme_names_only_flags_that_exist() -> None:
+def test_the_pages_name_only_flags_that_exist() -> None:
     parameters = [parameter for command in (ROOT, *COMMANDS.values()) for parameter in command.params]
     known = {flag for parameter in parameters for flag in (*parameter.opts, *parameter.secondary_opts)}
-    text = re.sub(r"^```.*?^```", "", README, flags=re.MULTILINE | re.DOTALL)
+    text = without_blocks(TEXT)
     # Typer adds it when it parses.
     known.add("--help")
-    named = {flag for code in re.findall(r"`([^`]+)`", text) for flag in re.findall(r"(?<!\S)--[a-z][a-z-]*", code)}
+    # One with a dot in it is another program's.
+    flag = r"(?<!\S)--[a-z][a-z-]*(?![\w.])"
+    named = {name for code in re.findall(r"`([^`]+)`", text) for name in re.findall(flag, code)}
     assert named - known == set()
 
 
-def test_readme_names_every_extra() -> None:
+def test_the_readme_is_read_at_one_sitting() -> None:
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 250
+
+
+def test_every_page_is_in_the_index_and_in_the_readme() -> None:
+    pages = {page for page in DOCS.rglob("*.md") if page.name != "index.md"}
+    assert pages - set(PAGES) == {DOCS / "reference" / name for name in reference.pages()}
+    assert [page for page in pages if str(page.relative_to(REPOSITORY)) not in README.read_text(encoding="utf-8")] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    """Sphinx checks those between pages of docs/ once more; README and CONTRIBUTING are read where it does not come."""
+    for target, anchor in re.findall(
+        r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)", without_blocks(page.read_text(encoding="utf-8"))
+    ):
+        if "://" in target:
+            continue
+        path = page.parent / target if target else page
+        assert path.is_file(), f"{page.name}: there is no {target}"
+        assert not anchor or anchor in anchors(path), f"{page.name}: {target} has no heading #{anchor}"
+
+
+def anchors(page: Path) -> set[str]:
+    """What GitHub, and Sphinx with it, makes of a page's headings."""
+    headings = re.findall(r"^#+ (.+)$", without_blocks(page.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_pages_of_docs_link_to_nothing_outside() -> None:
+    """The site has docs/ alone."""
+    for page in PAGES:
+        if page.parent == DOCS:
+            assert "](../" not in page.read_text(encoding="utf-8"), page.name
+
+
+def test_the_readme_names_every_extra() -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     for extra in project["optional-dependencies"]:
-        assert f"yamsim[{extra}]" in README, f"README.md never mentions yamsim[{extra}]"
+        assert f"yamsim[{extra}]" in README.read_text(encoding="utf-8"), f"README.md never mentions yamsim[{extra}]"
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,6 @@ def test_the_worker_count_changes_nothing(dataset: Path) -> None:
     assert json.dumps(one)
 
 
-def test_every_code_is_in_the_readme(repository: Path) -> None:
-    text = (repository / "README.md").read_text()
+def test_every_code_is_on_its_page(repository: Path) -> None:
+    text = (repository / "docs" / "checking.md").read_text()
     assert [code for code in CODES if f"`{code}`" not in text] == []

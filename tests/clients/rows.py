@@ -1,4 +1,4 @@
-"""The programs that read what yamsim writes: one row of README's table each, with the test that runs it."""
+"""The programs that read what yamsim writes: one row of docs/clients.md each, with the test that runs it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""README's table of clients, brought up to date: `python -m tests.clients.table` after `make test-clients`.
+"""The table in docs/clients.md, brought up to date: `python -m tests.clients.table` after `make test-clients`.
 
 A row whose tests all passed gets their version and date; one that was not run keeps what it had. Where a test failed,
 it is named, and the table stays as it is.
@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from tests.clients.environments import REPOSITORY
 from tests.clients.rows import ROWS
 
-README = REPOSITORY / "README.md"
+PAGE = REPOSITORY / "docs" / "clients.md"
 RESULTS = REPOSITORY / "out" / "clients.jsonl"
 
 _HEAD = "| client | version | what it does with our files | passed |\n|---|---|---|---|\n"
@@ -58,12 +58,12 @@ def results(lines: Iterable[str]) -> tuple[dict[str, tuple[str, str]], list[str]
 
 
 def main() -> None:
-    """Write the table into README.md."""
+    """Write the table into its page."""
     passed, failed = results(RESULTS.read_text(encoding="utf-8").splitlines())
     if failed:
-        sys.exit("README's table stays as it is; these failed:\n" + "\n".join(failed))
-    text = README.read_text(encoding="utf-8")
-    README.write_text(_TABLE.sub(lambda _: rendered(shown(text) | passed), text), encoding="utf-8")
+        sys.exit("the table of clients stays as it is; these failed:\n" + "\n".join(failed))
+    text = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(_TABLE.sub(lambda _: rendered(shown(text) | passed), text), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.clients.environments import Interpreter
-from tests.readme import snippet
+from tests.pages import snippet
 
 pytestmark = [pytest.mark.client, pytest.mark.render]
 

@@ -1,4 +1,4 @@
-"""Our .rrd files, read by rerun of two versions: the oldest that README promises, and the newest."""
+"""Our .rrd files, read by rerun of two versions: the oldest that docs/exports.md promises, and the newest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""README's table of clients against the rows that tests run; runs no client."""
+"""The table of clients in docs/clients.md against the rows that tests run; runs no client."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tests.clients.rows import ROWS, Row
 HERE = Path(__file__).parent
 
 
-def test_readme_has_the_table() -> None:
-    text = table.README.read_text(encoding="utf-8")
+def test_the_page_has_the_table() -> None:
+    text = table.PAGE.read_text(encoding="utf-8")
     assert table.rendered(table.shown(text)) in text, "python -m tests.clients.table, after make test-clients"
 
 
 @pytest.mark.parametrize("key", ROWS)
 def test_every_row_has_passed_in_a_test_that_names_it(key: str) -> None:
-    text = table.README.read_text(encoding="utf-8")
+    text = table.PAGE.read_text(encoding="utf-8")
     version, date = table.shown(text)[ROWS[key].client]
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", date) and version != "-"
     tests = [path for path in HERE.glob("test_*.py") if f'"{key}"' in path.read_text(encoding="utf-8")]

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.readme import blocks
+from tests.pages import DOCS, blocks
 
-PAGE = Path(__file__).parents[2] / "docs" / "first-policy.md"
+PAGE = DOCS / "first-policy.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 (POLICY,) = (block.text for block in blocks(TEXT) if block.language == "python")
 SHOWN, RAISED = (block.text for block in blocks(TEXT) if block.language == "")

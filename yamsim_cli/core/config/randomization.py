@@ -66,7 +66,7 @@ class SurfaceRanges(Config):
         saturation, value: of its colours; their hue is any.
         contrast: how much lighter or darker the second colour of a pattern is, in `value`.
         textures: how likely each is, in any unit. A checkered floor is its tiles and costs nothing. Other patterns are
-            textures, and a look-up for every pixel: see the README for its cost.
+            textures, and a look-up for every pixel: see docs/recording.md for its cost.
     """
 
     saturation: Share

@@ -86,8 +86,8 @@ class RecordConfig(Config):
         boards: also show the base boards and their mounts, as they are on a real arm.
         randomization: what differs between episodes beside where things start.
         truth: also record ground truth for every image, see `core.dataset.truth_files`.
-        meshes: asset set -> what is drawn of it, see `core.drawn`. The recorder notes it, whatever a file says; None in
-            datasets from before it did.
+        meshes: asset set -> what is drawn of it, see `core.shown_meshes`. The recorder notes it, whatever a file says;
+            None in datasets from before it did.
     """
 
     rig: Annotated[RigConfig, Reference("rigs")]

@@ -25,7 +25,7 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
         thresholds: in metres, by which the outcomes are scored.
 
     Returns:
-        JSON-ready; see README.
+        JSON-ready; see docs/checking.md.
     """
     episodes, problems = survey.episodes, list(survey.problems)
     outcomes = [episode.outcome for episode in episodes if episode.outcome]

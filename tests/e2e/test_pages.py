@@ -1,4 +1,4 @@
-"""Every command line that the README shows, run in its order in one folder, as a user would."""
+"""Every command line that README and docs show, run in the order of their pages in one folder, as a user would."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -21,15 +21,15 @@ import pytest
 import yaml
 
 from tests.core.things.test_fits import block
-from tests.e2e.readme_lines import prepared, reason_not_to_run, serves
-from tests.readme import Block, blocks, shell_blocks, snippet
+from tests.e2e.page_lines import prepared, reason_not_to_run, serves
+from tests.pages import Block, blocks, shell_blocks, snippet
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.resources import Locations
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]
 
-# A line that takes longer than this, s, hangs: or it serves, and readme_lines.SERVERS does not know.
+# A line that takes longer than this, s, hangs: or it serves, and page_lines.SERVERS does not know.
 LIMIT = 150
 EXTRAS = ("av", "gymnasium", "msgpack", "pyarrow", "reportlab", "rerun", "viser")
 
@@ -63,7 +63,7 @@ class Shell:
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-            return f"has not ended after {LIMIT} s; if it serves until it is stopped, name it in readme_lines.SERVERS"
+            return f"has not ended after {LIMIT} s; if it serves until it is stopped, name it in page_lines.SERVERS"
         return None if code == 0 else f"ended with exit code {code}"
 
     @contextmanager
@@ -91,9 +91,9 @@ class Shell:
 
 @pytest.fixture
 def shell(tmp_path: Path, repository: Path, locations: Locations) -> Shell:
-    """A folder with the files that the README's lines name, and `yamsim` on the path."""
+    """A folder with the files that the pages' lines name, and `yamsim` on the path."""
     for extra in EXTRAS:
-        pytest.importorskip(extra, reason="README lines need the extras: make setup-dev")
+        pytest.importorskip(extra, reason="the pages' lines need the extras: make setup-dev")
     folder, programs, assets = (tmp_path / name for name in ("work", "bin", "assets"))
     folder.mkdir()
     programs.mkdir()
@@ -114,8 +114,9 @@ def shell(tmp_path: Path, repository: Path, locations: Locations) -> Shell:
 
 
 def write_inputs(folder: Path, locations: Locations) -> None:
-    """What a user brings: the README's own text where it shows some, else what a test can make."""
+    """What a user brings: the pages' own text where they show some, else what a test can make."""
     (folder / "my_policy.py").write_text(snippet("python", "class MyPolicy"))
+    (folder / "first_policy.py").write_text(snippet("python", "class FirstPolicy"))
     (folder / "stream.jsonl").write_text(snippet("json", '"event": "start"'))
     (folder / "mug.stl").write_bytes(block((0.04, 0.04, 0.09)))
     with Studio("russet", locations, CAMERA) as studio:
@@ -146,12 +147,12 @@ def no_meshes(line: str, locations: Locations) -> str | None:
     return None
 
 
-def test_every_command_line_of_the_readme_works(shell: Shell, locations: Locations) -> None:
+def test_every_command_line_of_the_pages_works(shell: Shell, locations: Locations) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         policy_port = probe.getsockname()[1]
     failures: list[str] = []
-    for k, lines in enumerate(shell_blocks()):
+    for k, lines in enumerate(once_each(shell_blocks())):
         run_block(shell, lines, policy_port, shell.folder.parent / f"block{k}", failures, locations)
     for code in (part.text for part in blocks() if part.language == "python" and '"labelled' in part.text):
         (shell.folder / "snippet.py").write_text(code)
@@ -159,6 +160,15 @@ def test_every_command_line_of_the_readme_works(shell: Shell, locations: Locatio
         if problem := shell.run(f"{sys.executable} snippet.py", log):
             failures.append(failure(code, problem, log))
     assert not failures, "\n\n".join(failures)
+
+
+def once_each(shown: list[Block]) -> Iterator[Block]:
+    """The blocks without lines that an earlier page shows too: what they make is there, and would be in the way."""
+    seen: set[str] = set()
+    for lines in shown:
+        new = [line for line in lines.commands if line not in seen]
+        seen.update(new)
+        yield replace(lines, text="\n".join(new))
 
 
 def run_block(

@@ -1,11 +1,11 @@
-"""How the README's command lines are run by a test: what is made smaller, what serves, and what cannot run."""
+"""How the pages' command lines are run by a test: what is made smaller, what serves, and what cannot run."""
 
 from __future__ import annotations
 
 import re
 import shlex
 
-# Pattern -> what stands there in a test. The README asks for as much as a user wants; a few say whether it works.
+# Pattern -> what stands there in a test. Pages ask for as much as a user wants; a few say whether it works.
 SMALLER = {
     # Later lines name the fourth episode of this one.
     r"--n 500 --workers 4$": "--n 4 --workers 2",
@@ -35,7 +35,7 @@ SERVERS = {
 
 # Pattern -> why a line that it is found in is not run.
 NOT_RUN = {
-    r"^make (demo|test)\b": "it is what set this environment up",
+    r"^make\b": "it is what set this environment up, or what CI runs beside this test",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
     r"^ray start\b": "it starts a cluster on this machine; test_ray_cluster.py has one",
     r"--address HEAD:6379": "there is no machine HEAD; test_ray_cluster.py records on a cluster of its own",
@@ -59,7 +59,7 @@ def prepared(line: str, policy_port: int) -> str:
     """A line as a test runs it.
 
     Args:
-        policy_port: stands for the port 8080 that the README gives a policy; free on this machine.
+        policy_port: stands for the port 8080 that a page gives a policy; free on this machine.
     """
     for pattern, smaller in SMALLER.items():
         line = re.sub(pattern, smaller, line)
