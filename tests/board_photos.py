@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import cv2
@@ -12,7 +13,7 @@ from yamsim_cli.core.boards.image import board_image, marker_cells
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector
-from yamsim_cli.core.vision.lens import ray_field
+from yamsim_cli.core.vision.lens import project_points, ray_field
 
 Photo = NDArray[np.uint8]
 
@@ -44,13 +45,42 @@ def photograph(
 
 def picture(camera: CameraModel, boards: Sequence[tuple[Board, Array]], blur: float = 0.6) -> NDArray[np.float32]:
     """The photo before any noise, in grey levels."""
-    x, y = ((np.arange(side * _FINER) - (_FINER - 1) / 2) / _FINER for side in (camera.width, camera.height))
-    field = ray_field(camera, x, y)
-    fine = np.full(field.shape[:2], _TABLE, np.float32)
-    for board, T in boards:
-        _lay(fine, field, board, T)
-    photo = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    photo = np.full((camera.height, camera.width), _TABLE, np.float32)
+    low, high = _region(camera, boards, math.ceil(8 * blur))
+    x, y = (
+        np.arange(first, last, dtype=np.float64).repeat(_FINER)
+        + np.tile((np.arange(_FINER) - (_FINER - 1) / 2) / _FINER, last - first)
+        for first, last in zip(low, high, strict=True)
+    )
+    if len(x) and len(y):
+        field = ray_field(camera, x, y)
+        fine = np.full(field.shape[:2], _TABLE, np.float32)
+        for board, T in boards:
+            _lay(fine, field, board, T)
+        size = (high[0] - low[0], high[1] - low[1])
+        photo[low[1] : high[1], low[0] : high[0]] = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(photo, (0, 0), blur), dtype=np.float32)
+
+
+def _region(
+    camera: CameraModel, boards: Sequence[tuple[Board, Array]], beyond: int
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last column and row of the part of a photo that shows boards: large photos are mostly table."""
+    whole = (0, 0), (camera.width, camera.height)
+    if not boards:
+        return (0, 0), (0, 0)
+    corners = []
+    for board, T in boards:
+        half = np.array([board.width, board.height]) * 0.6
+        on_board = half * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]])
+        in_cam = np.column_stack([on_board, np.zeros(4)]) @ T[:3, :3].T + T[:3, 3]
+        if (in_cam[:, 2] < 1e-2).any():
+            return whole
+        corners.append(project_points(camera, in_cam))
+    pixels = np.concatenate(corners)
+    low = np.clip(np.floor(pixels.min(axis=0)) - beyond, whole[0], whole[1]).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + beyond + 1, whole[0], whole[1]).astype(int)
+    return (int(low[0]), int(low[1])), (int(high[0]), int(high[1]))
 
 
 def with_noise(clean: NDArray[np.float32], noise: float = 2.0, seed: int = 0) -> Photo:
@@ -61,14 +91,17 @@ def with_noise(clean: NDArray[np.float32], noise: float = 2.0, seed: int = 0) ->
 
 def _lay(picture: NDArray[np.float32], field: NDArray[np.float32], board: Board, T: Array) -> None:
     onto_board = np.linalg.inv(T[:3, [0, 1, 3]])
-    at = np.concatenate([field, np.ones((*field.shape[:2], 1))], axis=-1) @ onto_board.T
-    across, down = at[..., 0] / at[..., 2] + board.width / 2, board.height / 2 - at[..., 1] / at[..., 2]
+    # Number by number: large photos, three times as fine, would not fit into memory as vectors of doubles.
+    x, y, depth = (
+        np.float32(a) * field[..., 0] + np.float32(b) * field[..., 1] + np.float32(c) for a, b, c in onto_board
+    )
+    across, down = x / depth + np.float32(board.width / 2), np.float32(board.height / 2) - y / depth
     image = board_image(board, _CELL_PX, _QUIET_CELLS)
     px_per_metre = marker_cells(board).shape[1] * _CELL_PX / board.marker_length
     border = _QUIET_CELLS * _CELL_PX
-    maps = [(side * px_per_metre + border - 0.5).astype(np.float32) for side in (across, down)]
+    maps = [side * np.float32(px_per_metre) + np.float32(border - 0.5) for side in (across, down)]
     # 0 for what lies beside the print and its white border.
     printed = cv2.remap(image.astype(np.float32) + 1, *maps, cv2.INTER_LINEAR, borderValue=0)
-    on = (printed >= 1) & (at[..., 2] > 0)
+    on = (printed >= 1) & (depth > 0)
     # White paper is no brighter than this, and black ink no darker.
     picture[on] = 30 + (printed[on] - 1) * (200 / 255)

@@ -101,6 +101,36 @@ def test_json_is_what_the_report_file_holds(folder: Path) -> None:
     assert run.json["files"] == ["o/photo_overlay.png", "o/photo_mask.png", "o/overlay.json"]
 
 
+def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locations: Locations) -> None:
+    """A long lens far above: it was taken for a usual one near by, both arms ok, metres off."""
+    rig = load_config(RigConfig, "rigs", "russet", locations)
+    placed = []
+    for k, arm in enumerate(rig.arms):
+        assert arm.board is not None
+        T = facing(0.0, 0.0, 2.0, 0.02, 0.01) @ rig.T_base_in_world(k) @ arm.board.T_board_in_arm
+        placed.append((arm.board.board, T))
+    cv2.imwrite(str(folder / "photo.png"), photograph(CameraModel.pinhole(1280, 960, 3425.0), placed))
+    run = yamsim("overlay", "--img", "photo.png", "--rig", "russet", "--json", cwd=folder)
+    assert run.code == 4
+    assert run.message.endswith("px explains the photo: photograph the board from a slant, or give --camera") or (
+        run.message.endswith("px: photograph the board from a slant, or give --camera")
+    )
+    assert run.message.count("--camera") == 1
+    (image,) = run.json["images"]
+    for arm in image["arms"]:
+        assert (arm["status"], arm["markers_found"], arm["T_base_in_cam"]) == ("poor_fit", 9, None)
+        assert arm["reason"].endswith("photograph the board from a slant, or give --camera")
+    camera = image["camera"]
+    assert (camera["focal_low"] or 0.0) < 3425 < (camera["focal_high"] or 1e9)
+    assert image["margin_m"] is None
+    # With the camera, the same photo gives both.
+    (folder / "long.yaml").write_text("width: 1280\nheight: 960\nK: [[3425, 0, 639.5], [0, 3425, 479.5], [0, 0, 1]]\n")
+    known = yamsim("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "long.yaml", "--json", cwd=folder)
+    assert known.code == 0, known.err
+    low, high = known.json["images"][0]["camera"]["focal_low"], known.json["images"][0]["camera"]["focal_high"]
+    assert low < 3425 < high
+
+
 def test_a_wrong_margin_is_told_on_stderr_and_in_json(folder: Path) -> None:
     run = yamsim(
         "overlay", "--img", "photo.png", "--rig", "russet", "--margin", "0.596", "--camera", "camera.yaml", cwd=folder

@@ -13,7 +13,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse
-from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms, unknown_camera
+from yamsim_cli.core.overlay.arm_poses import Lens, PhotoResult, find_arms, unknown_lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
 
@@ -54,7 +54,7 @@ def shift_mm(result: PhotoResult, rig: RigConfig, k: int) -> float:
 
 
 def found(rig: RigConfig, grey: np.ndarray, trust: bool = False, photo: Photo = PHOTO) -> PhotoResult:
-    return find_arms(rig, photo, grey, CAMERA, "file", trust)
+    return find_arms(rig, photo, grey, Lens.known(CAMERA, "file"), trust)
 
 
 def test_each_arm_by_its_own_board(russet: RigConfig, clean: np.ndarray) -> None:
@@ -165,12 +165,15 @@ def test_an_unknown_camera_of_several_photos(russet: RigConfig, clean: np.ndarra
             asked.append(k)
             yield np.dstack([grey] * 3)
 
-    camera = unknown_camera(images(), (480, 640), russet)
-    assert (camera.width, camera.height) == (640, 480)
-    assert abs(camera.focal / 600 - 1) < 2 * camera.focal_sigma < 0.2
+    lens = unknown_lens(images(), (480, 640), russet)
+    assert (lens.camera.width, lens.camera.height) == (640, 480)
+    assert lens.focal.low is not None and lens.focal.high is not None
+    assert lens.focal.low < 600 < lens.focal.high < 1.2 * lens.focal.low
     assert asked == [0, 1, 2]
 
 
 def test_an_unknown_camera_without_any_board_says_that_nothing_is_known(russet: RigConfig) -> None:
-    camera = unknown_camera([np.zeros((480, 640, 3), np.uint8)], (480, 640), russet)
-    assert camera.focal_sigma == 0.35
+    lens = unknown_lens([np.zeros((480, 640, 3), np.uint8)], (480, 640), russet)
+    assert (lens.focal.low, lens.focal.high) == (None, None)
+    assert lens.focal.reason == "no board tells the focal length"
+    assert lens.camera.focal_sigma == 0.35

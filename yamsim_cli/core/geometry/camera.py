@@ -50,6 +50,8 @@ class CameraModel:
         K: the camera matrix, row by row.
         distortion: coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; none for none.
         focal_sigma: standard deviation of the focal length as a share of it: 0.003 is what a careful calibration gives.
+        doubt: covariance (4, 4), row by row, of the natural logarithm of the focal length, the principal point (in
+            focal lengths, right and down) and `k1`, for a camera that was estimated; () where `focal_sigma` is all.
     """
 
     width: int
@@ -57,6 +59,7 @@ class CameraModel:
     K: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
     distortion: tuple[float, ...] = ()
     focal_sigma: float = 0.003
+    doubt: tuple[tuple[float, ...], ...] = ()
 
     @classmethod
     def pinhole(cls, width: int, height: int, focal: float, focal_sigma: float = 0.003) -> CameraModel:
@@ -69,13 +72,22 @@ class CameraModel:
         """The geometric mean of the two focal lengths, px."""
         return math.sqrt(self.K[0][0] * self.K[1][1])
 
+    @property
+    def mistakes(self) -> Array:
+        """What independent mistakes of one standard deviation each do to what is doubted, in columns.
+
+        Returns:
+            (1, 1) for the focal length's logarithm alone, or (4, 4) for all that `doubt` is about.
+        """
+        return np.linalg.cholesky(np.array(self.doubt)) if self.doubt else np.array([[self.focal_sigma]])
+
     def scaled(self, factor: float) -> CameraModel:
         """The camera of this one's images resized by `factor`; pixel centres at whole numbers before and after."""
         (fx, skew, cx), (_, fy, cy), last = self.K
         shift = (factor - 1) / 2
         K = ((fx * factor, skew * factor, cx * factor + shift), (0.0, fy * factor, cy * factor + shift), last)
         size = (round(self.width * factor), round(self.height * factor))
-        return CameraModel(*size, K, self.distortion, self.focal_sigma)
+        return CameraModel(*size, K, self.distortion, self.focal_sigma, self.doubt)
 
 
 def opencv_from_mujoco(rotation: ArrayLike) -> Array:

@@ -16,8 +16,8 @@ from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array, inverse
 from ..images.image import Image
 from ..images.image_files import grey_of
-from ..vision.fiducials.focal import combined_camera, estimate_camera
-from ..vision.fiducials.locate import Sighting, Status, locate, locate_together
+from ..vision.fiducials.focal import FocalEstimate, estimate_focal, known_focal, outlines_in
+from ..vision.fiducials.locate import Sighting, Status, locate, locate_together, unlocated
 from ..vision.fiducials.markers import seen_ids
 from .photos import Photo
 
@@ -34,9 +34,24 @@ _MARGIN_TOLERANCE = 0.002
 # Photos of one unknown camera that its focal length is estimated from, and that are looked at for boards, at most.
 _PHOTOS_FOR_FOCAL = 8
 _PHOTOS_TO_SEARCH = 40
-# Where no board tells the focal length: a horizontal field of view of 60 degrees, or anything near it.
-_UNKNOWN_FOCAL = 0.866
-_UNKNOWN_SIGMA = 0.35
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Through what a photo was taken, and where these figures come from: "file", "episode" or "estimated"."""
+
+    focal: FocalEstimate
+    source: str
+
+    @classmethod
+    def known(cls, camera: CameraModel, source: str) -> Lens:
+        """That of a camera which somebody calibrated."""
+        return cls(known_focal(camera), source)
+
+    @property
+    def camera(self) -> CameraModel:
+        """The camera, as far as it is known."""
+        return self.focal.camera
 
 
 @dataclass(frozen=True)
@@ -64,7 +79,7 @@ class PhotoResult:
     """What a photo says of a rig.
 
     Attributes:
-        camera_source: where the camera's figures come from: "file", "episode" or "estimated".
+        lens: the camera that took it.
         joints_source: where the joints come from: "home", "file" or "episode".
         ids: of all markers that were read, whosever they are.
         T_arm2_in_arm1: measured pose (4, 4), each arm's from its own board; None unless both were found.
@@ -76,8 +91,7 @@ class PhotoResult:
     """
 
     path: Path
-    camera: CameraModel
-    camera_source: str
+    lens: Lens
     joints_source: str
     arms: tuple[ArmPose, ...]
     ids: tuple[int, ...]
@@ -94,34 +108,35 @@ class PhotoResult:
         return {k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.T_base_in_cam is not None}
 
 
-def unknown_camera(images: Iterable[Image], size: tuple[int, ...], rig: RigConfig) -> CameraModel:
-    """The camera of photos that nothing is known of, from the boards in them; all of one size (height, width)."""
+def unknown_lens(images: Iterable[Image], size: tuple[int, int], rig: RigConfig) -> Lens:
+    """The lens of photos that nothing is known of, from the boards in them; all of one size (height, width)."""
     boards = [arm.board.board for arm in rig.arms if arm.board]
-    height, width = size
-    found: list[CameraModel] = []
+    outlines, telling = [], 0
     for image in itertools.islice(images, _PHOTOS_TO_SEARCH):
-        if (camera := estimate_camera(grey_of(image), boards)) is not None:
-            found.append(camera)
-        if len(found) == _PHOTOS_FOR_FOCAL:
+        found = outlines_in(grey_of(image), boards)
+        outlines += found
+        telling += bool(found)
+        if telling == _PHOTOS_FOR_FOCAL:
             break
-    camera = combined_camera(width, height, [(math.log(one.focal), one.focal_sigma) for one in found])
-    return camera or CameraModel.pinhole(width, height, _UNKNOWN_FOCAL * max(width, height), _UNKNOWN_SIGMA)
+    height, width = size
+    return Lens(estimate_focal(outlines, (width, height)), "estimated")
 
 
-def find_arms(
-    rig: RigConfig, photo: Photo, grey: NDArray[np.uint8], camera: CameraModel, source: str, trust_margin: bool
-) -> PhotoResult:
+def find_arms(rig: RigConfig, photo: Photo, grey: NDArray[np.uint8], lens: Lens, trust_margin: bool) -> PhotoResult:
     """Each arm's pose from its board; else from the other's or from the recording.
 
     Args:
         photo: what is known of it beside its camera.
         grey: the photo (height, width).
-        camera: that took it.
-        source: where the camera's figures come from.
+        lens: through which it was taken; if its focal length is not told well enough, no board gives a pose.
         trust_margin: the arms stand as the rig says, so all boards together give one pose of the rig.
     """
     configs = [arm.board for arm in rig.arms]
-    sightings, markers = locate(grey, camera, [config.board for config in configs if config])
+    boards, camera = [config.board for config in configs if config], lens.camera
+    if lens.focal.reason:
+        sightings, markers = unlocated(grey, camera, boards, lens.focal.reason)
+    else:
+        sightings, markers = locate(grey, camera, boards)
     by_board = {seen.board.name: seen for seen in sightings}
     arms = []
     for arm, config in zip(rig.arms, configs, strict=True):
@@ -131,7 +146,7 @@ def find_arms(
             T = seen.T_board_in_cam @ inverse(config.T_board_in_arm)
         arms.append(ArmPose(arm.name, config.name if config else None, seen.status if seen else NO_BOARD, seen, T))
     ids = tuple(seen_ids(markers))
-    result = PhotoResult(photo.path, camera, source, photo.joints_source, tuple(arms), ids, notes=_misfits(arms))
+    result = PhotoResult(photo.path, lens, photo.joints_source, tuple(arms), ids, notes=_misfits(arms))
     result = _with_margin(rig, result)
     if trust_margin and len(arms) > 1 and result.bases:
         result = _trusting(rig, result, grey, camera)
@@ -187,8 +202,12 @@ def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
     variance, scales = 0.0, []
     for arm in (one, two):
         assert arm.sighting is not None and arm.sighting.covariance is not None and arm.sighting.shared is not None
-        shared = direction @ arm.sighting.shared[3:]
-        variance += float(direction @ arm.sighting.covariance[3:, 3:] @ direction - shared @ shared)
+        assert arm.sighting.T_board_in_cam is not None and arm.T_base_in_cam is not None
+        # A turn of the board about its centre swings the base, which is fixed to it.
+        lever = arm.T_base_in_cam[:3, 3] - arm.sighting.T_board_in_cam[:3, 3]
+        along = np.concatenate([np.cross(lever, direction), direction])
+        shared = along @ arm.sighting.shared
+        variance += float(along @ arm.sighting.covariance @ along - shared @ shared)
         scales.append(shared)
     # One lens and one printer: their mistakes do not add up by chance.
     apart = scales[1] - scales[0]

@@ -64,7 +64,8 @@ def refine(
             move = correction(pulls, centre, information, step)
             step += move.step
             poses.update({k: move.applied(poses[k]) for k in group})
-    arms = tuple(_moved(arm, poses[k], grey, result.camera) if k in poses else arm for k, arm in enumerate(result.arms))
+    camera = result.lens.camera
+    arms = tuple(_moved(arm, poses[k], grey, camera) if k in poses else arm for k, arm in enumerate(result.arms))
     return replace(result, arms=arms)
 
 

@@ -22,7 +22,7 @@ from ..images.png import encode_png
 from ..resources import Locations
 from ..scene.compose import Meshes
 from ..vision.overlay import blend, draw_board, write_lines
-from .arm_poses import INFERRED, RECORDED, PhotoResult, find_arms
+from .arm_poses import INFERRED, RECORDED, Lens, PhotoResult, find_arms
 from .joint_files import home_joints
 from .outline_fit import overlap, refine, score_outlines
 from .photos import MASK_ENDING, OVERLAY_ENDING, Photo
@@ -76,27 +76,27 @@ class Overlayer:
         )
         self._drawer: tuple[CameraModel, ArmDrawer] | None = None
 
-    def run(self, photo: Photo, image: Image, camera: CameraModel, source: str, mask: Mask | None = None) -> Overlay:
+    def run(self, photo: Photo, image: Image, lens: Lens, mask: Mask | None = None) -> Overlay:
         """Find the arms in one photo, lay them over it, and score the fit.
 
         Args:
             photo: what is known of it beside its camera.
             image: RGB (height, width, 3).
-            camera: that took it.
-            source: where the camera's figures come from: "file", "episode" or "estimated".
+            lens: through which it was taken.
             mask: where the robot is in the photo (height, width), for the overlap.
 
         Raises:
             ConfigError: the camera or the mask does not fit the photo.
         """
         height, width = image.shape[:2]
+        camera = lens.camera
         if (camera.width, camera.height) != (width, height):
             raise ConfigError(
                 f"{photo.path} has {width} x {height} pixels, but the camera is calibrated for "
                 f"{camera.width} x {camera.height}: give the camera file of this image size"
             )
         grey = grey_of(image)
-        result = find_arms(self._rig, photo, grey, camera, source, self._options.trust_margin)
+        result = find_arms(self._rig, photo, grey, lens, self._options.trust_margin)
         joints = home_joints(self._rig)[0] if photo.joints is None else photo.joints
         picture, labels = image.copy(), np.zeros((height, width), np.uint8)
         if result.bases:
@@ -113,7 +113,7 @@ class Overlayer:
                 draw_board(picture, camera, arm.sighting.board, arm.sighting.T_board_in_cam)
         if mask is not None:
             result = replace(result, iou=overlap(labels, mask, photo.path))
-        write_lines(picture, captions(result), (picture != image).any(axis=2))
+        write_lines(picture, captions(result), _changed(picture, image))
         return Overlay(result, picture, labels)
 
     def _drawer_for(self, camera: CameraModel) -> ArmDrawer:
@@ -137,6 +137,14 @@ class Overlayer:
         self.close()
 
 
+def _changed(picture: Image, image: Image) -> NDArray[np.bool_]:
+    """Which pixels (height, width) of a picture are no longer the photo's; channel by channel, which is much faster."""
+    changed = np.zeros(image.shape[:2], dtype=np.bool_)
+    for k in range(3):
+        changed |= picture[..., k] != image[..., k]
+    return changed
+
+
 def captions(result: PhotoResult) -> list[str]:
     """A line for each arm, and one for the whole, as they are written into the picture."""
     lines = []
@@ -151,12 +159,20 @@ def captions(result: PhotoResult) -> list[str]:
         lines.append(text)
     if result.joints_source == "home" and result.bases:
         lines.append("joints not given: drawn at home")
-    if result.camera_source == "estimated" and result.bases:
-        sigma = result.camera.focal_sigma * 100
-        lines.append(f"focal length estimated: {result.camera.focal:.0f} px +- {sigma:.1f} %")
+    if result.lens.source == "estimated":
+        lines += _focal_lines(result)
     if result.margin is not None:
         lines.append(f"margin measured: {result.margin:.4f} m")
     return lines
+
+
+def _focal_lines(result: PhotoResult) -> list[str]:
+    """What the boards tell of an unknown lens, or why it gives no pose."""
+    focal = result.lens.focal
+    if not focal.reason:
+        return [f"focal length estimated: {focal.camera.focal:.0f} px, within {focal.low:.0f} to {focal.high:.0f} px"]
+    seen = any(arm.sighting and arm.sighting.markers for arm in result.arms)
+    return [f"no pose: {focal.reason}"] if seen else []
 
 
 def picture_paths(out: Path, stem: str, with_mask: bool) -> list[Path]:

@@ -81,23 +81,27 @@ def _nothing_found(results: Sequence[PhotoResult], rig: RigConfig) -> str:
     boards = [arm.board for arm in rig.arms if arm.board]
     wanted = ", ".join(f"{board.board.ids[0]}-{board.board.ids[-1]} ({board.dictionary})" for board in boards)
     seen = ", ".join(map(str, first.ids)) or "none"
+    focal = first.lens.focal.reason
     refused = [f"{arm.name}: {arm.sighting.reason}" for arm in first.arms if arm.sighting and arm.sighting.markers]
-    why = f"; {'; '.join(refused)}" if refused else ""
+    # The lens is the same for all arms, so it is told once.
+    why = f"; {focal if focal else '; '.join(refused)}" if refused else ""
     more = f" (and {len(results) - 1} more photos)" if len(results) > 1 else ""
     return f"{first.path}{more}: no board gives a pose: looked for ids {wanted or 'none'}, saw {seen}{why}"
 
 
 def _plain_result(result: PhotoResult, rig: RigConfig) -> dict[str, Any]:
-    camera = result.camera
+    camera, focal = result.lens.camera, result.lens.focal
     return {
         "image": str(result.path),
         "camera": {
-            "source": result.camera_source,
+            "source": result.lens.source,
             "K": [list(row) for row in camera.K],
             "distortion": list(camera.distortion),
             "width": camera.width,
             "height": camera.height,
             "focal_sigma": camera.focal_sigma,
+            "focal_low": focal.low,
+            "focal_high": focal.high,
         },
         "joints": result.joints_source,
         "ids_seen": list(result.ids),

@@ -19,7 +19,7 @@ from ..images.video import VideoWriter
 from ..resources import Locations
 from ..scene.compose import Meshes
 from ..vision.fiducials.locate import Status
-from .arm_poses import unknown_camera
+from .arm_poses import Lens, unknown_lens
 from .overlayer import Overlay, Overlayer, OverlayOptions, picture_paths, write_overlay
 from .photos import Photo, mask_of
 from .report import OverlayReport
@@ -95,10 +95,10 @@ def run_overlays(
             size = size or image.shape
             if video and image.shape != size:
                 raise UsageError(f"--video needs photos of one size, but {photo.path} has another than those before it")
-            camera, source = cameras.of(photo, image)
+            lens = cameras.of(photo, image)
             mask_path = masks[k]
             mask = read_mask(mask_path) if mask_path else None
-            overlay = overlayer.run(photo, image, camera, source, mask)
+            overlay = overlayer.run(photo, image, lens, mask)
             report.results.append(overlay.result)
             report.files += write_overlay(overlay, stems[k], request.out, request.write_masks)
             report.failures += _failures(overlay, request)
@@ -131,28 +131,31 @@ class _Cameras:
     def __init__(self, rig: RigConfig, request: OverlayRequest) -> None:
         self._rig = rig
         self._request = request
-        self._estimated: dict[tuple[int, ...], CameraModel] = {}
+        self._estimated: dict[tuple[int, int], Lens] = {}
 
-    def of(self, photo: Photo, image: Image) -> tuple[CameraModel, str]:
-        """The camera of a photo, and where its figures come from: "episode", "file" or "estimated"."""
+    def of(self, photo: Photo, image: Image) -> Lens:
+        """The camera of a photo, and where its figures come from."""
         if photo.camera:
-            return photo.camera, "episode"
+            return Lens.known(photo.camera, "episode")
         if self._request.camera:
-            return self._request.camera, "file"
-        size = image.shape[:2]
+            return Lens.known(self._request.camera, "file")
+        size = image.shape[0], image.shape[1]
         if size not in self._estimated:
-            self._estimated[size] = unknown_camera(self._images(size), size, self._rig)
-        return self._estimated[size], "estimated"
+            self._estimated[size] = unknown_lens(self._images(photo, image), size, self._rig)
+        return self._estimated[size]
 
-    def _images(self, size: tuple[int, ...]) -> Iterator[Image]:
-        """One after the other, all photos of a size (height, width) that can be read."""
+    def _images(self, known: Photo, image: Image) -> Iterator[Image]:
+        """One after the other, all photos of the size of one that is known already, if they can be read."""
         for photo in self._request.photos:
+            if photo.path == known.path:
+                yield image
+                continue
             try:
-                image = read_image(photo.path)
+                other = read_image(photo.path)
             except ResourceError:
                 continue
-            if image.shape[:2] == size:
-                yield image
+            if other.shape[:2] == image.shape[:2]:
+                yield other
 
 
 def _refuse_overwriting(request: OverlayRequest, stems: Sequence[str], inputs: Sequence[Path]) -> None:

@@ -14,7 +14,6 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
-from yamsim_cli.core.vision.fiducials.focal import combined_camera, estimate_camera
 from yamsim_cli.core.vision.fiducials.locate import Sighting, Status, at_pose, locate, locate_together
 from yamsim_cli.core.vision.fiducials.markers import seen_ids
 
@@ -267,25 +266,6 @@ def test_a_pose_from_elsewhere_gets_its_own_reprojection() -> None:
     assert moved.reprojection_rms == pytest.approx(0.5, abs=0.15)
     assert moved.T_board_in_cam is off
     assert at_pose(photo, CAMERA, sighting, facing(5, 0, 0.6)).reprojection_rms is None
-
-
-def test_an_unknown_focal_length_is_found_within_what_it_says() -> None:
-    true = CameraModel.pinhole(640, 480, 740.0)
-    photo = photograph(true, [(ONE, facing(0.02, 0.01, 0.4, 0.8, 0.2)), (TWO, facing(-0.14, 0, 0.5, -0.6, 0.3))])
-    camera = estimate_camera(photo, [ONE, TWO])
-    assert camera is not None
-    assert abs(math.log(camera.focal / 740)) < 2 * camera.focal_sigma < 0.06
-    assert estimate_camera(photograph(true, []), [ONE]) is None
-
-
-def test_many_estimates_never_claim_more_than_a_lens_without_distortion_allows() -> None:
-    camera = combined_camera(640, 480, [(math.log(600), 0.01)] * 100)
-    assert camera is not None
-    assert camera.focal == pytest.approx(600)
-    assert camera.focal_sigma == 0.01
-    uneven = combined_camera(640, 480, [(math.log(600), 0.02), (math.log(700), 0.2)])
-    assert uneven is not None
-    assert 600 < uneven.focal < 602
 
 
 def test_a_turned_board_keeps_its_corners_in_order() -> None:

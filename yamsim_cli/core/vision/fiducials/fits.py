@@ -19,7 +19,7 @@ from .markers import Group
 from .print_view import Piece
 
 # A marker whose print and photo correlate less than this is hidden, moved or something else.
-_SAME_PRINT = 0.75
+SAME_PRINT = 0.75
 # How much more likely the photo has to be under the pose than under its rival (difference of log-likelihoods), with
 # neighbouring pixels counted as `_CORRELATED` times fewer independent ones.
 _MIN_EVIDENCE = 12.0
@@ -87,7 +87,7 @@ def fit_pose(
     if check is None:
         return None
     tiles = check.tiles[0]
-    agreeing = tuple(k for k, tile in tiles.items() if tile.correlation >= _SAME_PRINT)
+    agreeing = tuple(k for k, tile in tiles.items() if tile.correlation >= SAME_PRINT)
     if not agreeing:
         return None
     if set(agreeing) != set(places):

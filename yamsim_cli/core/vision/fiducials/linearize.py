@@ -1,8 +1,8 @@
-"""How a print's picture differs from the photo, and how the difference changes with pose, blur and scales."""
+"""How a print's picture differs from the photo, and how the difference changes with the blur and with where it lies."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -14,16 +14,6 @@ from .print_view import Drawing, PrintView, draw_print
 
 # A tile of fewer pixels says nothing about its own brightness.
 _MIN_TILE_PIXELS = 12
-
-
-@dataclass(frozen=True)
-class State:
-    """What is varied: the pose (4, 4), the blur (sigma, px), the zoom, and the print's growth."""
-
-    T: Array
-    blur: float
-    zoom: float = 0.0
-    growth: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -39,11 +29,38 @@ class Tile:
     shift: tuple[float, float]
 
 
-def linearized(view: PrintView, state: State, centre: Array) -> tuple[Array, Array, dict[int, Tile]] | None:
-    """Residuals (n,), their Jacobian (n, 9) without each tile's brightness and contrast, and how the tiles agree."""
-    blur = state.blur / view.coarser
-    larger = math.exp(state.growth)
-    drawing = draw_print(view, state.T, blur, math.exp(state.zoom), larger)
+@dataclass(frozen=True)
+class Pixels:
+    """The pixels that are compared, and how the drawn print changes there.
+
+    Attributes:
+        at: where on the board (n, 2) each lies, in m of the board's own measures.
+        rays: their viewing rays (n, 2).
+        by_ray, by_shift: the drawing's derivative (n, 2) by a shift of the print along the rays, and by one in px.
+    """
+
+    at: Array
+    rays: Array
+    by_ray: Array
+    by_shift: Array
+
+
+def linearized(
+    view: PrintView, plane: Array, blur: float, columns: Callable[[Pixels], Array]
+) -> tuple[Array, Array, dict[int, Tile]] | None:
+    """Residuals and their Jacobian without each tile's brightness and contrast, and how the tiles agree.
+
+    Args:
+        plane: where the print lies, as for `draw_print`.
+        blur: sigma, px of the photo.
+        columns: the drawing's derivatives (n, k) by whatever moves the print.
+
+    Returns:
+        Residuals (n,), Jacobian (n, 1 + k) by the blur and by that, and for each marker its tile; None where too few
+        pixels show the print.
+    """
+    blur /= view.coarser
+    drawing = draw_print(view, plane, blur)
     tile = _tiles(view, drawing)
     use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
@@ -51,19 +68,13 @@ def linearized(view: PrintView, state: State, centre: Array) -> tuple[Array, Arr
     grey = drawing.grey
     slopes = np.stack([cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)], axis=-1) / 32
     curvature = cv2.Laplacian(grey, cv2.CV_32F, ksize=1)
-    # By the pose, by the blur (which spreads as heat does), by zoom and print size, and by a shift in the picture.
-    by_shift = -slopes.reshape(-1, 2)[use].astype(np.float64)
-    by_ray = np.einsum("ni,nij->nj", by_shift, view.px_per_ray[use])
-    columns = np.empty((int(use.sum()), 11))
-    columns[:, :6] = _by_pose(view, state, centre, larger * drawing.at[use], by_ray)
-    columns[:, 6] = blur * curvature.ravel()[use] / view.coarser
-    # A longer lens farther away: the part of the zoom that the distance makes up for is no part of the search.
-    depth = float((state.T[:3, :3] @ centre + state.T[:3, 3])[2])
-    columns[:, 7] = (by_ray * view.centre_rays[use]).sum(axis=1) + columns[:, 5] * depth
-    from_middle = larger * drawing.at[use] @ (state.T[:3, :3] @ view.piece.T_board_in_ref[:3, :2]).T
-    columns[:, 8] = (columns[:, 3:6] * from_middle).sum(axis=1)
-    columns[:, 9:] = by_shift / view.coarser
-    return _without_light(view.photo.ravel()[use], grey.ravel()[use], columns, tile[use])
+    by_own_px = -slopes.reshape(-1, 2)[use].astype(np.float64)
+    by_ray = (by_own_px[:, None, :] @ view.px_per_ray[use])[:, 0]
+    pixels = Pixels(drawing.at[use], view.centre_rays[use], by_ray, by_own_px / view.coarser)
+    # Blur spreads as heat does.
+    by_blur = blur * curvature.ravel()[use] / view.coarser
+    by_all = np.column_stack([by_blur, columns(pixels), pixels.by_shift])
+    return _without_light(view.photo.ravel()[use], grey.ravel()[use], by_all, tile[use])
 
 
 def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
@@ -74,25 +85,15 @@ def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
     return marker
 
 
-def _by_pose(view: PrintView, state: State, centre: Array, at: Array, by_ray: Array) -> Array:
-    """Derivative (n, 6) of the drawn print by a turn about `centre` and a shift, at points (n, 2) of the board."""
-    R = state.T[:3, :3]
-    T_board = view.piece.T_board_in_ref
-    from_centre = (np.column_stack([at, np.zeros(len(at))]) @ T_board[:3, :3].T + T_board[:3, 3] - centre) @ R.T
-    point = from_centre + R @ centre + state.T[:3, 3]
-    depth = point[:, 2]
-    # The ray's shift by the point's; the camera's own rays are exp(zoom) times longer.
-    by_ray = by_ray * math.exp(state.zoom)
-    by_shift = np.column_stack([by_ray, -(by_ray * point[:, :2]).sum(axis=1) / depth]) / depth[:, None]
-    return np.column_stack([np.cross(from_centre, by_shift), by_shift])
-
-
 def _without_light(
     photo: NDArray[np.float32], drawn: NDArray[np.float32], columns: Array, tile: NDArray[np.int_]
 ) -> tuple[Array, Array, dict[int, Tile]]:
-    """Residuals and Jacobian once each tile's best brightness and contrast are taken out (variable projection)."""
+    """Residuals and Jacobian once each tile's best brightness and contrast are taken out (variable projection).
+
+    The last two columns are by a shift in the picture: they tell each tile's own, and are left out of the Jacobian.
+    """
     order = np.argsort(tile, kind="stable")
-    residual, jacobian = np.empty(len(tile)), np.empty((len(tile), 9))
+    residual, jacobian = np.empty(len(tile)), np.empty((len(tile), columns.shape[1] - 2))
     numbers, starts = np.unique(tile[order], return_index=True)
     tiles = {}
     for number, index in zip(numbers, np.split(order, starts[1:]), strict=True):
@@ -105,8 +106,8 @@ def _without_light(
         contrast = float(shape @ seen) / power
         slopes = contrast * (slopes - np.outer(shape, shape @ slopes / power))
         residual[index] = seen - contrast * shape
-        jacobian[index] = slopes[:, :9]
-        by_shift = slopes[:, 9:]
+        jacobian[index] = slopes[:, :-2]
+        by_shift = slopes[:, -2:]
         shift = np.linalg.solve(by_shift.T @ by_shift + 1e-6 * np.eye(2), by_shift.T @ residual[index])
         correlation = contrast * np.sqrt(power / (float(seen @ seen) + 1e-9))
         tiles[int(number)] = Tile(float(correlation), (float(shift[0]), float(shift[1])))

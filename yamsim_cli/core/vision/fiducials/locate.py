@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, inverse
-from .align import Alignment, Guess, agreement, align
+from .align import INFLATION, Alignment, Guess, agreement, align
 from .fits import PoseFit, angle_between, fit_pose, rival_of, starts
 from .linearize import Tile
 from .markers import DetectedMarker, find_markers, groups
@@ -33,9 +33,6 @@ _USUAL_BLUR = 0.9
 _MAX_TURN_SIGMA = math.radians(3.0)
 _MAX_SHIFT_SIGMA = 0.03  # of the distance
 
-# The photo's noise is not all there is: how far the truth lies from the found pose, over what noise alone explains.
-# Source: `make bench-fiducials`, 95 % of squared distances against those of a normal distribution.
-INFLATION = 2.0
 # What a printed board's scale is known to where nobody measured it. A printer stretches by a few tenths of a percent.
 _PRINT_SIGMA = 0.0025
 # A print that would have to be so much larger or smaller is none: the boards do not lie where they are said to.
@@ -61,9 +58,9 @@ class Sighting:
         reason: why not, for a person; empty with a pose.
         T_board_in_cam: pose (4, 4) of the `board` frame (origin at the centre, z out of the paper), or None.
         covariance: (6, 6) of a small rotation (rad) about the board's centre and of its shift (m), both along the
-            camera's axes: noise, and what focal length and print scale are known to.
-        shared: (6, 2) the part of it that is the same mistake for all boards of a photo: what one standard deviation of
-            the focal length and one of the print scale do to the pose.
+            camera's axes: noise, and what the lens and the print's scale are known to.
+        shared: (6, k) the part of it that is the same mistake for all boards of a photo: what one standard deviation of
+            each mistake does to the pose; first the focal length's, last the print scale's.
         reprojection_rms: root mean square of how far (px) each marker's picture lies from where the pose puts it.
         blur: about the photo's blur, sigma in px; of a board that fills the photo, at most so much.
     """
@@ -105,12 +102,37 @@ def locate(
     return [_sighting(photo, camera, board, markers) for board in boards], markers
 
 
+def unlocated(
+    grey: Grey, camera: CameraModel, boards: Sequence[Board], reason: str
+) -> tuple[list[Sighting], dict[str, list[DetectedMarker]]]:
+    """Boards in a photo (height, width) whose camera is not known well enough for any pose: which are seen.
+
+    Args:
+        camera: any, to put markers together.
+        reason: why no pose is given, for a person.
+
+    Returns:
+        As `locate`.
+    """
+    markers = find_markers(grey, sorted({board.dictionary for board in boards}))
+    sightings = []
+    for board in boards:
+        found = groups(markers[board.dictionary], board, camera)
+        ids = tuple(sorted(board.ids[k] for k in found[0].places)) if found else ()
+        sightings.append(Sighting(board, ids, Status.POOR_FIT, reason) if ids else _not_found(board))
+    return sightings, markers
+
+
+def _not_found(board: Board) -> Sighting:
+    return Sighting(board, (), Status.NOT_FOUND, "none of its markers was found")
+
+
 def _sighting(
     photo: NDArray[np.float32], camera: CameraModel, board: Board, markers: Mapping[str, Sequence[DetectedMarker]]
 ) -> Sighting:
     found = groups(markers[board.dictionary], board, camera)
     if not found:
-        return Sighting(board, (), Status.NOT_FOUND, "none of its markers was found")
+        return _not_found(board)
     best = found[0]
     ids = tuple(sorted(board.ids[k] for k in best.places))
     if len(found) > 1 and 2 * len(found[1].places) > len(best.places):
@@ -220,15 +242,15 @@ def _shift_rms(tiles: Mapping[int, Tile]) -> float:
 
 
 def _uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
-    """Covariance (6, 6) of a turn about a point (3,) of the reference frame and of its shift; its shared part (6, 2).
+    """Covariance (6, 6) of a turn about a point (3,) of the reference frame and of its shift; its shared part (6, k).
 
-    The noise's, inflated, with what the uncertainties of focal length and print scale add.
+    The noise's, inflated, with what the uncertainties of the lens and of the print's scale add.
     """
     x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
     # A turn w about the centre moves the point by w x r.
     moved = np.eye(6)
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
-    scales = [camera.focal_sigma * alignment.by_focal, _PRINT_SIGMA * alignment.by_print]
-    shared: Array = moved @ np.column_stack(scales)
+    mistakes = [alignment.by_lens @ camera.mistakes, _PRINT_SIGMA * alignment.by_print]
+    shared: Array = moved @ np.column_stack(mistakes)
     covariance: Array = moved @ alignment.covariance @ moved.T * INFLATION**2 + shared @ shared.T
     return covariance, shared

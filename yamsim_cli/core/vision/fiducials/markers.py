@@ -21,6 +21,10 @@ Grey = NDArray[np.uint8]
 _ENLARGE_TO = 1920
 _MAX_ENLARGEMENT = 3
 
+# Larger photos are made so large: the detector leaves out markers whose edge is less than 0.0075 of the photo's longer
+# side (its `minMarkerPerimeterRate`), so those that it would read there have 30 px here.
+_SHRINK_TO = 4096
+
 # The detector's thresholds are made for grey levels that use their range: darker photos are stretched to it, but for
 # their darkest and brightest thousandth.
 _ENDS = (0.1, 99.9)
@@ -52,16 +56,14 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
     Raises:
         ConfigError: OpenCV has no such dictionary.
     """
-    factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGE_TO / max(grey.shape))))
-    grey = _stretched(grey)
-    large = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC) if factor > 1 else grey
+    sized, factor = _sized(grey)
     parameters = cv2.aruco.DetectorParameters()
     # Corners are only where the pose starts from; refining them one by one costs six times as much as finding them.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     found = {}
     for name in dictionaries:
         detector = cv2.aruco.ArucoDetector(dictionary_of(name), parameters)
-        corners, ids, _ = detector.detectMarkers(large)
+        corners, ids, _ = detector.detectMarkers(sized)
         # Without any, OpenCV 4 gives None, which its type hints do not know of.
         numbers = np.asarray(() if not corners else ids, dtype=int).ravel().tolist()
         found[name] = [
@@ -69,6 +71,20 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
             for number, quad in zip(numbers, corners, strict=True)
         ]
     return found
+
+
+def _sized(grey: Grey) -> tuple[Grey, Array]:
+    """The photo as large as the detector likes it, and how many times as wide and as high (2,) as it was."""
+    longer = max(grey.shape)
+    if longer > _SHRINK_TO:
+        size = tuple(round(side * _SHRINK_TO / longer) for side in grey.shape[::-1])
+        shrunk = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return _stretched(shrunk), np.array(size) / grey.shape[::-1]
+    factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGE_TO / longer)))
+    grey = _stretched(grey)
+    if factor > 1:
+        grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    return grey, np.array([factor, factor], dtype=np.float64)
 
 
 def _stretched(grey: Grey) -> Grey:

@@ -46,8 +46,6 @@ class Piece:
 class PrintView:
     """The part of the photo that shows a piece, and all that stays the same while the pose moves.
 
-    Its rays are those of the camera as given; at a zoom z, the focal length is exp(z) times that, and they are shorter.
-
     Attributes:
         photo: grey levels (rows, columns) of the part, `coarser` of the photo's pixels to one of its own.
         centre_rays: viewing rays (n, 2) of its pixels, row by row.
@@ -81,13 +79,26 @@ class Drawing:
     marker: NDArray[np.int_]
 
 
-def view_print(photo: Grey, camera: CameraModel, piece: Piece, T_ref_in_cam: Array) -> PrintView | None:
-    """The part of a photo (height, width) in which a pose has a piece; None where it has it outside."""
-    board, T = piece.board, T_ref_in_cam @ piece.T_board_in_ref
+def plane_of(piece: Piece, T_ref_in_cam: Array, larger: float = 1.0) -> Array:
+    """The matrix (3, 3) from a piece's print, (x, y, 1) in m, to the camera's frame, at a pose and a size of print."""
+    plane: Array = (T_ref_in_cam @ piece.T_board_in_ref)[:3, [0, 1, 3]] * (larger, larger, 1.0)
+    return plane
+
+
+def view_print(photo: Grey, camera: CameraModel, piece: Piece, plane: Array) -> PrintView | None:
+    """The part of a photo (height, width) in which a piece lies.
+
+    Args:
+        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera's frame, in any positive measure.
+
+    Returns:
+        None where it lies outside the photo.
+    """
+    board = piece.board
     half = np.array([board.width / 2, board.height / 2])
-    corners = np.array([[x, y, 0.0, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
-    in_cam = (corners @ T.T)[:, :3]
-    if in_cam[:, 2].min() <= 1e-3:
+    corners = np.array([[x, y, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
+    in_cam = corners @ plane.T
+    if in_cam[:, 2].min() <= 1e-3 * plane[2, 2]:
         return None
     pixels = project_points(camera, in_cam)
     low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX, 0)
@@ -165,17 +176,14 @@ def _reduced(board: Board, coarser: int) -> Grey:
     return np.asarray(cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def draw_print(view: PrintView, T_ref_in_cam: Array, blur: float, lengthened: float, larger: float) -> Drawing:
-    """Draw a piece at a pose.
+def draw_print(view: PrintView, plane: Array, blur: float) -> Drawing:
+    """Draw a piece.
 
     Args:
+        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera's frame, in any positive measure.
         blur: sigma in the view's pixels.
-        lengthened: how many times the camera's the focal length is.
-        larger: how many times the board's the print's size is.
     """
-    T_board_in_cam = T_ref_in_cam @ view.piece.T_board_in_ref
-    shorter = 1 / lengthened
-    onto_board = np.linalg.inv(T_board_in_cam[:3, [0, 1, 3]] * (larger, larger, 1.0)) @ np.diag([shorter, shorter, 1.0])
+    onto_board = np.linalg.inv(plane)
     board = view.piece.board
     field = view.field
     A = onto_board.astype(np.float32)

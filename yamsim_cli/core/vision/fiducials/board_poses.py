@@ -1,0 +1,195 @@
+"""The poses that explain a flat board's outline at many focal lengths at once, and what a lens changes about it."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...geometry.se3 import Array
+from .outline import Outline
+
+# A pose's steps at most, and a gain (of chi squared, beside its own size) that is none.
+_STEPS, _NO_GAIN = 30, 1e-3
+# Points along a board's edge at which distortion is taken.
+_GRID = 5
+# A board's picture of less than this (longer sides squared) is seen edge-on.
+_EDGE_ON = 1e-6
+# Distortion with k1 = 1 that moves a point by so many longer sides is none.
+_MOST_BEND = 3.0
+# The longest turn of one step, rad.
+_MOST_TURN = 0.5
+
+
+def poses_of(outline: Outline, size: tuple[int, int], spread: Array) -> list[BoardPoses]:
+    """The two poses that a flat board may have, for each focal length.
+
+    Lengths in the picture are in its longer side, those on the board in its width.
+    """
+    longer = max(size)
+    seen = (outline.points - (np.array(size) - 1) / 2) / longer
+    whiten = np.linalg.inv(np.linalg.cholesky(outline.covariance / longer**2))
+    on_board = outline.on_board / outline.board.width
+    return [BoardPoses(on_board, seen, whiten, spread, *start) for start in _starts(on_board, seen, spread)]
+
+
+def _starts(on_board: Array, seen: Array, spread: Array) -> list[tuple[Array, Array, Array]]:
+    """Two sets of poses to start from, a pose for each focal length: turns, middles in the picture, and sizes there."""
+    points = np.column_stack([on_board, np.zeros(4)])
+    turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
+    for k, value in enumerate(spread):
+        _, vectors, places, _ = cv2.solvePnPGeneric(
+            points, seen * value, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+        )
+        # The last is the first again where there is but one.
+        for pose, which in ((0, 0), (1, -1)):
+            turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
+            shifts[pose, k] = places[which].ravel()
+    sizes = 1 / (shifts[..., 2] * spread)
+    return [(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
+
+
+def _flat_moves(points: Array) -> Array:
+    """How points (k, 2) of a plane are moved by each of the eight ways in which flat maps differ: (2 k, 8)."""
+    x, y = points.T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    across, down = (one, zero, x, y, zero, zero, x * x, x * y), (zero, one, zero, zero, x, y, x * y, y * y)
+    moves: Array = np.stack([np.stack(across, axis=-1), np.stack(down, axis=-1)], axis=1).reshape(-1, 8)
+    return moves
+
+
+def _inverses(matrices: Array) -> Array:
+    """Inverses of (..., 2, 2); huge where there is none, as of a board that is seen edge-on."""
+    a, b, c, d = (matrices[..., row, column] for row in (0, 1) for column in (0, 1))
+    determinant = a * d - b * c
+    determinant = np.where(np.abs(determinant) < _EDGE_ON, _EDGE_ON, determinant)
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    inverses: Array = adjugate / determinant[..., None, None]
+    return inverses
+
+
+class BoardPoses:
+    """A pose of one board for each of n focal lengths, all refined at once.
+
+    With `size` for how large the board is in the picture and `middle` for where, a point u of the board, turned to y,
+    is seen at (middle + size y_xy) / (1 + spread size y_z): without a limit where the lens is ever longer.
+    """
+
+    def __init__(
+        self, on_board: Array, seen: Array, whiten: Array, spread: Array, turns: Array, middles: Array, sizes: Array
+    ) -> None:
+        self._on_board, self._seen, self._whiten, self._spread = on_board, seen, whiten, spread
+        self._turns, self._middles, self._sizes = turns, middles, sizes
+        self._lens = np.zeros((len(spread), 3))
+        line = np.linspace(-0.5, 0.5, _GRID)
+        board = math.sqrt(12) * np.abs(on_board).max(axis=0)
+        self._grid = board * np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        self._kept = turns, middles, sizes
+        self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
+
+    def descend(self, lens: Array) -> None:
+        """Levenberg and Marquardt's steps, seen through a lens (n, 3)."""
+        self._lens = lens
+        damping = np.full(len(self._spread), 1e-3)
+        residual, by_pose, by_lens = self.equations()
+        # What distortion does hardly changes on the way.
+        bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
+        cost = (residual**2).sum(axis=1)
+        for _ in range(_STEPS):
+            normal = np.swapaxes(by_pose, 1, 2) @ by_pose
+            diagonal = np.einsum("nii->ni", normal)
+            normal = normal + damping[:, None, None] * np.eye(6) * (diagonal[:, None, :] + 1e-9)
+            step = -np.linalg.solve(normal, np.einsum("nij,ni->nj", by_pose, residual)[..., None])[..., 0]
+            step = np.nan_to_num(step, posinf=0.0, neginf=0.0)
+            before = self._turns, self._middles, self._sizes
+            self._move(step)
+            trial, trial_by_pose, _ = self.equations(bend)
+            gain = cost - (trial**2).sum(axis=1)
+            better = gain > 0
+            self._turns = np.where(better[:, None, None], self._turns, before[0])
+            self._middles = np.where(better[:, None], self._middles, before[1])
+            self._sizes = np.where(better, self._sizes, before[2])
+            residual = np.where(better[:, None], trial, residual)
+            by_pose = np.where(better[:, None, None], trial_by_pose, by_pose)
+            cost = (residual**2).sum(axis=1)
+            damping = np.where(better, damping / 8, damping * 8)
+            if (gain < _NO_GAIN * (1 + cost)).all():
+                break
+
+    def keep(self) -> None:
+        """Remember the poses."""
+        self._kept = self._turns, self._middles, self._sizes
+
+    def return_where(self, worse: NDArray[np.bool_]) -> None:
+        """Take the remembered poses again, at some focal lengths."""
+        turns, middles, sizes = self._kept
+        self._turns = np.where(worse[:, None, None], turns, self._turns)
+        self._middles = np.where(worse[:, None], middles, self._middles)
+        self._sizes = np.where(worse, sizes, self._sizes)
+
+    def _move(self, step: Array) -> None:
+        angle = np.linalg.norm(step[:, :3], axis=1)
+        axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
+        angle = np.minimum(angle, _MOST_TURN)
+        cross = np.zeros((len(step), 3, 3))
+        cross[:, [2, 0, 1], [1, 2, 0]] = axis
+        cross[:, [1, 2, 0], [2, 0, 1]] = -axis
+        sine, cosine = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
+        self._turns = (np.eye(3) + sine * cross + cosine * cross @ cross) @ self._turns
+        self._middles = self._middles + np.clip(step[:, 3:5], -1, 1)
+        self._sizes = self._sizes * np.exp(np.clip(step[:, 5], -1, 1))
+
+    def _bend(self, at: Array, turned: Array, w: Array) -> Array:
+        """How far (n, 4, 2) distortion with k1 = 1 moves the four points of the outline.
+
+        The outline is the flat map nearest to what is seen of the whole board, which distortion curves: so it is taken
+        all over the board, and the flat part of it goes to the four points.
+        """
+        spread = self._spread[:, None]
+        on_grid = self._grid @ np.swapaxes(self._turns[:, :, :2], 1, 2) * self._sizes[:, None, None]
+        w_grid = np.maximum(1 + spread * on_grid[..., 2], 1e-3)
+        grid = (self._middles[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
+        moved = grid * ((grid**2).sum(axis=-1) * spread**2)[..., None]
+        on_board = (_inverses(self._by_board(grid, w_grid)) @ moved[..., None])[..., 0]
+        flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
+        moved_points = (self._by_board(at, w) @ flat[..., None])[..., 0]
+        # Of a board seen edge-on, rounding makes anything.
+        possible = np.abs(moved_points).max(axis=(1, 2)) < _MOST_BEND
+        return np.where(possible[:, None, None], moved_points, 0.0)
+
+    def _by_board(self, at: Array, w: Array) -> Array:
+        """Derivative (n, k, 2, 2) of places in the picture by places on the board."""
+        axes = self._turns[:, None, :, :2] * self._sizes[:, None, None, None]
+        by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
+        by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
+        return by
+
+    def equations(self, bend: Array | None = None) -> tuple[Array, Array, Array]:
+        """Residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
+
+        Args:
+            bend: how far (n, 4, 2) distortion with k1 = 1 moves the points, if it is known.
+        """
+        turned = self._on_board @ np.swapaxes(self._turns[:, :, :2], 1, 2) * self._sizes[:, None, None]
+        x, y, z = (turned[..., k] for k in range(3))
+        spread = self._spread[:, None]
+        w = np.maximum(1 + spread * z, 1e-3)
+        at = (self._middles[:, None, :] + turned[..., :2]) / w[..., None]
+        n, zero, one = len(spread), np.zeros_like(x), np.ones_like(x)
+        by_pose = np.empty((n, 4, 2, 6))
+        for row, (moves_x, moves_y) in enumerate(((zero, -z), (z, zero), (-y, x))):
+            moves_z = (y, -x, zero)[row]
+            by_pose[..., 0, row] = (moves_x - at[..., 0] * spread * moves_z) / w
+            by_pose[..., 1, row] = (moves_y - at[..., 1] * spread * moves_z) / w
+        by_pose[..., 3] = np.stack([one / w, zero], axis=-1)
+        by_pose[..., 4] = np.stack([zero, one / w], axis=-1)
+        by_pose[..., 5] = (turned[..., :2] - at * (w - 1)[..., None]) / w[..., None]
+        by_lens = np.zeros((n, 4, 2, 3))
+        by_lens[..., 0, 0] = by_lens[..., 1, 1] = 1.0
+        by_lens[..., 2] = self._bend(at, turned, w) if bend is None else bend
+        k1 = self._lens[:, None, None, 2]
+        bent = at + k1 * by_lens[..., 2] + self._lens[:, None, :2]
+        residual = (bent - self._seen).reshape(n, 8) @ self._whiten.T
+        return residual, self._whiten @ by_pose.reshape(n, 8, 6), self._whiten @ by_lens.reshape(n, 8, 3)
