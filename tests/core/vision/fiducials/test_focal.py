@@ -135,7 +135,7 @@ def test_intervals_hold_the_truth(locations: Locations, photos: int) -> None:
     calls = 60 if photos == 1 else 10
     for k in range(calls):
         rng = np.random.default_rng([41, photos, k])
-        camera = random_camera(rng, Lens(0.01, 0.05))
+        camera = random_camera(rng, Lens(0.02, 0.1))
         sigma, seen = 2e-5 * camera.width, []
         for _ in range(photos):
             boards = random_view(rng, rig, camera=camera).boards.values()
