@@ -10,6 +10,7 @@ from tests.cli.run_cli import yamsim
 from tests.core.things.test_fits import block
 
 
+@pytest.mark.slow
 def test_an_apple_goes_into_a_bowl() -> None:
     run = yamsim("pickplace", "batch", "--n", "2", "--object", "013_apple", "--target", "024_bowl", "--json")
     assert run.code == 0
@@ -34,6 +35,7 @@ def test_what_is_too_wide_is_told() -> None:
     assert "opens 75 mm" in run.message
 
 
+@pytest.mark.slow
 def test_an_imported_stl_can_be_picked_up(tmp_path: Path) -> None:
     (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
     env = {"YAMSIM_DATA_DIR": str(tmp_path / "mine"), "YAMSIM_ASSETS": str(tmp_path / "assets")}

@@ -259,6 +259,7 @@ def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path
         assert arm["edge_residual_px"] < 0.6
 
 
+@pytest.mark.slow
 def test_an_episode_is_drawn_with_its_own_rig(tmp_path: Path) -> None:
     """Without --rig: two arms, as they were recorded, and not the one of the default."""
     out = tmp_path / "two"

@@ -147,6 +147,7 @@ def test_one_worker_gives_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("first", "second"), [(signal.SIGINT, None), (signal.SIGTERM, None), (signal.SIGINT, signal.SIGTERM)]
 )
+@pytest.mark.slow
 def test_interrupted_then_resumed_gives_the_same_bytes(
     dataset: Path, tmp_path: Path, first: signal.Signals, second: signal.Signals | None
 ) -> None:

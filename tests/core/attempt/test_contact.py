@@ -203,6 +203,7 @@ def test_the_drive_is_told_to_close_further_than_the_object_lets_it(runner: Epis
     np.testing.assert_allclose(path_actions(scene, [path]).ctrl[:, 6], (0.018, 0.003, -0.005))
 
 
+@pytest.mark.slow
 def test_the_command_counts_and_reports(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     batch = ("pickplace", "batch", "--n", "3", "--seed", "4", "--grasp", "contact", "--rig", "single_linear")

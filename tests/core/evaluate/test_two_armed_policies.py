@@ -56,6 +56,7 @@ def left(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 
 @pytest.mark.parametrize("name", ["handover", "left"])
+@pytest.mark.slow
 def test_the_plans_actions_do_what_the_batch_does(
     name: str, locations: Locations, request: pytest.FixtureRequest
 ) -> None:

@@ -115,6 +115,7 @@ def test_whichever_call_fails_nothing_is_lost(
 
 
 @pytest.mark.parametrize("fault", Fault)
+@pytest.mark.slow
 def test_whichever_call_fails_in_resuming_nothing_is_lost(
     config: RecordConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault
 ) -> None:

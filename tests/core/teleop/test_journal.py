@@ -32,6 +32,7 @@ def lines(config: RecordConfig, locations: Locations) -> list[dict[str, object]]
     return planned_lines(config, locations, 0)
 
 
+@pytest.mark.slow
 def test_what_was_driven_before_a_kill_is_handed_in_as_if_it_had_been_stopped(
     config: RecordConfig, locations: Locations, tmp_path: Path, lines: list[dict[str, object]]
 ) -> None:

@@ -507,6 +507,7 @@ def test_what_a_broken_line_said_is_lost_and_nothing_else(
     assert [attempt.outcome.cause for attempt in Ledger(out).known.values()] == ["line_lost", *["off_target"] * 2, None]
 
 
+@pytest.mark.slow
 def test_a_stream_makes_a_dataset_that_summarize_and_verify_accept(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:

@@ -82,6 +82,7 @@ def test_an_arm_stops_before_the_other_one(session: TeleopSession) -> None:
 
 
 @pytest.mark.render
+@pytest.mark.slow
 def test_a_stream_of_both_hands_over(handover: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     stream = write_stream(tmp_path / "stream.jsonl", planned_lines(handover, locations, 0))
     out = tmp_path / "d"

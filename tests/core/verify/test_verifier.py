@@ -213,6 +213,7 @@ def failing(dataset: Path, *args: str) -> Run:
     return run
 
 
+@pytest.mark.slow
 def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_changed(dataset: Path) -> None:
     after = read_frame(dataset / "ep_000001", 20)["joints"] + np.float32(1e-3)
     change_frame(dataset / "ep_000001", 20, rehash=True, joints=after)
