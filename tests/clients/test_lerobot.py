@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from yamsim_cli.core.config.record import RecordConfig
 
 from tests.clients.environments import REPOSITORY, Interpreter
 from tests.core.export.conftest import jpeg
 from tests.core.export.lerobot_files import Frames, check_numbers, jpegs, recorded
 from tests.core.undrawn import write_dataset
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 
 pytest.importorskip("pyarrow", reason="yamsim[lerobot] is not installed")

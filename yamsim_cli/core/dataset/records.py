@@ -120,7 +120,7 @@ class EpisodeRecord(Record):
     randomized: Drawn = Randomized()
     versions: dict[str, str]
     renderer: str
-    # Asset set -> what was drawn of it, see `core.drawn`; earlier versions did not say.
+    # Asset set -> what was drawn of it, see `core.shown_meshes`; earlier versions did not say.
     meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
     content_sha256: str
     files: dict[str, str]

@@ -10,7 +10,7 @@ from ..errors import ConfigError
 from ..shown_meshes import Drawn, differences, remedy, shown
 from .layout import CONFIG
 
-# What a configuration says and nobody sets: which meshes are drawn, see `core.drawn`.
+# What a configuration says and nobody sets: which meshes are drawn, see `core.shown_meshes`.
 MESHES = "meshes"
 
 # A message stays one line that can be read.

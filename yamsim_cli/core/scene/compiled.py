@@ -88,7 +88,7 @@ class CompiledScene:
         cameras: names of the cameras to record, in order.
         geom_kind: `Kind` of every geom (ngeom,).
         geom_arm: number in `arms` of the arm that a geom belongs to, -1 for none (ngeom,).
-        drawn: asset set -> what is drawn of it, see `core.drawn`.
+        drawn: asset set -> what is drawn of it, see `core.shown_meshes`.
     """
 
     model: mujoco.MjModel

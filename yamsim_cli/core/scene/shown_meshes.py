@@ -19,7 +19,7 @@ _MOUNTS = "mounts"
 
 
 def drawn_meshes(spec: mujoco.MjSpec, config: RecordConfig, meshes: Meshes) -> dict[str, str]:
-    """Asset set -> what a recording's composed scene shows of it, see `core.drawn`.
+    """Asset set -> what a recording's composed scene shows of it, see `core.shown_meshes`.
 
     Args:
         meshes: asset set -> folder of its files, or None; as it was composed with.
