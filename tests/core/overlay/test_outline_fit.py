@@ -14,7 +14,7 @@ from yamsim_cli.core.config.recording import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
 from yamsim_cli.core.images.image_files import grey_of
-from yamsim_cli.core.overlay.arm_poses import RECORDED, ArmPose, PhotoResult
+from yamsim_cli.core.overlay.arm_poses import RECORDED, ArmPose, Lens, PhotoResult
 from yamsim_cli.core.overlay.outline_fit import overlap, refine, score_outlines
 from yamsim_cli.core.overlay.rendered_arms import ArmDrawer
 from yamsim_cli.core.resources import Locations
@@ -38,7 +38,7 @@ def moved(T: Array, shift: tuple[float, float, float], turn: tuple[float, float,
 def with_poses(shot: Shot, poses: dict[int, Array]) -> PhotoResult:
     """A result whose poses are known to a degree and a centimetre only."""
     arms = tuple(ArmPose(arm.name, None, RECORDED, None, poses.get(k)) for k, arm in enumerate(shot.rig.arms))
-    return PhotoResult(Path("p.png"), shot.camera, "file", "file", arms, ())
+    return PhotoResult(Path("p.png"), Lens.known(shot.camera, "file"), "file", arms, ())
 
 
 def miss_px(shot: Shot, k: int, T: Array) -> float:
