@@ -55,7 +55,7 @@ class Environment:
         key = hashlib.sha256(wanted.read_bytes() + str(base).encode() + bytes([self.beside])).hexdigest()[:12]
         folder = REPOSITORY / ".venv-clients" / f"{self.requirements}-{key}"
         folder.parent.mkdir(exist_ok=True)
-        with exclusive_lock(folder.with_suffix(".lock")):
+        with exclusive_lock(folder.parent / f"{folder.name}.lock"):
             if not (folder / ".ready").exists():
                 shutil.rmtree(folder, ignore_errors=True)
                 _install(base, wanted, folder, self.beside)
