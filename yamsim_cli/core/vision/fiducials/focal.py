@@ -34,10 +34,14 @@ _MOST_ZOOMS = 6
 # Chi squared that a 95 % interval goes up to, of one degree of freedom; and how far its valley is looked at.
 _CHI_95 = 3.84
 _CHI_AROUND = 16.0
-# However many boards are seen, what lenses do beyond that is left out, and moves the logarithm of the focal length so
-# much. Source: 120 times five photos by lenses with distortion; errors had an rms of 0.2 and 0.3 %, what the outlines
-# alone leave open was 0.1 %.
-_LEAST_SIGMA = 0.003
+# However many boards are seen, what lenses do beyond that is left out. It moves the logarithm of the focal length so
+# much, the principal point so many focal lengths, and k1. Source: 120 times five photos by lenses with distortion;
+# errors of the focal length had an rms of 0.2 and 0.3 %, what the outlines alone leave open was 0.1 %.
+_LEAST_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
+# Likely lenses lie in a curved valley, of which a covariance is the straight middle: so much of each sigma is added to it
+# as if each went its own way. Source: outlines of 200 single and of 70 times four random photos by lenses as expected;
+# without it 62 and 84 % of squared errors are within where 95 % should be, with it 95 and 96 %.
+_CURVED = 0.5
 # A wider interval (ratio of its ends) is no answer: what is off by so much is not near enough to a normal distribution.
 _WIDEST = 1.5
 # Of outlines that one lens explains, one in ten thousand is farther off (standard deviations).
@@ -148,7 +152,7 @@ def _interval(found: Profile, size: tuple[int, int]) -> tuple[float | None, floa
             continue
         part = over[edge] / (over[edge] - over[beyond])
         log = (1 - part) * math.log(found.spread[edge]) + part * math.log(found.spread[beyond])
-        off = math.copysign(math.hypot(log - best, math.sqrt(_CHI_95) * _LEAST_SIGMA), log - best)
+        off = math.copysign(math.hypot(log - best, math.sqrt(_CHI_95) * _LEAST_SIGMAS[0]), log - best)
         ends.append(max(size) / math.exp(best + off))
     return ends[0], ends[1]
 
@@ -179,7 +183,7 @@ def _camera(found: Profile, size: tuple[int, int]) -> CameraModel:
     off = -np.log(found.spread / found.spread[best])
     likely = np.exp(-0.5 * (found.misfit - found.misfit[best]))
     # About the likeliest, not about the mean: where the valley is lopsided, that counts.
-    variance = float((likely * off**2).sum() / likely.sum()) + _LEAST_SIGMA**2
+    variance = float((likely * off**2).sum() / likely.sum())
     # In focal lengths instead of image widths.
     units = np.array([found.spread[best], found.spread[best], 1.0])
     lens = found.lens * units
@@ -188,8 +192,10 @@ def _camera(found: Profile, size: tuple[int, int]) -> CameraModel:
     doubt[1:, 1:] = found.lens_covariance[best] * np.outer(units, units)
     along = np.append(1.0, slope)
     doubt += variance * np.outer(along, along)
+    doubt += np.diag(_CURVED**2 * np.diag(doubt) + _LEAST_SIGMAS**2)
+    sigma = math.hypot(math.sqrt(variance), _LEAST_SIGMAS[0])
     right, down, bend = lens[best].tolist()
     cx, cy = (width - 1) / 2 + focal * right, (height - 1) / 2 + focal * down
     K = ((focal, 0.0, cx), (0.0, focal, cy), (0.0, 0.0, 1.0))
     rows = tuple(tuple(row) for row in doubt.tolist())
-    return CameraModel(width, height, K, (bend, 0.0, 0.0, 0.0), math.sqrt(variance), rows)
+    return CameraModel(width, height, K, (bend, 0.0, 0.0, 0.0), sigma, rows)
