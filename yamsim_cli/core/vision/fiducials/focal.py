@@ -39,8 +39,8 @@ _CHI_AROUND = 16.0
 # errors of the focal length had an rms of 0.2 and 0.3 %, what the outlines alone leave open was 0.1 %.
 _LEAST_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
 # Likely lenses lie in a curved valley, of which a covariance is the straight middle: so much of each sigma is added to
-# it as if each went its own way. Source: outlines of 200 single and of 70 times four random photos by lenses as expected;
-# without it 62 and 84 % of squared errors are within where 95 % should be, with it 95 and 96 %.
+# it as if each went its own way. Source: outlines of 200 single and of 70 times four random photos by lenses as
+# expected; without it 62 and 84 % of squared errors are within where 95 % should be, with it 95 and 96 %.
 _CURVED = 0.5
 # A wider interval (ratio of its ends) is no answer: what is off by so much is not near enough to a normal distribution.
 _WIDEST = 1.5
