@@ -135,8 +135,19 @@ def _stop_signals_held() -> Iterator[None]:
     """A process started here is born deaf to Ctrl-C, until it says itself that it ignores it."""
     # Starting the tracker would lift the block; once it runs it is left alone.
     resource_tracker.ensure_running()
+    came: list[int] = []
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        # A library's thread may take the signal instead, and its handler would run here all the same.
+        for number in _HELD:
+            if callable(signal.getsignal(number)):
+                handlers[number] = signal.signal(number, lambda number, frame: came.append(number))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in dict.fromkeys(came):
+            signal.raise_signal(number)
