@@ -9,22 +9,13 @@ from typing import Any
 
 import pytest
 
+from tests.known_gl import remember_backend, settle_backend
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.gl import choose_backend
 from yamsim_cli.core.resources import Locations
 
-if "YAMSIM_TEST_GL" not in os.environ:
-    # xdist's workers inherit the answer instead of probing again.
-    try:
-        os.environ["YAMSIM_TEST_GL"] = choose_backend(os.environ) or "native"
-    except ResourceError:
-        os.environ["YAMSIM_TEST_GL"] = "none"
-    if os.environ["YAMSIM_TEST_GL"] not in ("native", "none"):
-        os.environ["MUJOCO_GL"] = os.environ["YAMSIM_TEST_GL"]
-    elif os.environ["YAMSIM_TEST_GL"] == "none":
-        os.environ["MUJOCO_GL"] = "disabled"
+settle_backend()
+remember_backend()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -105,7 +105,7 @@ def random_view(
         for k in shown:
             config = rig.arms[k].board
             assert config is not None
-            placed[k] = (config.board, rig.T_base_in_world(k) @ config.T_board_in_arm)
+            placed[k] = (config.board, rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base)
         tilt = float(rng.uniform(*tilts))
         target = np.mean([T[:3, 3] for _, T in placed.values()], axis=0)
         wide = next(iter(placed.values()))[0].width

@@ -12,6 +12,7 @@ from tests.truth_photos import Photographer
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.types import Stand
 
 # Off-centre and distorted as a webcam's picture is.
 CAMERA = CameraModel(
@@ -29,6 +30,11 @@ def looking(position: tuple[float, float, float], target: tuple[float, float, fl
     return pose(position, np.column_stack([x, np.cross(z, x), z]))
 
 
+def standing(joints: Array) -> tuple[Stand, ...]:
+    """How arms stand whose joints and openings are (arms, 7)."""
+    return tuple(Stand(row[:6], float(row[6])) for row in joints)
+
+
 @dataclass(frozen=True)
 class Shot:
     """A photo (height, width, 3) as RGB, and the truth about it; `mask` (height, width) is where the arms are."""
@@ -39,6 +45,10 @@ class Shot:
     joints: Array
     T_cam_in_world: Array
     mask: np.ndarray
+
+    @property
+    def stands(self) -> tuple[Stand, ...]:
+        return standing(self.joints)
 
     def T_base_in_cam(self, arm: int) -> Array:
         return inverse(self.T_cam_in_world) @ self.rig.T_base_in_world(arm)

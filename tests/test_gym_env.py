@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.core.attempts import planned
+from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.session import Session
+
 gymnasium = pytest.importorskip("gymnasium", reason="yamsim[gym] is not installed")
 
-from yamsim_cli.core.attempt.runner import EpisodeRunner  # noqa: E402
 from yamsim_cli.core.config.recording import RecordConfig  # noqa: E402
 from yamsim_cli.core.resources import Locations  # noqa: E402
-from yamsim_cli.core.types import EpisodeJob  # noqa: E402
 from yamsim_cli.gym_env import ENV_ID  # noqa: E402
 
 
@@ -52,40 +55,40 @@ def test_gymnasiums_checker_passes_it_with_images() -> None:
 
 def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: RecordConfig, locations: Locations) -> None:
     """A trial of the batch, replayed through the environment: the same states, success once, and a reward of 1."""
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        rollout = runner.simulate(EpisodeJob(5, 2))[2]
-        frames = runner.frames(rollout.states) if rollout else []
-    assert rollout
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 5, 2)
+        recorded = frames(simulator, done.attempt, done.states)
+    assert recorded
     observation, info = env.reset(seed=5, options={"trial": 2})
     assert (info["seed"], info["trial"], info["success"]) == (5, 2, False)
-    rewards, done, tick = 0.0, False, 0
-    for state, frame in zip(rollout.states, frames, strict=True):
+    rewards, over, tick = 0.0, False, 0
+    for state, frame in zip(done.states, recorded, strict=True):
         np.testing.assert_allclose(observation["joints"], frame["joints"], atol=1e-5)
         np.testing.assert_allclose(observation["object_pose_world"][:3, 3], frame["banana_pose"][:3, 3], atol=1e-4)
         for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
-            observation, reward, done, truncated, info = env.step(np.append(ctrl, magnet).astype(np.float32))
+            observation, reward, over, truncated, info = env.step(np.append(ctrl, magnet).astype(np.float32))
             rewards, tick = rewards + reward, tick + 1
-            if done:
+            if over:
                 break
-        if done:
+        if over:
             break
-    assert (rewards, done, truncated, info["success"], info["holds"]) == (1.0, True, False, True, False)
+    assert (rewards, over, truncated, info["success"], info["holds"]) == (1.0, True, False, True, False)
     # Let go after 72 ticks, it falls first.
     assert 80 <= tick < 114
 
 
 def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     config = make_config({("rig",): "russet", ("task",): "handover", ("seed",): 2})
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        rollout = runner.simulate(EpisodeJob(2, 1))[2]
-        drives = runner.scene.drives
-    assert rollout
+    with Simulator(Session(config, locations)) as simulator:
+        states = planned(simulator, 2, 1).states
+        drives = simulator.scene.drives.ravel()
+    assert states
     env = gymnasium.make(ENV_ID, rig="russet", task="handover")
     assert (env.action_space.shape, env.observation_space["ee_pose_world"].shape) == ((16,), (2, 4, 4))
     observation, _ = env.reset(seed=2, options={"trial": 1})
     assert env.observation_space.contains(observation)
     success = False
-    for state in rollout.states:
+    for state in states:
         for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
             _, _, done, truncated, info = env.step(np.array([*ctrl[drives], *magnet], np.float32))
             assert not truncated

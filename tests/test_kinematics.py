@@ -12,13 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.core.attempts import planned
 from tests.pages import snippet
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_from_vector, rotation_vector, rotation_z
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.session import Session
 from yamsim_cli.kinematics import Kinematics, OutOfReachError, Site
 
 START = np.array([0, 1.85, 1.90, -1.37, 0, 0])
@@ -68,10 +70,9 @@ def test_poses_are_those_of_observations_and_of_physics(
     arm: str, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     config = make_config({("rig",): "russet"})
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        rollout = runner.simulate(EpisodeJob(0, 0))[2]
-        assert rollout
-        frame, scene = runner.frames(rollout.states[:1])[0], runner.scene
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 0)
+        frame, scene = frames(simulator, done.attempt, done.states[:1])[0], simulator.scene
     number = ("left", "right").index(arm)
     grasp, pinch = (Kinematics("russet", arm, site=site) for site in ("grasp_site", "pinch_site"))
     np.testing.assert_allclose(grasp.T_base_in_world, scene.arms[number].T_base_in_world)

@@ -16,8 +16,9 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel, opencv_from_mujoco
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, quat_from_rotation
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.compose import Contents, compile_spec
-from yamsim_cli.core.show.compose import rig_spec
+from yamsim_cli.core.scene.blueprint import Blueprint
+from yamsim_cli.core.scene.compose import compile_spec
+from yamsim_cli.core.show.compose import at_home
 from yamsim_cli.core.vision.lens import LensWarp, project_points
 from yamsim_cli.core.vision.renderer import SceneRenderer
 
@@ -47,7 +48,7 @@ class Photographer:
         self.camera = camera
         self._warp = LensWarp(camera, _FINER)
         scene = load_config(SceneConfig, "scenes", "studio", locations)
-        spec, _ = rig_spec(self.rig, scene, Contents(), locations, {})
+        spec, _ = at_home(Blueprint(self.rig, scene), locations)
         body = spec.worldbody.add_body(name="photographer", mocap=True)
         body.add_camera(name="photo", fovy=math.degrees(self._warp.fovy))
         size = self._warp.ideal.width, self._warp.ideal.height
@@ -64,7 +65,7 @@ class Photographer:
         self.boards = [
             Placed(
                 arm.board.board,
-                self.rig.T_base_in_world(k) @ arm.board.T_board_in_arm,
+                self.rig.T_base_in_world(k) @ arm.T_board_in_base,
                 self._model.geom(f"{arm.prefix}base_board").id,
             )
             for k, arm in enumerate(self.rig.arms)
@@ -96,7 +97,7 @@ class Photographer:
 
     def take(self) -> np.ndarray:
         """The picture as RGB (height, width, 3), with neither blur nor noise."""
-        return self._warp.image(self._renderer.draw(self._data, "photo"))
+        return self._warp.image(self._renderer.render(self._data, "photo"))
 
     def close(self) -> None:
         self._renderer.close()

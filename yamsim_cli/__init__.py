@@ -8,7 +8,7 @@ from typing import Any
 
 __version__ = "0.2.0"
 
-# From Python: name -> where it is. Loaded when first asked for, so that the command line starts quickly.
+# Public name -> its module, which is loaded when the name is first used, so that the command line starts quickly.
 _PUBLIC = {
     **dict.fromkeys(("evaluate", "open_dataset", "record"), "api"),
     **dict.fromkeys(("Kinematics", "OutOfReachError"), "kinematics"),
@@ -40,5 +40,5 @@ def __getattr__(name: str) -> Any:
 
 
 if "gymnasium" in sys.modules:
-    # Whoever has gymnasium finds the environment registered.
+    # A program that has imported gymnasium finds the environment registered.
     importlib.import_module(f"{__name__}.gym_env")

@@ -1,4 +1,4 @@
-"""Start of the executable: a signal that comes while its modules load counts as soon as they have."""
+"""Start of the executable. A signal that comes while its modules load is acted on once they are loaded."""
 
 from __future__ import annotations
 

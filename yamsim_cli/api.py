@@ -10,7 +10,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .core.session import Opener
+from .core.import_thing.named import config_of
+from .core.opener import Opener
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisodes
@@ -21,8 +22,8 @@ def _keyword(setting: str) -> str:
     return f"{setting}="
 
 
-# For programs; what a user should read goes to their log.
-PROGRAM = Opener(os.environ, logging.getLogger("yamsim").warning, _keyword)
+# Opens sessions for Python programs: messages name keywords, and what a user should read goes to the log.
+PROGRAM = Opener(os.environ, logging.getLogger("yamsim").warning, _keyword, config_of)
 
 
 def record(
@@ -46,8 +47,8 @@ def record(
     """Record successful episodes into a new dataset, as `yamsim record` does; the bytes are the same.
 
     Args:
-        workers: processes to start, from a script that guards its main part by `if __name__ == "__main__"`; without,
-            everything is done in this process.
+        workers: processes to start; None records in this process. A script that starts processes has to guard its main
+            part by `if __name__ == "__main__"`.
         size: width and height of images, px.
         resume: continue the dataset that is at `out`.
 
@@ -81,14 +82,14 @@ def record(
     output = Output(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
     watch = Notifier(lambda *_: None, lambda text: None)
     executors = ThisProcess() if workers is None else LocalProcesses()
-    return run(*session.parts, output, executors, watch, Stop())
+    return run(session, output, executors, watch, Stop())
 
 
 def open_dataset(path: str | Path) -> StoredEpisodes:
-    """The episodes of a dataset, a sequence: `len(it)`, `it[0]`, `it[-1]`, `it[10:20]`, and `for episode in it`.
+    """The episodes of a dataset as a sequence: `len(it)`, `it[0]`, `it[-1]`, `it[10:20]`, and `for episode in it`.
 
-    Each has `record`, `frames()` and `image(camera, number)`. Which there are is settled here; their files are read
-    when they are asked for.
+    Each has `record`, `frames()` and `image(camera, number)`. The list of episodes is read here, and their files when
+    they are asked for.
 
     Raises:
         DatasetError: there is no dataset at `path`.
@@ -109,18 +110,18 @@ def evaluate(
     arm: str | None = None,
     config: str = "default",
 ) -> dict[str, Any]:
-    """Evaluate a policy, as `yamsim eval --json` does; in processes of its own, so guard a script's main part.
+    """The report of `yamsim eval --json` on a policy. It starts processes, so guard a script's main part.
 
     Args:
         policy: such as `my_policy.py:MyPolicy`, see docs/policies.md.
 
     Returns:
-        What `--json` prints: stats, trials.
+        What `--json` prints, among it `stats` and `trials`.
     """
     from .core.policies.loading import sees_images
 
     session = PROGRAM.open(
-        config, draws=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
+        config, renders=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
     )
 
     from .core.dataset.statistics import THRESHOLDS
@@ -129,5 +130,5 @@ def evaluate(
     from .core.evaluate.policy_trial import PolicyChoice
 
     choice = PolicyChoice(policy, Path.cwd())
-    found = run(*session.parts, choice, lambda done, total: None)
+    found = run(session, choice, lambda done, total: None)
     return summary(found, session.config, THRESHOLDS)

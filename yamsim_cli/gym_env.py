@@ -10,40 +10,42 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from .api import PROGRAM
+from .core.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
-# A joint never gets beyond this, rad; a pose of the workspace never, m.
+# Bound of every number in an observation: no joint (rad) and no position (m) gets there.
 _FAR = 10.0
 
-# What was let go is slow at first, too: for so many ticks, a quarter of a second, it has to lie still.
+# An object is slow just after it was let go, too. It counts as at rest after so many ticks, a quarter of a second.
 _REST_TICKS = 8
 
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
-    """Pick the banana up and put it onto the plate; one step is a control tick of 32 ms.
+    """The task of picking an object up and putting it onto a target; one step is a control tick of 32 ms.
 
-    The action (8,) is that of `yamsim eval` and of the LeRobot export: seven drives (rad, m), and the weld above 0.5.
-    On a rig with two arms it is (16,): the left arm's drives and the right one's, the left weld and the right one. So
-    are `joints` (14,) and `ee_pose_world` (2, 4, 4).
-    The reward is 1 on success, which ends the episode, else 0. Success is judged as `yamsim pickplace batch` judges,
-    with the object let go.
+    The action is that of `yamsim eval` and of the LeRobot export: of a YAM (8,), seven drives (rad, m), and the weld,
+    which holds above 0.5. On a rig with two arms it is (16,): the left arm's drives, the right one's, the left weld and
+    the right one. `joints` (14,) and `ee_pose_world` (2, 4, 4) also have the left arm first.
+    The reward is 1 on success, which ends the episode, else 0. Success is judged as by `yamsim pickplace batch`, once
+    the object is let go.
 
     `reset(seed=S)` starts from trial 0 of seed S, `reset(seed=S, options={"trial": k})` from trial k, the layout that
     `pickplace batch --seed S` has there, and every further `reset()` from the next one.
 
-    Environments that draw in processes of their own (`AsyncVectorEnv`): give `context="forkserver"` or `"spawn"`.
-    Linux's default up to Python 3.13 forks: in a process forked from one that has drawn, drawing is a `ResourceError`.
+    Environments that render in processes of their own (`AsyncVectorEnv`) need `context="forkserver"` or `"spawn"`.
+    Linux's default up to Python 3.13 is to fork, and a process forked from one that has rendered cannot: rendering
+    there is a `ResourceError`.
 
     Args:
-        observation: "state" tells where the objects are, and draws nothing; "images" shows them.
+        observation: "state" holds the objects' poses, and renders nothing; "images" holds pictures instead.
         size: width and height of images, px.
         render_mode: None or "rgb_array", the scene camera's image.
-        max_ticks: after which the episode is truncated; by default, twice as many as the plan takes.
+        max_ticks: ticks after which the episode is truncated; by default, twice as many as the plan takes.
         rig, task, arm, config, quality: as the flags of `yamsim record`.
     """
 
-    # gymnasium reads it of the class, and declares it of the instance.
+    # gymnasium declares it as an attribute of instances, and reads that of the class.
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
         "render_modes": ["rgb_array"],
         "render_fps": 31,
@@ -68,31 +70,28 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             raise ValueError(f"observation {observation!r} is not valid: give 'state' or 'images'")
         self.render_mode = render_mode
         self._images = observation == "images"
-        drawn = self._images or render_mode is not None
         given: dict[str, Any] = {"rig": rig, "task": task, "arm": arm, "wrist": True, "size": size, "quality": quality}
-        if drawn:
+        if self._images or render_mode is not None:
             session = PROGRAM.open(config, parallel=False, **given)
-            self._config, where, meshes = session.config, session.locations, dict(session.meshes)
         else:
-            where, meshes = PROGRAM.locations(), {}
-            self._config = PROGRAM.config(config, where, **given)
+            # OpenGL is left as it is: another environment of this process may render.
+            where = PROGRAM.locations()
+            session = Session(PROGRAM.config(config, where, **given), where)
 
-        from .core.attempt.runner import EpisodeRunner
+        from .core.attempt.simulator import Simulator
         from .core.evaluate.observation import policy_cameras
         from .core.policies.base import SCENE, WRIST
-        from .core.sim.replica import Replica
-        from .core.tasks.kinds import kind_of
 
-        self._max_ticks = max_ticks or 2 * kind_of(self._config.task).ticks(self._config)
-        self._runner = EpisodeRunner(self._config, where, meshes, draw=False)
-        self._replica = Replica(self._runner.scene)
+        self._config = session.config
+        self._simulator = Simulator(session)
+        self._max_ticks = max_ticks or 2 * self._simulator.kind.ticks(self._config)
         self._cameras = policy_cameras(self._config, (SCENE, WRIST))
-        self._job: Any = None
+        self._attempt: Any = None
         self._loop: Any = None
         self._denied, self._rested = False, 0
-        scene = self._runner.scene
+        scene = self._simulator.scene
         welds = np.tile((0.0, 1.0), (len(scene.arms), 1))
-        low, high = np.concatenate([scene.model.actuator_ctrlrange[scene.drives], welds]).T
+        low, high = np.concatenate([scene.model.actuator_ctrlrange[scene.drives.ravel()], welds]).T
         self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
         self.observation_space: spaces.Space[Any] = self._observation_space(size)
 
@@ -100,9 +99,9 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         def numbers(*shape: int) -> spaces.Box:
             return spaces.Box(-_FAR, _FAR, shape, np.float32)
 
-        arms = len(self._runner.scene.arms)
+        arms, drives = self._simulator.scene.drives.shape
         hands = (4, 4) if arms == 1 else (arms, 4, 4)
-        parts: dict[str, spaces.Space[Any]] = {"joints": numbers(7 * arms), "ee_pose_world": numbers(*hands)}
+        parts: dict[str, spaces.Space[Any]] = {"joints": numbers(drives * arms), "ee_pose_world": numbers(*hands)}
         if self._images:
             parts |= {key: spaces.Box(0, 255, (size[1], size[0], 3), np.uint8) for key in self._cameras}
         else:
@@ -113,33 +112,38 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Start the next trial, or one of a seed."""
+        from .core.attempt.planned import with_room
+        from .core.attempt.sampling import sample
         from .core.sim.closed_loop import ClosedLoop
         from .core.types import EpisodeJob
 
         super().reset(seed=seed)
         trial = (options or {}).get("trial")
-        if seed is not None or self._job is None:
+        if seed is not None or self._attempt is None:
             fresh = seed if seed is not None else int(self.np_random.integers(2**31))
-            self._job = EpisodeJob(fresh, int(trial or 0))
+            job = EpisodeJob(fresh, int(trial or 0))
         else:
-            self._job = EpisodeJob(self._job.seed, self._job.attempt + 1 if trial is None else int(trial))
-        layout, _, rollout = self._runner.simulate(self._job)
-        while layout is None:
-            self._job = EpisodeJob(self._job.seed, self._job.attempt + 1)
-            layout, _, rollout = self._runner.simulate(self._job)
-        scene, task = self._runner.scene, self._config.task
-        start = self._runner.start(layout, rollout)
-        self._start, self._denied, self._rested = start, False, 0
-        self._loop = ClosedLoop(scene, start, task.object.name, task.timing)
+            before = self._attempt.job
+            job = EpisodeJob(before.seed, before.attempt + 1 if trial is None else int(trial))
+        attempt = sample(self._simulator, job)
+        while attempt.layout is None:
+            job = EpisodeJob(job.seed, job.attempt + 1)
+            attempt = sample(self._simulator, job)
+        self._attempt = attempt = with_room(self._simulator, attempt)
+        assert attempt.start is not None  # it has a layout
+        self._denied, self._rested = False, 0
+        scene, task = self._simulator.varied(attempt), self._config.task
+        self._loop = ClosedLoop(scene, attempt.start, task.object.name, task.timing)
         return self._observe(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Let an action act for one control tick."""
         values = np.asarray(action, dtype=np.float64)
-        arms = len(self._runner.scene.arms)
-        if values.shape != (8 * arms,) or not np.isfinite(values).all():
-            raise ValueError(f"an action is {8 * arms} finite numbers, not {values.shape} {values}")
-        self._loop.step(values[: 7 * arms], tuple(map(bool, values[7 * arms :] > 0.5)))
+        drives = self._simulator.scene.drives
+        if values.shape != self.action_space.shape or not np.isfinite(values).all():
+            count = drives.size + len(drives)
+            raise ValueError(f"an action is {count} finite numbers, not {values.shape} {values}")
+        self._loop.step(values[: drives.size].reshape(drives.shape), values[drives.size :] > 0.5)
         success = self._succeeded()
         truncated = not success and self._loop.ticks >= self._max_ticks
         return self._observe(), float(success), success, truncated, self._info(success)
@@ -149,11 +153,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         if self.render_mode is None:
             return None
         camera = self._cameras["scene_rgb"]
-        return self._runner.draw(self._loop.data.qpos, (camera,))[camera]
+        return self._render((camera,))[camera]
 
     def close(self) -> None:
         """Free the renderer."""
-        self._runner.close()
+        self._simulator.close()
 
     def _succeeded(self) -> bool:
         loop, task = self._loop, self._config.task
@@ -161,15 +165,26 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self._rested = self._rested + 1 if rests else 0
         if self._denied or self._rested < _REST_TICKS:
             return False
-        judged, _ = self._runner.repeat(self._start, loop.actions, 0.0, 0.0, planned=False)
-        # What the batch does not count, such as an object that was pushed there, stays so.
+        from .core.attempt.physics import repeat
+
+        judged = repeat(self._simulator, self._attempt, loop.actions, planned=False).outcome
+        # What the batch does not count as success, such as an object pushed onto the target, stays a failure.
         self._denied = not judged.success
-        return bool(judged.success)
+        return judged.success
+
+    def _render(self, cameras: tuple[str, ...]) -> dict[str, Any]:
+        """Camera -> image of the state now."""
+        from .core.attempt.pictures import render
+
+        return dict(render(self._simulator, self._attempt, self._loop.data.qpos, cameras))
 
     def _observe(self) -> dict[str, NDArray[Any]]:
-        replica, T_base = self._replica, self._runner.scene.T_base_in_world
+        from .core.policies.base import of_arms
+
+        replica, T_base = self._simulator.replica, self._simulator.scene.T_base_in_world
         replica.show(self._loop.data.qpos)
-        seen: dict[str, Any] = {"joints": replica.joints(), "ee_pose_world": T_base @ replica.T_grasp_in_base()}
+        hands = of_arms(T_base @ replica.T_grasp_in_base())
+        seen: dict[str, Any] = {"joints": replica.joints().ravel(), "ee_pose_world": hands}
         if not self._images:
             task = self._config.task
             for key, item in (("object_pose_world", task.object), ("target_pose_world", task.target)):
@@ -177,13 +192,13 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         numbers = {key: np.clip(value, -_FAR, _FAR).astype(np.float32) for key, value in seen.items()}
         if not self._images:
             return numbers
-        drawn = self._runner.draw(self._loop.data.qpos, tuple(self._cameras.values()))
-        return numbers | {key: drawn[camera] for key, camera in self._cameras.items()}
+        images = self._render(tuple(self._cameras.values()))
+        return numbers | {key: images[camera] for key, camera in self._cameras.items()}
 
     def _info(self, success: bool = False) -> dict[str, Any]:
         return {
-            "seed": self._job.seed,
-            "trial": self._job.attempt,
+            "seed": self._attempt.job.seed,
+            "trial": self._attempt.job.attempt,
             "time": self._loop.ticks * self._config.task.timing.tick,
             "success": success,
             "holds": self._loop.holds,
@@ -191,7 +206,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
 
 def register() -> None:
-    """Make `gymnasium.make("yamsim/PickPlace-v0")` work; once is enough, and again does no harm."""
+    """Register the environment, so that `gymnasium.make("yamsim/PickPlace-v0")` works; a second call does nothing."""
     if ENV_ID not in gymnasium.registry:
         gymnasium.register(ENV_ID, entry_point=f"{__name__}:{PickPlaceEnv.__name__}")
 

@@ -18,37 +18,37 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .core.config.limits import Stops
 from .core.config.loader import load_config
 from .core.config.rig import RigConfig
 from .core.errors import UsageError, suggest
 from .core.geometry.se3 import Array, inverse
+from .core.planning.arm_kinematics import ArmKinematics, OutOfReachError, reach
 from .core.planning.ik import IkSolver
-from .core.planning.kinematics import ArmKinematics, OutOfReachError, reach
 from .core.resources import Locations
-from .core.scene.robot import HOME, bare_arm
+from .core.robots.stops import beyond_stops
+from .core.scene.robot import bare_arm
 
 __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
 Site = Literal["pinch_site", "grasp_site"]
 
-# How often a pose is tried from other joints before it counts as out of reach. Of 1,000 poses of joints drawn evenly
-# from their ranges every one was found, from 29 starts at most.
+# Searches from other joints before a pose counts as out of reach. For 1,000 poses of joints sampled evenly from their
+# ranges, 29 starts were the most that any needed.
 _RESTARTS = 50
-# Of a rad, where a metre costs 10: a pose is wanted whole, and about the hand's length makes one of the other. Where
-# the arm does not reach it so, the position decides.
+# Cost of an error of one rad about each axis, where one of a metre costs 10: so 1 rad weighs as much as 0.1 m, which is
+# about the hand's length. Where the arm cannot reach the whole pose, the position decides.
 _ROTATION_COSTS = (1.0, 1.0, 1.0)
-# A real arm reports, and a simulated one reaches, joints a little beyond their stops, rad.
+# Real arms report, and simulated ones reach, joints beyond their stops by up to this, rad.
 _SLACK = 0.1
-# Farther than this from the identity, R^T R is no rotation's.
+# An R whose R^T R differs from the identity by more than this, in any element, is no rotation.
 _ORTHONORMAL = 1e-4
 
 
 class Kinematics:
     """Where one arm's hand is for given joints, and which joints bring it to a pose.
 
-    Joints are (6,) in rad, without the gripper, whose opening changes nothing here. Poses are (4, 4), in m, of `site`
-    in the arm's own base (x forward, y left, z up).
+    Joints are (dof,) in rad, six of a YAM's, without the gripper, whose opening changes nothing here. Poses are (4, 4),
+    in m, of `site` in the arm's own base (x forward, y left, z up).
 
     Args:
         rig: a name from `configs/rigs/`, or a YAML file.
@@ -73,15 +73,21 @@ class Kinematics:
         if site not in get_args(Site):
             raise UsageError(f"there is no site {site!r}; {suggest(str(site), get_args(Site))}")
         number = sides.index(arm) if arm in sides else 0
-        model = bare_arm(config.arms[number], where)
+        self._arm = config.arms[number]
+        model = bare_arm(self._arm)
+        if site not in [model.site(k).name for k in range(model.nsite)]:
+            raise UsageError(
+                f"{self._arm.name} of rig {config.name!r} has no {site}: its gripper has no fingers to meet"
+            )
         self._site = site
-        self._stops = Stops(config.arms[number], where)
         self._range: Array = model.jnt_range.copy()
         self._T_base_in_world = config.T_base_in_world(number)
         self._forward = ArmKinematics(model)
         self._solvers = (IkSolver(model, np.eye(4), _ROTATION_COSTS), IkSolver(model, np.eye(4)))
-        home = np.array(HOME)
-        T_pinch_in_base, T_site_in_base = (self._forward.T_site_in_base(home, name) for name in ("pinch_site", site))
+        self._home = np.array(self._arm.robot.home)
+        T_pinch_in_base, T_site_in_base = (
+            self._forward.T_site_in_base(self._home, name) for name in ("pinch_site", site)
+        )
         for solver in self._solvers:
             solver.hold(inverse(T_pinch_in_base) @ T_site_in_base)
 
@@ -92,14 +98,14 @@ class Kinematics:
 
     @property
     def joint_range(self) -> Array:
-        """Each joint's lowest and highest angle (6, 2), rad."""
+        """Each joint's lowest and highest angle (dof, 2), rad."""
         return self._range.copy()
 
     def fk(self, joints: ArrayLike) -> Array:
         """The pose (4, 4) of the site in the arm's base.
 
         Raises:
-            UsageError: `joints` are not six numbers, or lie beyond the joints' stops.
+            UsageError: `joints` are not one number a joint, or lie beyond the joints' stops.
         """
         return self._forward.T_site_in_base(self._joints(joints, "joints"), self._site)
 
@@ -111,34 +117,35 @@ class Kinematics:
         position_tolerance: float = 1e-3,
         rotation_tolerance: float = np.radians(1.0),
     ) -> Array:
-        """Joints (6,), within their range, that bring the site to a pose (4, 4) in the arm's base.
+        """Joints (dof,), within their range, that bring the site to a pose (4, 4) in the arm's base.
 
-        The answer is the same for the same arguments. Of several, it is one that the search from `start` leads to,
-        which is usually near: give the joints as they are now. Only if that leads nowhere, it starts elsewhere.
+        The same arguments give the same answer. Of several solutions it is the one that a search from `start` leads to,
+        which is usually near: give the joints as they are now. If that search fails, others start elsewhere.
 
         Args:
-            start: joints (6,) to search from; home unless given.
-            position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad. With more of the
-                latter, the hand leans where the arm is too short for the pose as it is, and the position stays.
+            start: joints (dof,) to search from; home unless given.
+            position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad. A larger rotation
+                tolerance lets the hand lean where the arm is too short for the exact pose, and keeps the position.
 
         Raises:
-            UsageError: the pose is none, or `start` are no joints.
-            OutOfReachError: no such joints were found; its `nearest` has those that come nearest, and what they lack.
+            UsageError: `T_site_in_base` is no pose, or `start` holds no valid joints.
+            OutOfReachError: no such joints were found. Its `nearest` holds those that come nearest, and by how much
+                they miss the pose.
         """
         T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
         if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(T[:3, :3]) < 0:
             raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
-        first = np.array(HOME) if start is None else self._joints(start, "start")
+        first = self._home if start is None else self._joints(start, "start")
         return reach(self._solvers, T, self._starts(first), position_tolerance, rotation_tolerance).joints
 
     def _joints(self, values: ArrayLike, name: str) -> Array:
-        joints = _numbers(values, (6,), name)
-        if fault := self._stops.fault(joints, _SLACK):
+        joints = _numbers(values, self._home.shape, name)
+        if fault := beyond_stops(self._arm.name, self._arm.robot, joints, _SLACK):
             raise UsageError(f"{name}: {fault}")
         return joints
 
     def _starts(self, first: Array) -> Iterator[Array]:
-        """Where to search from: first within the range, then anywhere in it, the same places every time."""
+        """Joints to search from: first the given ones, within the range, then random ones, the same every time."""
         low, high = self._range.T
         yield np.clip(first, low, high)
         rng = np.random.default_rng(0)

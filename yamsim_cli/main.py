@@ -14,7 +14,7 @@ import typer
 from typer.exceptions import TyperException
 
 from . import __version__
-from .commands import assets, config, export, pickplace
+from .commands import assets, config, export, pickplace, robots
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
@@ -54,9 +54,10 @@ app.add_typer(export.app, name="export")
 app.command()(teleop)
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
+app.add_typer(robots.app, name="robots")
 app.add_typer(assets.app, name="assets")
 
-# What decides, beside yamsim itself, what it does; `yamsim doctor` tells all.
+# Packages whose versions decide what is recorded; `yamsim doctor` shows those of all packages.
 _VERSIONS = ("mujoco", "mink", "numpy", "opencv-python-headless")
 
 
@@ -80,7 +81,7 @@ def _root(
 
 
 _INTERRUPTED = 130
-# Commands with no other end than a signal: for them it is no failure.
+# Commands that only a signal ends, which is then no failure.
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 
@@ -96,12 +97,12 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
             raise KeyboardInterrupt
         code = app(standalone_mode=False)
         if code == _INTERRUPTED:
-            # What Typer makes of a KeyboardInterrupt.
+            # Typer has turned a KeyboardInterrupt into this code.
             raise KeyboardInterrupt
     except YamsimError as error:
         _fail(str(error), error.exit_code)
     except OSError as error:
-        # Raised by merely asking whether a file is there, so wherever a path of the user's is looked at first.
+        # Raised wherever a path of the user's is looked at first: asking whether the file exists is enough.
         if error.errno != errno.ENAMETOOLONG:
             raise
         _fail(
@@ -119,8 +120,8 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
 
 
 def _decimal_point(error: TyperException) -> str:
-    """What to tell of a number that was given with a decimal comma; empty if it was not."""
-    # What Typer checks a value by.
+    """A hint for a number that was given with a decimal comma; empty for anything else."""
+    # The error of pydantic, by which Typer checks values.
     checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     given = str(checked[0].get("input")) if checked else ""
     if not re.fullmatch(r"[-+]?[0-9]+,[0-9]+", given):

@@ -6,8 +6,8 @@
         print(server.url)
         server.serve_forever()
 
-Needs numpy and msgpack alone. Every client has a policy of its own, made by calling what was given; calls are made one
-at a time, whoever asks. It listens on 127.0.0.1 unless told otherwise, and asks nobody who they are.
+Needs only numpy and msgpack. Every client gets a policy of its own, made by the function that is given. Calls are made
+one at a time, for all clients together. It listens on 127.0.0.1 unless told otherwise, and asks for no password.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 from .core.errors import ResourceError
-from .core.policies.faults import fault_of
 from .core.policies.loading import check_policy, reset_policy, wanted_images, wanted_state
+from .core.policies.policy_faults import fault_of
 from .core.policies.wire import PROTOCOL, UnsendableError, WireError, pack, require_msgpack, sendable, unpack
 from .core.stray_forks import forks_end_here
 
 LOOPBACK = "127.0.0.1"
 
-# Two pictures of 1920 x 1080 are a quarter of it.
+# Bytes of the largest message that is read. Two pictures of 1920 x 1080 take a fifth of it.
 _LARGEST = 64_000_000
 _MOST_SESSIONS = 256
 
@@ -52,7 +52,7 @@ class PolicyServer(ThreadingHTTPServer):
         require_msgpack()
         self._make = make_policy
         self._sessions: dict[str, Any] = {}
-        # Models are rarely safe to be asked by two threads, and a GPU has no more to give.
+        # Most models must not be called from two threads at once, and a GPU would not be faster by it.
         self._one_at_a_time = threading.Lock()
         try:
             super().__init__((host, port), _Handler)
@@ -61,15 +61,15 @@ class PolicyServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Where it is reached."""
+        """The address that clients connect to."""
         host, port = self.server_address[:2]
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}"
 
     def answer(self, what: str, message: Any) -> bytes:
-        """Answer a message, as bytes; what goes wrong is an answer too."""
+        """The answer to a message, as bytes; an error is an answer too."""
         with self._one_at_a_time:
             try:
-                # A fork of this process would answer the client a second time.
+                # A fork that the policy makes would answer the client a second time.
                 with forks_end_here():
                     return pack(self._answer(what, message))
             # The policy may raise anything; the client is told, and the server goes on.
@@ -77,7 +77,7 @@ class PolicyServer(ThreadingHTTPServer):
                 return _fault(error)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Pass over clients that went without a word, as a worker does that is ended: nothing is lost with them."""
+        """Ignore clients that vanish, as workers do that are ended: nothing is lost with them."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
@@ -111,14 +111,14 @@ def _fault(error: Exception) -> bytes:
     else:
         fault = fault_of(error, Path.cwd())
         told = {"error": fault.text, "traceback": fault.traceback}
-        # Names of files may hold what is no text.
+        # Names of files may hold bytes that are no valid text.
         told = {key: text.encode(errors="backslashreplace").decode() for key, text in told.items()}
     return pack(told)
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: PolicyServer
-    # Keeps the connection: a new one for every action would cost more than the action.
+    # Keeps the connection open: a new one for every action would take longer than the action itself.
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
 
@@ -139,4 +139,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: thirty requests a second are no news."""
+        """Log nothing: there are thirty requests a second."""

@@ -8,7 +8,9 @@ import numpy as np
 
 from tests.bench.setting import median_seconds, setting
 from tests.board_photos import facing, photograph
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.attempts import planned
+from yamsim_cli.core.attempt.pictures import render
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
@@ -18,7 +20,7 @@ from yamsim_cli.core.planning.ik import IkSolver
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.robot import bare_arm
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.types import Attempt, EpisodeJob
 from yamsim_cli.core.vision.fiducials.locate import locate
 
 _CAMERA = CameraModel.pinhole(640, 480, 600.0)
@@ -28,38 +30,34 @@ _QUALITIES = {"fast": 20, "balanced": 20, "high": 5}
 def measure_parts(episodes: int) -> dict[str, float]:
     """Figure -> median seconds."""
     using = setting("fast")
-    figures = {
-        "compose and compile the scene": median_seconds(
-            lambda _: build_scene(using.config, using.locations, using.meshes), 3
-        )
-    }
-    with EpisodeRunner(using.config, using.locations, using.meshes, draw=False) as runner:
-        figures["plan and simulate a trial"] = median_seconds(lambda k: runner.simulate(EpisodeJob(0, k)), episodes)
-        rollout = runner.simulate(EpisodeJob(0, 0))[2]
-        assert rollout is not None
+    figures = {"compose and compile the scene": median_seconds(lambda _: build_scene(using), 3)}
+    with Simulator(using) as simulator:
+        figures["plan and simulate a trial"] = median_seconds(lambda k: planned(simulator, 0, k), episodes)
+        states = planned(simulator, 0).states
         figures["solve IK, from another pose of a trial"] = _ik_seconds(
-            [state.qpos[runner.scene.arm.joint_qpos] for state in rollout.states]
+            [state.qpos[simulator.scene.arm.joint_qpos] for state in states]
         )
     for quality, repetitions in _QUALITIES.items():
-        figures |= _drawing(quality, rollout.states[20].qpos, repetitions)
+        figures |= _rendering(quality, states[20].qpos, repetitions)
     figures["locate a board in a photo at 0.8 m"] = _locate_seconds()
     return figures
 
 
 def _ik_seconds(joints: list[Array]) -> float:
     using = setting("fast")
-    solver = IkSolver(bare_arm(using.config.rig.arms[0], using.locations), np.eye(4))
+    solver = IkSolver(bare_arm(using.config.rig.arms[0]), np.eye(4))
     solver.hold(np.eye(4))
     targets = [solver.pose_of(there) for there in joints]
     return median_seconds(lambda k: solver.solve(targets[k], joints[k - 5], 100), len(targets) - 1)
 
 
-def _drawing(quality: str, qpos: Array, repetitions: int) -> dict[str, float]:
+def _rendering(quality: str, qpos: Array, repetitions: int) -> dict[str, float]:
     using = setting(quality)
-    with EpisodeRunner(using.config, using.locations, using.meshes, draw=True) as runner:
-        cameras = runner.scene.cameras[:1]
-        (image,) = runner.draw(qpos, cameras).values()
-        figures = {f"draw a frame, {quality}": median_seconds(lambda _: runner.draw(qpos, cameras), repetitions)}
+    with Simulator(using) as simulator:
+        cameras, attempt = simulator.scene.cameras[:1], Attempt(EpisodeJob(0, 0))
+        (image,) = render(simulator, attempt, qpos, cameras).values()
+        seconds = median_seconds(lambda _: render(simulator, attempt, qpos, cameras), repetitions)
+        figures = {f"draw a frame, {quality}": seconds}
     if quality == "balanced":
         figures["encode a frame"] = median_seconds(lambda _: encode_jpeg(image, using.config.image.jpeg_quality), 50)
     return figures

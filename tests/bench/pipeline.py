@@ -18,14 +18,16 @@ from tests.bench.floor import floor_seconds
 from tests.bench.pictures import Image, ssim
 from tests.bench.plain import PlainPipeline, plain_setting
 from tests.bench.setting import Stopwatch, setting
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.attempts import planned
+from yamsim_cli.core.attempt.physics import Simulated
+from yamsim_cli.core.attempt.pictures import render
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.executors import LocalProcesses
 from yamsim_cli.core.record.recorder import record
-from yamsim_cli.core.sim.rollout import Rollout
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.workers.stop import Stop
 
 P = ParamSpec("P")
@@ -77,15 +79,15 @@ class PipelineFigures:
     qualities: dict[str, QualityFigures]
 
 
-def first_successes(count: int) -> list[Rollout]:
+def first_successes(count: int) -> list[Simulated]:
     """The first episodes of the recording's seed, in physics alone."""
     using = setting("fast")
-    found: list[Rollout] = []
-    with EpisodeRunner(using.config, using.locations, using.meshes, draw=False) as runner:
+    found: list[Simulated] = []
+    with Simulator(using) as simulator:
         for attempt in itertools.count():
-            _, outcome, rollout = runner.simulate(EpisodeJob(using.config.seed, attempt))
-            if outcome.success and rollout is not None:
-                found.append(rollout)
+            done = planned(simulator, using.config.seed, attempt)
+            if done.outcome.success:
+                found.append(done)
             if len(found) == count:
                 break
     return found
@@ -98,16 +100,16 @@ def measure_pipeline(plain_episodes: int, episodes: int) -> PipelineFigures:
         plain_episodes: how many episodes the plain pipeline and the floor make.
         episodes: how many ours makes, for each quality and number of workers.
     """
-    rollouts = alone(first_successes, plain_episodes)
-    plain_s, plain_images = alone(_plain, rollouts, threads=None)
-    one_thread_s, _ = alone(_plain, rollouts[:1])
-    high = alone(_drawn, "high", rollouts)
+    made = alone(first_successes, plain_episodes)
+    plain_s, plain_images = alone(_plain, made, threads=None)
+    one_thread_s, _ = alone(_plain, made[:1])
+    high = alone(_rendered, "high", made)
     figures = PipelineFigures(plain_s, one_thread_s, {})
     for name in QUALITIES:
-        ours = alone(_drawn, name, rollouts)
+        ours = alone(_rendered, name, made)
         runs = {workers: _record(name, workers, episodes) for workers in WORKERS}
         figures.qualities[name] = QualityFigures(
-            floor_s=alone(_floor, name, rollouts),
+            floor_s=alone(_floor, name, made),
             seconds_per_episode={workers: run[0] for workers, run in runs.items()},
             start_s=runs[1][1],
             ssim_plain=_likeness(ours, plain_images),
@@ -134,33 +136,29 @@ def alone(work: Callable[P, T], *args: P.args, threads: str | None = "0", **kwar
             os.environ["LP_NUM_THREADS"] = before
 
 
-def _plain(rollouts: Sequence[Rollout]) -> tuple[float, list[Image]]:
+def _plain(episodes: Sequence[Simulated]) -> tuple[float, list[Image]]:
     using = plain_setting()
     images: list[Image] = []
     seconds = []
-    with (
-        tempfile.TemporaryDirectory() as place,
-        EpisodeRunner(using.config, using.locations, using.meshes, draw=False) as runner,
-    ):
-        plain = PlainPipeline(using, runner)
-        for k, rollout in enumerate(rollouts):
+    with tempfile.TemporaryDirectory() as place:
+        plain = PlainPipeline(using, build_scene(using))
+        for k, done in enumerate(episodes):
             with Stopwatch() as watch:
-                made = plain.make(rollout, Path(place, str(k)))
+                made = plain.make(done, Path(place, str(k)))
             seconds.append(watch.seconds)
             images += made[::_COMPARED]
         plain.close()
     return statistics.median(seconds), images
 
 
-def _drawn(quality: str, rollouts: Sequence[Rollout]) -> list[Image]:
+def _rendered(quality: str, episodes: Sequence[Simulated]) -> list[Image]:
     """Some of a quality's pictures of the scene camera."""
-    using = setting(quality)
-    with EpisodeRunner(using.config, using.locations, using.meshes, draw=True) as runner:
+    with Simulator(setting(quality)) as simulator:
         return [
             image
-            for rollout in rollouts
-            for state in rollout.states[::_COMPARED]
-            for image in runner.draw(state.qpos, runner.scene.cameras[:1]).values()
+            for done in episodes
+            for state in done.states[::_COMPARED]
+            for image in render(simulator, done.attempt, state.qpos, simulator.scene.cameras[:1]).values()
         ]
 
 
@@ -168,21 +166,19 @@ def _likeness(ours: Sequence[Image], theirs: Sequence[Image]) -> float:
     return statistics.mean(ssim(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
-def _floor(quality: str, rollouts: Sequence[Rollout]) -> dict[str, float]:
-    using = setting(quality)
-    with EpisodeRunner(using.config, using.locations, using.meshes, draw=True) as runner:
+def _floor(quality: str, episodes: Sequence[Simulated]) -> dict[str, float]:
+    with Simulator(setting(quality)) as simulator:
         parts = []
-        for rollout in (rollouts[0], *rollouts):
+        for done in (episodes[0], *episodes):
             with tempfile.TemporaryDirectory(dir=_PLACE) as place:
-                parts.append(floor_seconds(using, runner, rollout, Path(place)))
+                parts.append(floor_seconds(simulator, done, Path(place)))
     # The first one warmed up.
     return {name: statistics.median(part[name] for part in parts[1:]) for name in parts[0]}
 
 
 def _record(quality: str, workers: int, episodes: int) -> tuple[float, float]:
     """Seconds an episode once every worker has delivered one, and seconds until the first was there."""
-    using = setting(quality)
-    config = using.config.model_copy(update={"episodes": episodes + workers, "workers": workers})
+    session = setting(quality).with_values(episodes=episodes + workers, workers=workers)
     came: list[float] = []
 
     def progress(done: int, wanted: int, attempts: int) -> None:
@@ -192,5 +188,5 @@ def _record(quality: str, workers: int, episodes: int) -> tuple[float, float]:
     with tempfile.TemporaryDirectory(dir=_PLACE) as place:
         output = Output(Path(place, "dataset"), OpenMode.NEW)
         watch = Notifier(progress, lambda warning: None)
-        record(config, using.locations, using.meshes, output, LocalProcesses(), watch, Stop())
+        record(session, output, LocalProcesses(), watch, Stop())
     return (came[-1] - came[workers - 1]) / episodes, came[0] - began

@@ -15,12 +15,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.bench.floor import actions_of
-from tests.bench.setting import Setting, setting
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.bench.setting import setting
+from tests.core.attempts import all_actions
+from yamsim_cli.core.attempt.physics import Simulated
 from yamsim_cli.core.config.recording import RenderConfig
+from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.robot import bare_arm
-from yamsim_cli.core.sim.rollout import Rollout, attach
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.sim.rollout import attach
 from yamsim_cli.core.types import Actions
 
 # Source: MuJoCo 4's XML reference, visual/quality and visual/global, and light/castshadow. Nothing reflects there.
@@ -40,37 +42,37 @@ _IK_CONVERGED_M = 1e-4
 _IK_CONVERGED_RAD = 1e-3
 
 
-def plain_setting() -> Setting:
-    """The default recording with MuJoCo's defaults for drawing."""
-    high = setting("high")
-    return Setting(high.config.model_copy(update={"render": DEFAULTS}), high.locations, high.meshes)
+def plain_setting() -> Session:
+    """The default recording with MuJoCo's defaults for rendering."""
+    return setting("high").with_values(render=DEFAULTS)
 
 
 class PlainPipeline:
     """Makes an episode again whose actions are known; close it.
 
     Args:
-        runner: whose scene it is; drawn with `DEFAULTS`.
+        using: rendered with `DEFAULTS`.
+        scene: of the same session.
     """
 
-    def __init__(self, using: Setting, runner: EpisodeRunner) -> None:
+    def __init__(self, using: Session, scene: CompiledScene) -> None:
         self._config = using.config
-        self._scene = runner.scene
-        self._arm = mink.Configuration(bare_arm(using.config.rig.arms[0], using.locations))
+        self._scene = scene
+        self._arm = mink.Configuration(bare_arm(using.config.rig.arms[0]))
         self._task = mink.FrameTask("pinch_site", "site", position_cost=1.0, orientation_cost=1.0)
         width, height = using.config.image.size_px
         self._renderer = mujoco.Renderer(self._scene.model, height, width)
 
-    def make(self, rollout: Rollout, out: Path) -> list[NDArray[np.uint8]]:
-        """Solve, simulate, draw and write one episode into `out`; the pictures as they were drawn."""
-        actions = actions_of(rollout)
-        self._solve(rollout.states[0].qpos[self._scene.arm.joint_qpos], actions)
-        return self._simulate_and_draw(rollout.states[0].qpos, actions, out)
+    def make(self, done: Simulated, out: Path) -> list[NDArray[np.uint8]]:
+        """Solve, simulate, render and write one episode into `out`; the pictures as they were rendered."""
+        start, actions = done.states[0].qpos, all_actions(done.states)
+        self._solve(start[self._scene.arm.joint_qpos], actions)
+        return self._simulate_and_render(start, actions, out)
 
     def _solve(self, start: NDArray[np.float64], actions: Actions) -> None:
         """Inverse kinematics to where the actions lead, tick by tick."""
         joints = start
-        for wanted in actions.joints[:, :6]:
+        for wanted in actions.joints[:, 0, :6]:
             self._arm.update(wanted)
             self._task.set_target(self._arm.get_transform_frame_to_world("pinch_site", "site"))
             self._arm.update(joints)
@@ -82,7 +84,7 @@ class PlainPipeline:
                     break
             joints = self._arm.q
 
-    def _simulate_and_draw(self, start: NDArray[np.float64], actions: Actions, out: Path) -> list[NDArray[np.uint8]]:
+    def _simulate_and_render(self, start: NDArray[np.float64], actions: Actions, out: Path) -> list[NDArray[np.uint8]]:
         timing, carried = self._config.task.timing, self._config.task.object.name
         scene, model = self._scene, self._scene.model
         (out / "rgb").mkdir(parents=True)
@@ -91,10 +93,10 @@ class PlainPipeline:
         scene.reset(data, start)
         images = []
         for tick, ctrl in enumerate(actions.ctrl):
-            if actions.magnet[tick] and not data.eq_active[scene.arm.weld]:
+            if actions.magnet[tick, 0] and not data.eq_active[scene.arm.weld]:
                 mujoco.mj_kinematics(model, data)
                 attach(model, scene.arm, data, carried)
-            data.eq_active[scene.arm.weld] = actions.magnet[tick]
+            data.eq_active[scene.arm.weld] = actions.magnet[tick, 0]
             data.ctrl[:] = ctrl
             if tick % timing.ticks_per_frame == 0:
                 mujoco.mj_forward(model, data)

@@ -6,7 +6,7 @@ import os
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 from yamsim_cli.core.assets import AssetStore, find_reduced, load_lock
@@ -14,6 +14,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.gl import find_backend
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 
 
 class Stopwatch:
@@ -50,25 +51,17 @@ def use_gl() -> str:
     return backend.renderer
 
 
-@dataclass(frozen=True)
-class Setting:
-    """A recording's config, where robot models are, and each mesh set's folder (None: primitives)."""
-
-    config: RecordConfig
-    locations: Locations
-    meshes: dict[str, Path | None]
-
-
-def setting(quality: str) -> Setting:
-    """The default recording, drawn with a quality."""
+def setting(quality: str) -> Session:
+    """The default recording, rendered with a quality."""
     where = Locations.find(os.environ)
     config = load_config(RecordConfig, "record", "default", where, {("render",): ("--quality", quality)})
     # Only once MuJoCo may be imported.
+    from yamsim_cli.core.scene.blueprint import recording_blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
 
     lock, store = load_lock(where), AssetStore(where.assets)
     meshes: dict[str, Path | None] = {}
-    for name in mesh_sets(config.rig, (config.task.object, config.task.target)):
+    for name in mesh_sets(recording_blueprint(config)):
         reduced = find_reduced(store, lock.sets[name]) if config.render.reduced_meshes else None
         meshes[name] = reduced.directory if reduced else store.resolve(lock.sets[name])
-    return Setting(config, where, meshes)
+    return Session(config, replace(where, meshes=meshes))

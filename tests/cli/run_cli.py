@@ -1,4 +1,4 @@
-"""Run the executable as a user does, in a process of its own."""
+"""Run the executable as a user does, in a process of its own: a fork of a warm one, or a new one."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from tests.cli.warm import REPOSITORY, warm_process
 
 
 @dataclass(frozen=True)
@@ -31,12 +35,26 @@ class Run:
         return lines[0].removeprefix("yamsim: ")
 
 
-def yamsim(*args: str | Path, cwd: Path | None = None, env: dict[str, str] | None = None, timeout: float = 300) -> Run:
-    """Run `yamsim ARGS`; everything it printed, and its exit code."""
+def yamsim(
+    *args: str | Path,
+    cwd: Path = REPOSITORY,
+    env: Mapping[str, str] | None = None,
+    timeout: float = 300,
+    fresh: bool = False,
+) -> Run:
+    """Run `yamsim ARGS`; everything it printed, and its exit code.
+
+    Args:
+        fresh: in a process that Python has started, and not in a fork of one that has imported yamsim.
+    """
+    words = [str(arg) for arg in args]
+    environ = {**os.environ, "PYTHONPATH": str(REPOSITORY), **(env or {})}
+    if not fresh and warm_process().suits(environ):
+        return _run_warm(words, cwd, environ, timeout)
     done = subprocess.run(
-        [sys.executable, "-m", "yamsim_cli", *map(str, args)],
-        cwd=cwd or Path(__file__).parents[2],
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **(env or {})},
+        [sys.executable, "-m", "yamsim_cli", *words],
+        cwd=cwd,
+        env=environ,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -44,3 +62,15 @@ def yamsim(*args: str | Path, cwd: Path | None = None, env: dict[str, str] | Non
         check=False,
     )
     return Run(done.returncode, done.stdout, done.stderr)
+
+
+def _run_warm(words: Sequence[str], cwd: Path, environ: Mapping[str, str], timeout: float) -> Run:
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        run = warm_process().start(words, cwd, environ, out, err)
+        try:
+            code = run.wait(timeout)
+        finally:
+            run.kill()
+        for stream in (out, err):
+            stream.seek(0)
+        return Run(code, out.read().decode(), err.read().decode())

@@ -7,13 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-REPOSITORY = Path(__file__).parents[2]
+from tests.cli.warm import REPOSITORY, WarmRun, warm_process
 
 
 @dataclass(frozen=True)
@@ -24,40 +25,62 @@ class Shown:
         report: what it printed once it was ready.
     """
 
-    process: subprocess.Popen[str]
+    run: WarmRun | subprocess.Popen[bytes]
+    out: IO[str]
+    err: IO[str]
     report: dict[str, Any]
 
     @property
     def url(self) -> str:
         return str(self.report["url"])
 
+    def still_runs(self) -> bool:
+        """Whether it has not ended by itself."""
+        try:
+            self.run.wait(0)
+        except subprocess.TimeoutExpired:
+            return True
+        return False
+
     def end(self, number: signal.Signals = signal.SIGINT) -> tuple[int, str, list[str]]:
         """Exit code, what it still printed, and its complaints; that meshes are missing is none."""
-        self.process.send_signal(number)
-        out, err = self.process.communicate(timeout=30)
-        return self.process.returncode, out, [line for line in err.splitlines() if not line.startswith("The meshes of")]
+        self.run.send_signal(number)
+        code = self.run.wait(30)
+        lines = complaints(self.err)
+        return code, self.out.read(), lines
+
+
+def complaints(err: IO[str]) -> list[str]:
+    """What was written to stderr, without notes on missing meshes."""
+    err.seek(0)
+    return [line for line in err.read().splitlines() if not line.startswith("The meshes of")]
 
 
 @contextmanager
 def shown(*args: str | Path, **env: str) -> Iterator[Shown]:
-    """`yamsim ARGS --json` in a process of its own, from when it tells where it is to be seen."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "yamsim_cli", *map(str, args), "--json"],
-        cwd=REPOSITORY,
-        env={**os.environ, **env},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        said = ""
-        while not said.endswith("}\n"):
-            line = process.stdout.readline()
-            assert line, process.stderr and process.stderr.read()
-            said += line
-        yield Shown(process, json.loads(said))
-    finally:
-        process.kill()
-        process.communicate()
+    """`yamsim ARGS --json` in a process of its own, from when it tells where it is to be seen.
+
+    With an environment of its own, for another display, that is one which Python has started.
+    """
+    read, write = os.pipe()
+    with os.fdopen(read) as out, tempfile.TemporaryFile("w+") as err:
+        with os.fdopen(write) as theirs:
+            run = _start([*map(str, args), "--json"], env, theirs, err)
+        try:
+            said = ""
+            while not said.endswith("}\n"):
+                line = out.readline()
+                assert line, complaints(err)
+                said += line
+            yield Shown(run, out, err, json.loads(said))
+        finally:
+            run.kill()
+            run.wait(10)
+
+
+def _start(args: list[str], env: dict[str, str], out: IO[str], err: IO[str]) -> WarmRun | subprocess.Popen[bytes]:
+    environ = {**os.environ, "PYTHONPATH": str(REPOSITORY), **env}
+    if not env and warm_process().suits(environ):
+        return warm_process().start(args, REPOSITORY, environ, out, err)
+    command = [sys.executable, "-m", "yamsim_cli", *args]
+    return subprocess.Popen(command, cwd=REPOSITORY, env=environ, stdin=subprocess.DEVNULL, stdout=out, stderr=err)

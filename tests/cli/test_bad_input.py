@@ -51,11 +51,11 @@ USAGE, CONFIG, MISSING = 2, 3, 4
         (["config", "show", "rigs", "nothing"], CONFIG, ["'nothing'", "valid:", "single"]),
         (["config", "show", "nonsense", "x"], CONFIG, ["'nonsense'", "valid:", "rigs"]),
         (["config", "show", "record"], USAGE, ["say which one; valid: default"]),
-        (["config", "show", "rigs"], USAGE, ["say which one; valid: bimanual, russet, single, single_linear"]),
+        (["config", "show", "rigs"], USAGE, ["say which one; valid: bimanual, russet, single,"]),
         (
             ["record", "--rig", "russet", "--task", "handover", "--grasp", "contact"],
             USAGE,
-            ["--grasp: task 'handover'"],
+            ["--grasp: grasp 'contact' needs a gripper with pads", "use --rig yam_station_linear_4310_d405"],
         ),
         (["pickplace", "batch", "--threshold", "0,05"], USAGE, ["--threshold", "'0,05'", "write 0.05"]),
         (["pickplace", "batch", "--threshold", "50"], USAGE, ["--threshold: 50.0", "in mm? Then give 0.05"]),

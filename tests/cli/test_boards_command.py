@@ -58,7 +58,9 @@ def test_an_out_that_cannot_be_written_says_so(run, tmp_path):
 
 def test_a_rig_without_boards_has_nothing_to_print(run, tmp_path):
     camera = "{position: [0, 0, 0], x_axis: [1, 0, 0], y_axis: [0, 1, 0], fovy_deg: 60}"
-    (tmp_path / "bare.yaml").write_text(f"arms:\n  - {{name: a, side: right, wrist_camera: {camera}}}\n")
+    (tmp_path / "bare.yaml").write_text(
+        f"arms:\n  - {{name: a, side: right, model: i2rt_yam, gripper: crank, wrist_camera: {camera}}}\n"
+    )
     with pytest.raises(ConfigError, match=r"rig 'bare\.yaml' has no boards"):
         run("--rig", "bare.yaml")
     assert not (tmp_path / "boards.pdf").exists()

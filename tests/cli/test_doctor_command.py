@@ -9,7 +9,7 @@ from tests.cli.run_cli import yamsim
 
 @pytest.mark.render
 def test_every_check_has_a_name_and_a_health(tmp_path: Path) -> None:
-    run = yamsim("doctor", "--out", tmp_path / "d", "--json")
+    run = yamsim("doctor", "--out", tmp_path / "d", "--json", fresh=True)
     assert run.code == 0, run.err
     assert run.json["ok"] is True
     assert {check["health"] for check in run.json["checks"]} <= {"ok", "warning"}

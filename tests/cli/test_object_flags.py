@@ -42,7 +42,7 @@ def test_an_imported_stl_can_be_picked_up(tmp_path: Path) -> None:
     run = yamsim("assets", "import", tmp_path / "drawn.stl", "--name", "brick", "--mass", "0.1", "--json", env=env)
     assert run.code == 0, run.err
     (item,) = run.json["items"]
-    assert (item["name"], item["primitives"], item["vessel"]) == ("brick", ["box"], False)
+    assert (item["name"], item["collision"]["kind"], item["collision"]["parts"]) == ("brick", "primitives", 1)
     assert item["width_mm"] == pytest.approx(40, abs=2)
     run = yamsim("pickplace", "batch", "--n", "1", "--object", "brick", "--target", "bowl", "--json", env=env)
     assert run.code == 0, run.err
@@ -50,7 +50,7 @@ def test_an_imported_stl_can_be_picked_up(tmp_path: Path) -> None:
 
 
 def test_an_import_asks_for_what_it_needs(tmp_path: Path) -> None:
-    run = yamsim("assets", "import", "mug.stl", cwd=tmp_path)
-    assert (run.code, run.message) == (2, "mug.stl: give --name and --mass with an STL of your own")
+    run = yamsim("assets", "import", "mug.stl", "--out", "mug.yaml", cwd=tmp_path)
+    assert (run.code, run.message) == (4, "mug.stl: it cannot be read: No such file or directory [missing]")
     run = yamsim("assets", "import", "013_apple", "--name", "apple", "--out", tmp_path / "apple.yaml")
     assert run.code == 2

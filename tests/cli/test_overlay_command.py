@@ -40,7 +40,7 @@ def boards_photo(locations: Locations, tmp_path_factory: pytest.TempPathFactory)
     placed = []
     for k, arm in enumerate(rig.arms):
         assert arm.board is not None
-        T = facing(0.0, 0.0, 0.75, 0.6, 0.15) @ rig.T_base_in_world(k) @ arm.board.T_board_in_arm
+        T = facing(0.0, 0.0, 0.75, 0.6, 0.15) @ rig.T_base_in_world(k) @ arm.T_board_in_base
         placed.append((arm.board.board, T))
     path = tmp_path_factory.mktemp("photo") / "photo.png"
     assert cv2.imwrite(str(path), photograph(CameraModel.pinhole(640, 480, 600.0), placed))
@@ -107,7 +107,7 @@ def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locat
     placed = []
     for k, arm in enumerate(rig.arms):
         assert arm.board is not None
-        T = facing(0.0, 0.0, 2.0, 0.02, 0.01) @ rig.T_base_in_world(k) @ arm.board.T_board_in_arm
+        T = facing(0.0, 0.0, 2.0, 0.02, 0.01) @ rig.T_base_in_world(k) @ arm.T_board_in_base
         placed.append((arm.board.board, T))
     cv2.imwrite(str(folder / "photo.png"), photograph(CameraModel.pinhole(1280, 960, 3425.0), placed))
     run = yamsim("overlay", "--img", "photo.png", "--rig", "russet", "--json", cwd=folder)
@@ -149,8 +149,8 @@ def test_no_markers_exits_with_4_and_the_ids(folder: Path) -> None:
     cv2.imwrite(str(folder / "photo.png"), grey)
     run = yamsim("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "camera.yaml", "--json", cwd=folder)
     assert run.code == 4
-    assert run.message == (
-        "photo.png: no board gives a pose: looked for ids 217-225 (DICT_6X6_250), 226-234 (DICT_6X6_250), saw none"
+    assert run.message.startswith(
+        "photo.png: no board gives a pose: looked for ids 217-225 (DICT_6X6_250), 226-234 (DICT_6X6_250), saw none; "
     )
     assert [arm["status"] for arm in run.json["images"][0]["arms"]] == ["not_found", "not_found"]
 
@@ -161,7 +161,8 @@ def test_another_rigs_boards_are_named(folder: Path) -> None:
     run = yamsim("overlay", "--img", "photo.png", "--rig", "./mine.yaml", "--camera", "camera.yaml", cwd=folder)
     assert run.code == 4
     seen = ", ".join(map(str, range(217, 235)))
-    assert run.message == f"photo.png: no board gives a pose: looked for ids 10-18 (DICT_6X6_250), saw {seen}"
+    said = f"photo.png: no board gives a pose: looked for ids 10-18 (DICT_6X6_250), saw {seen}; "
+    assert run.message.startswith(said)
 
 
 def test_limits_end_with_4(folder: Path) -> None:

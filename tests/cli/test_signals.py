@@ -59,7 +59,7 @@ def run(code: str, *args: str, path: Path | None = None) -> tuple[int, str, list
         "mujoco",
         "mujoco._specs",
         "yamsim_cli.core.scene.fiducials",
-        "yamsim_cli.core.viewers.page",
+        "yamsim_cli.core.viewers.rig_page",
         "viser",
     ],
 )

@@ -15,7 +15,7 @@ import pytest
 from tests.clients.environments import REPOSITORY, Interpreter
 from tests.core.export.conftest import jpeg
 from tests.core.export.lerobot_files import Frames, check_numbers, jpegs, recorded
-from tests.core.undrawn import write_dataset
+from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 

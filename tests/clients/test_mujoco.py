@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.attempts import all_actions, planned
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.compose import Contents
-from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.show.compose import at_home, task_home, write_scene
 
 pytestmark = pytest.mark.client
 
@@ -56,11 +57,11 @@ def scenes(
     for name, (rig, task, _, boards) in SCENES.items():
         if task is None:
             loaded = load_config(RigConfig, "rigs", rig, locations)
-            spec, model = rig_spec(loaded, studio, Contents(boards=boards), locations, {})
+            spec, model = at_home(Blueprint(loaded, studio, boards=boards), locations)
         else:
             config = _config(name, make_config)
-            contents = Contents(boards=boards, objects=(config.task.object, config.task.target))
-            spec, model = task_spec(config, contents, locations, {})
+            blueprint = task_blueprint(config, boards=boards)
+            spec, model = at_home(blueprint, locations, task_home(config))
         write_scene(spec, model, folder / name, as_zip=False, overwrite=False)
     return {name: folder / name / "scene.xml" for name in SCENES}
 
@@ -73,23 +74,22 @@ def episodes(
     folder = tmp_path_factory.mktemp("episodes")
     for name in EPISODES:
         config = _config(name, make_config)
-        runner = EpisodeRunner(config, locations, {}, draw=False)
-        _, outcome, rollout = runner.simulate(EpisodeJob(SEED, 0))
-        assert rollout is not None and outcome.success, outcome
-        states, arms = rollout.states, runner.scene.arms
-        holds = np.array([held for state in states for held in state.actions.magnet])
+        simulator = Simulator(Session(config, locations))
+        done = planned(simulator, SEED)
+        assert done.outcome.success, done.outcome
+        states, arms, actions = done.states, simulator.scene.arms, all_actions(done.states)
         np.savez(
             folder / f"{name}.npz",
             qpos=states[0].qpos,
-            ctrl=np.concatenate([state.actions.ctrl for state in states]),
-            holds=holds.reshape(len(holds), -1),
+            ctrl=actions.ctrl,
+            holds=actions.magnet,
             welds=[f"{arm.prefix}grasp_weld" for arm in arms],
             hands=[f"{arm.prefix}link_6" for arm in arms],
             item=config.task.object.name,
             steps=config.task.timing.physics_steps_per_tick,
             frames=[state.qpos for state in states],
             arms=np.concatenate([arm.joint_qpos for arm in arms]),
-            objects=[address + k for address in runner.scene.object_qpos.values() for k in range(3)],
+            objects=[address + k for address in simulator.scene.object_qpos.values() for k in range(3)],
         )
     return {name: folder / f"{name}.npz" for name in EPISODES}
 

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter, checkout
-from tests.core.drawn import SMALL, write_drawn_dataset
-from tests.core.undrawn import write_dataset
-from yamsim_cli.core.config.limits import load_limits
+from tests.core.rendered import SMALL, write_rendered_dataset
+from tests.core.unrendered import write_dataset
+from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.export.raiden import export_raiden
 from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robots.models import ArmModel
 
 pytestmark = [pytest.mark.client_heavy, pytest.mark.render]
 
@@ -36,7 +37,7 @@ def read(client: Callable[[str], Interpreter], tmp_path: Path, locations: Locati
     def run(dataset: Path, arms: str, options: RaidenOptions) -> dict[str, Any]:
         interpreter = client("raiden")
         source = open_source(dataset, None, locations)
-        out = export_raiden(source, tmp_path / "out", locations, lambda *_: None, options, {}).path
+        out = export_raiden(source, tmp_path / "out", locations, lambda *_: None, options).path
         (tmp_path / "raiden").mkdir()
         found = interpreter.run(
             "read_raiden.py", checkout("YAMSIM_RAIDEN"), out, tmp_path / "raiden", arms, timeout_s=900
@@ -55,13 +56,13 @@ def one_arm(
     tmp_path_factory: pytest.TempPathFactory, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> Path:
     path = tmp_path_factory.mktemp("one_arm") / "dataset"
-    write_drawn_dataset(path, make_config(SMALL | {("wrist",): True}), locations, 3)
+    write_rendered_dataset(path, make_config(SMALL | {("wrist",): True}), locations, 3)
     return path
 
 
 def shares(found: dict[str, Any], locations: Locations) -> list[float]:
     """Of each episode, the fastest joint that `rd replay` asks for, of what its motor does."""
-    motors = np.array([joint.motor_rad_s for joint in load_limits("i2rt_yam", locations).joints])
+    motors = np.array([joint.motor_rad_s for joint in load_config(ArmModel, "robots", "i2rt_yam", locations).joints])
     return [float((np.array(episode["peak"][0]) / motors).max()) for episode in found["replay"].values()]
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests.clients.environments import REPOSITORY, Interpreter
 from tests.core.export.conftest import CAMERAS, jpeg
-from tests.core.undrawn import SIZE, write_dataset
+from tests.core.unrendered import SIZE, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.export.source import Source, open_source
 from yamsim_cli.core.resources import Locations

@@ -10,12 +10,12 @@ import pytest
 
 from yamsim_cli.core import doctor
 from yamsim_cli.core.doctor import Check, Health, examine, faults
-from yamsim_cli.core.gl import Backend
+from yamsim_cli.core.gl import GlBackend
 from yamsim_cli.core.mounts import Mount
 from yamsim_cli.core.resources import Locations
 
-SOFTWARE = Backend("egl", "llvmpipe (LLVM 19)")
-GPU = Backend("egl", "NVIDIA H200/PCIe")
+SOFTWARE = GlBackend("egl", "llvmpipe (LLVM 19)")
+GPU = GlBackend("egl", "NVIDIA H200/PCIe")
 
 Look = Callable[..., dict[str, Check]]
 
@@ -25,7 +25,7 @@ def look(locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     """Examine a machine whose backends and GPU are made up."""
 
     def examine_it(
-        backends: Mapping[str, Backend | str] | None = None,
+        backends: Mapping[str, GlBackend | str] | None = None,
         environ: Mapping[str, str] | None = None,
         gpu: bool = False,
         out: Path | None = None,

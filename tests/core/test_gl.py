@@ -7,7 +7,7 @@ import pytest
 
 from yamsim_cli.core import gl
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.gl import Backend, choose_backend, find_backend
+from yamsim_cli.core.gl import GlBackend, choose_backend, find_backend
 
 
 class Probes:
@@ -149,13 +149,13 @@ def test_a_real_probe_that_hangs_crashes_or_prints_junk_costs_a_message_only(mon
     ],
 )
 def test_software_is_told_by_what_opengl_calls_itself(renderer, software):
-    assert Backend("egl", renderer).software is software
+    assert GlBackend("egl", renderer).software is software
 
 
 def test_a_probe_tells_what_draws(probing):
     probing(egl=GOOD)
-    assert find_backend({}, "linux") == Backend("egl", "llvmpipe (LLVM 15)")
-    assert find_backend({}, "darwin") == Backend(None, "")
+    assert find_backend({}, "linux") == GlBackend("egl", "llvmpipe (LLVM 15)")
+    assert find_backend({}, "darwin") == GlBackend(None, "")
 
 
 @pytest.mark.render

@@ -17,6 +17,7 @@ from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.executors import LocalProcesses
 from yamsim_cli.core.record.recorder import record
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.workers.processes import WorkerPool
 from yamsim_cli.core.workers.stop import Stop
 
@@ -52,7 +53,7 @@ def test_two_thousand_episodes_fit_into_memory(
             used[mark] = {pid: resident_mb(pid) for pid in (os.getpid(), *workers_of(os.getpid()))}
 
     watch = Notifier(measure, lambda warning: None)
-    record(config, locations, {}, Output(tmp_path / "d", OpenMode.NEW), LocalProcesses(), watch, Stop())
+    record(Session(config, locations), Output(tmp_path / "d", OpenMode.NEW), LocalProcesses(), watch, Stop())
     assert len(used[300]) == 3
     growth = {pid: (used[300][pid] - used[100][pid]) * EPISODES / 200 for pid in used[300]}
     print({pid: f"{used[300][pid]:.0f} MB, {mb:.1f} MB more in {EPISODES} episodes" for pid, mb in growth.items()})

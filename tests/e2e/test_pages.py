@@ -22,7 +22,9 @@ import yaml
 
 from tests.core.things.test_fits import block
 from tests.e2e.page_lines import prepared, reason_not_to_run, serves
+from tests.mugs import has_import_extra, mug, write_mugs
 from tests.pages import Block, blocks, shell_blocks, snippet
+from tests.racks import rack_sdf
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.resources import Locations
@@ -119,6 +121,13 @@ def write_inputs(folder: Path, locations: Locations) -> None:
     (folder / "first_policy.py").write_text(snippet("python", "class FirstPolicy"))
     (folder / "stream.jsonl").write_text(snippet("json", '"event": "start"'))
     (folder / "mug.stl").write_bytes(block((0.04, 0.04, 0.09)))
+    (folder / "my_rack.sdf").write_text(rack_sdf())
+    if has_import_extra():
+        printed = write_mugs(folder, segments=24)
+        (folder / "my_mug.glb").write_bytes(printed["glb"].read_bytes())
+        scan = mug(24)
+        scan.apply_scale(1000)
+        scan.export(folder / "scan.obj")
     with Studio("russet", locations, CAMERA) as studio:
         shot = studio.shoot(looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1)), JOINTS)
     cv2.imwrite(str(folder / "photo.png"), shot.image[:, :, ::-1])
@@ -171,12 +180,18 @@ def once_each(shown: list[Block]) -> Iterator[Block]:
         yield replace(lines, text="\n".join(new))
 
 
+def no_extra(line: str) -> str | None:
+    """Why a line that reads a thing's file cannot run here."""
+    reads = any(name in line for name in ("my_mug.glb", "scan.obj"))
+    return "the extra for import is not installed" if reads and not has_import_extra() else None
+
+
 def run_block(
     shell: Shell, lines: Block, policy_port: int, logs: Path, failures: list[str], locations: Locations
 ) -> None:
     with ExitStack() as servers:
         for k, shown in enumerate(lines.commands):
-            reason = reason_not_to_run(shown) or no_meshes(shown, locations)
+            reason = reason_not_to_run(shown) or no_meshes(shown, locations) or no_extra(shown)
             if reason:
                 print(f"not run: {shown}: {reason}")
                 continue

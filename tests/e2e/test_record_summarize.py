@@ -19,7 +19,7 @@ import yaml
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.config.recording import ImageConfig
 from yamsim_cli.core.dataset.space import EpisodeSize
-from yamsim_cli.core.gl import Backend
+from yamsim_cli.core.gl import GlBackend
 
 pytestmark = pytest.mark.render
 
@@ -162,7 +162,7 @@ def test_interrupted_then_resumed_gives_the_same_bytes(
         # The next attempt, which takes seconds, is handed out as soon as the ledger is written.
         time.sleep(0.3)
         process.send_signal(first)
-        assert process.stderr.readline().startswith("Stopping: what is in hand is finished first.")
+        assert process.stderr.readline().startswith("Stopping once the attempts in progress are done.")
         if second:
             process.send_signal(second)
         _, err = process.communicate(timeout=60)
@@ -216,7 +216,7 @@ def test_the_quality_that_was_chosen_is_kept(dataset: Path) -> None:
     """`auto` is settled before anything is drawn, and what it stood for is in the dataset, with what drew."""
     config = yaml.safe_load((dataset / "config.yaml").read_text())
     renderer = json.loads((dataset / "ep_000000" / "episode.json").read_text())["renderer"]
-    assert config["render"]["name"] == ("balanced" if Backend("egl", renderer).software else "high")
+    assert config["render"]["name"] == ("balanced" if GlBackend("egl", renderer).software else "high")
     assert config["render"]["shadow_map_px"] > 0
 
 

@@ -22,11 +22,12 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.opening import OpenMode
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import task_viewpoint
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
+from yamsim_cli.core.teleop.driven_scene import DrivenScene
 from yamsim_cli.core.teleop.loop import open_seat, run_page
-from yamsim_cli.core.teleop.session import TeleopSession
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.target_fields import heading_of
@@ -63,71 +64,70 @@ def pixel(config: RecordConfig, browser: Browser, point: Array) -> tuple[float, 
 
 
 @contextmanager
-def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[tuple[str, TeleopSession]]:
+def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[tuple[str, DrivenScene]]:
     """A page on which an arm is driven: its URL, and the session behind it. How well time was kept is printed."""
     urls: list[str] = []
-    sessions: list[TeleopSession] = []
+    scenes: list[DrivenScene] = []
     stop = Stop()
 
     def serve() -> None:
-        meshes = {"i2rt_yam_crank": None, "ycb": None}
-        with open_seat(config, locations, meshes, out, OpenMode.NEW, print) as seat:
-            sessions.append(seat.session)
+        with open_seat(Session(config, locations), out, OpenMode.NEW, print) as seat:
+            scenes.append(seat.scene)
             print(run_page(seat, config, PageAddress(), urls.append, stop).jitter)
 
     thread = threading.Thread(target=serve)
     thread.start()
     try:
         wait_until(lambda: urls)
-        yield urls[0], sessions[0]
+        yield urls[0], scenes[0]
     finally:
         stop.ask()
         thread.join()
 
 
-def at(session: TeleopSession, place: Array, tolerance: float = 0.006) -> bool:
+def at(driven: DrivenScene, place: Array, tolerance: float = 0.006) -> bool:
     """Whether the hand is there, and at rest."""
-    near = np.linalg.norm(session.data.site("pinch_site").xpos - place) < tolerance
-    return bool(near and np.abs(session.data.qvel[:6]).max() < 0.02)
+    near = np.linalg.norm(driven.data.site("pinch_site").xpos - place) < tolerance
+    return bool(near and np.abs(driven.data.qvel[:6]).max() < 0.02)
 
 
 def test_a_drag_of_the_gizmo_moves_the_hand(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path, screens: Path
 ) -> None:
-    with driving(config, locations, tmp_path / "d") as (url, session):
+    with driving(config, locations, tmp_path / "d") as (url, driven):
         browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         time.sleep(2)
-        before = session.target
+        before = driven.target
         # The arrow along the hand's y axis, which is the world's here.
         arrow = before[:3, 3] + 0.11 * before[:3, 1]
         start, end = (pixel(config, browser, point) for point in (arrow, arrow + 0.1 * before[:3, 1]))
         browser.drag(start, end)
         browser.screenshot(screens / "teleop_dragged.png")
-        wait_until(lambda: session.target[1, 3] > 0.05)
-        moved = session.target[:3, 3] - before[:3, 3]
+        wait_until(lambda: driven.target[1, 3] > 0.05)
+        moved = driven.target[:3, 3] - before[:3, 3]
         assert np.allclose(moved, (0, moved[1], 0), atol=2e-3)
         assert moved[1] == pytest.approx(0.1, abs=0.04)
-        wait_until(lambda: at(session, session.target[:3, 3], 0.01))
+        wait_until(lambda: at(driven, driven.target[:3, 3], 0.01))
 
 
 def test_every_key_counts_and_none_overtakes_a_number(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path
 ) -> None:
-    with driving(config, locations, tmp_path / "d") as (url, session):
+    with driving(config, locations, tmp_path / "d") as (url, driven):
         browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
-        x, _, z = session.target[:3, 3]
+        x, _, z = driven.target[:3, 3]
         browser.run(SET_NUMBER, Y, "0.080")
         browser.keys("iiyyyhk")
         wanted = (x + 0.01, 0.08, z + 0.02)
-        wait_until(lambda: np.allclose(session.target[:3, 3], wanted, atol=1e-6))
+        wait_until(lambda: np.allclose(driven.target[:3, 3], wanted, atol=1e-6))
         # A place is sent whole: who types before the page has followed would send the rest as it was.
         wait_until(lambda: np.allclose([float(n) for n in browser.run(NUMBERS)[:3]], wanted, atol=6e-4))
         browser.run(SET_NUMBER, X, "0.300")
-        wait_until(lambda: at(session, np.array((0.3, *wanted[1:]))))
+        wait_until(lambda: at(driven, np.array((0.3, *wanted[1:]))))
         assert np.allclose([float(n) for n in browser.run(NUMBERS)[:3]], (0.3, *wanted[1:]), atol=6e-4)
 
 
@@ -136,31 +136,31 @@ def test_what_is_done_on_the_page_is_an_episode(
 ) -> None:
     config = make_config({("image", "size_px"): [160, 120], ("render",): "fast"})
     task, out = config.task, tmp_path / "d"
-    layout = sample_layout(task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    layout = sample_layout(config, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
     assert layout
     assert task.object.grasp
     T_grasp = layout.T_in_world[task.object.name] @ task.object.grasp.T_pinch_in_object(False)
     T_goal = layout.T_in_world[task.target.name]
-    with driving(config, locations, out) as (url, session):
+    with driving(config, locations, out) as (url, driven):
 
         def go(place: tuple[float, float, float]) -> None:
             for field in (X, Y, Z):
                 browser.run(SET_NUMBER, field, f"{place[field]:.3f}")
-            wait_until(lambda: at(session, np.array(place)))
+            wait_until(lambda: at(driven, np.array(place)))
 
         browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         browser.click("Start recording")
-        wait_until(lambda: session.recording and "not recording" not in browser.text())
+        wait_until(lambda: driven.recording and "not recording" not in browser.text())
         home = browser.run(NUMBERS)
         browser.click("Point down")
-        wait_until(lambda: session.target[2, 2] < -0.999)
+        wait_until(lambda: driven.target[2, 2] < -0.999)
         heading = math.degrees(math.atan2(T_grasp[1, 1], T_grasp[0, 1]))
         # The hand is the same the other way round.
         heading = heading if heading > 0 else heading + 180
         browser.run(SET_NUMBER, HEADING, f"{heading:.1f}")
-        wait_until(lambda: heading_of(session.target) == pytest.approx(math.radians(heading), abs=0.001))
+        wait_until(lambda: heading_of(driven.target) == pytest.approx(math.radians(heading), abs=0.001))
         x, y, z = T_grasp[:3, 3]
         go((x, y, 0.15))
         go((x, y, z))
@@ -176,7 +176,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         go((x, y, 0.06))
         browser.screenshot(screens / "teleop_placing.png")
         browser.keys("gm")
-        wait_until(lambda: not session.status.holds)
+        wait_until(lambda: not driven.status.holds)
         time.sleep(1)
         go((x, y, 0.2))
         browser.click("Stop and judge")
@@ -185,13 +185,13 @@ def test_what_is_done_on_the_page_is_an_episode(
 
         # A second one, thrown away, and a target that no hand can reach.
         browser.keys("r")
-        wait_until(lambda: session.recording)
+        wait_until(lambda: driven.recording)
         wait_until(lambda: browser.run(NUMBERS) == home)
         browser.run(SET_NUMBER, X, "1.200")
         wait_until(lambda: "out of reach" in browser.text())
         browser.screenshot(screens / "teleop_out_of_reach.png")
         browser.keys("x")
-        wait_until(lambda: not session.recording and "discarded" in browser.text())
+        wait_until(lambda: not driven.recording and "discarded" in browser.text())
     record = json.loads((out / "ep_000000" / "episode.json").read_text())
     assert (record["source"], record["outcome"]["success"]) == ("teleop", True)
     summary = yamsim("summarize", str(out), "--strict", "--json")
@@ -203,21 +203,21 @@ def test_what_is_done_on_the_page_is_an_episode(
 def test_a_page_that_is_closed_pauses_its_recording(
     config: RecordConfig, locations: Locations, browser: Browser, tmp_path: Path
 ) -> None:
-    with driving(config, locations, tmp_path / "d") as (url, session):
+    with driving(config, locations, tmp_path / "d") as (url, driven):
         browser.resize(900, 700)
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         browser.click("Start recording")
-        wait_until(lambda: session.recording)
+        wait_until(lambda: driven.recording)
         browser.open("about:blank")
-        wait_until(lambda: session.paused)
-        before = session.status.seconds
+        wait_until(lambda: driven.paused)
+        before = driven.status.seconds
         time.sleep(1)
-        assert session.status.seconds == before
+        assert driven.status.seconds == before
         browser.open(url)
         wait_until(lambda: "nobody was watching" in browser.text())
         browser.click("Play")
-        wait_until(lambda: session.status.seconds > before)
+        wait_until(lambda: driven.status.seconds > before)
 
 
 def test_a_page_whose_server_is_killed_says_so(browser: Browser, tmp_path: Path, screens: Path) -> None:

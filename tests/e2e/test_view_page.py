@@ -20,7 +20,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.show.view import live_rig, view_in_browser
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.live import LiveRig
@@ -53,7 +53,7 @@ def live(locations: Locations) -> LiveRig:
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
     rig = load_config(RigConfig, "rigs", "russet", locations)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
-    return live_rig(rig, scene, Contents(), locations, {"i2rt_yam_crank": None})
+    return live_rig(Blueprint(rig, scene), locations)
 
 
 def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser, screens: Path) -> None:
@@ -84,7 +84,7 @@ def test_the_boards_on_the_page_are_the_rigs_own(
     places = {}
     for k, arm in enumerate(rig.arms):
         assert arm.board is not None
-        T_board_in_world = rig.T_base_in_world(k) @ arm.board.T_board_in_arm
+        T_board_in_world = rig.T_base_in_world(k) @ arm.T_board_in_base
         for number, corners in zip(arm.board.board.ids, arm.board.board.corners(), strict=True):
             places[number] = (T_board_in_world @ (*corners.mean(axis=0), 1.0))[:2]
     middle = np.array([*np.mean(list(places.values()), axis=0), 0.0])
@@ -161,5 +161,5 @@ def test_the_window_opens_on_a_display_and_a_signal_ends_it(screen: str) -> None
     with shown("view", "--rig", "russet", DISPLAY=screen, LIBGL_ALWAYS_SOFTWARE="1") as window:
         assert window.report == {"url": None}
         time.sleep(2)
-        assert window.process.poll() is None
+        assert window.still_runs()
         assert window.end() == (0, "", [])

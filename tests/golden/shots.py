@@ -18,7 +18,8 @@ from yamsim_cli.core.config.recording import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.show.views import ViewScene, set_stage
+from yamsim_cli.core.scene.blueprint import Blueprint
+from yamsim_cli.core.show.views import ViewScene, set_up_views
 
 DATA = Path(__file__).with_name("data")
 FAILED = Path(__file__).with_name("failed")
@@ -59,20 +60,23 @@ class Shot:
 
 
 def take(
-    rig: RigConfig, view: str, locations: Locations, tamper: Callable[[mujoco.MjModel], None] | None = None
-) -> Shot:
-    """Draw a rig on primitives, which are always here; `tamper` may spoil the model first."""
+    rig: RigConfig, locations: Locations, tamper: Callable[[mujoco.MjModel], None] | None = None
+) -> dict[str, Shot]:
+    """The pictures of a rig by view, on primitives, which are always here; `tamper` may spoil the model first."""
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
-    stage = set_stage(rig, scene, quality, SIZE, locations, {})
+    stage = set_up_views(Blueprint(rig, scene), locations, quality, SIZE)
     if tamper:
         tamper(stage.model)
         mujoco.mj_forward(stage.model, stage.data)
-    with stage.renderer() as renderer:
-        colour = renderer.draw(stage.data, view).copy()
-        geoms = renderer.segment(stage.data, view)
     part_of_geom = np.array([_part(stage.model, int(body)) for body in stage.model.geom_bodyid] + [0], np.uint8)
-    return Shot(colour, part_of_geom[geoms], stage)
+    with stage.renderer() as renderer:
+        return {
+            view: Shot(
+                renderer.render(stage.data, view).copy(), part_of_geom[renderer.segment(stage.data, view)], stage
+            )
+            for view in VIEWS
+        }
 
 
 def _part(model: mujoco.MjModel, body: int) -> int:
@@ -140,8 +144,7 @@ def update(locations: Locations) -> list[Path]:
     written = []
     for name in RIGS:
         rig = load_config(RigConfig, "rigs", name, locations)
-        for view in VIEWS:
-            shot = take(rig, view, locations)
+        for view, shot in take(rig, locations).items():
             for path, image in (
                 (DATA / f"{name}_{view}.png", shot.colour[..., ::-1]),
                 (DATA / f"{name}_{view}_mask.png", shot.mask),

@@ -2,30 +2,49 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import mujoco
 import numpy as np
 import pytest
 
-from tests.golden.shots import RIGS, VIEWS, centre_faults, faults, save_failure, take
+from tests.golden.shots import RIGS, VIEWS, Shot, centre_faults, faults, save_failure, take
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.show.views import set_stage
+from yamsim_cli.core.scene.blueprint import Blueprint
+from yamsim_cli.core.show.views import set_up_views
 
 pytestmark = pytest.mark.render
+
+Shots = Callable[..., dict[str, Shot]]
 
 
 def _rig(name: str, locations: Locations) -> RigConfig:
     return load_config(RigConfig, "rigs", name, locations)
 
 
+@pytest.fixture(scope="module")
+def shots(locations: Locations) -> Shots:
+    """Pictures of a rig, by its name and a mistake; each is rendered once."""
+
+    @functools.cache
+    def shots(name: str, mistake: Callable[[Any], Any] | None = None) -> dict[str, Shot]:
+        rig = _rig(name, locations)
+        if mistake is _boards_upright:
+            return take(rig, locations, mistake)
+        return take(mistake(rig) if mistake else rig, locations)
+
+    return shots
+
+
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("name", RIGS)
-def test_picture_is_the_golden_one(name: str, view: str, locations: Locations) -> None:
-    shot = take(_rig(name, locations), view, locations)
+def test_picture_is_the_golden_one(name: str, view: str, shots: Shots) -> None:
+    shot = shots(name)[view]
     if found := faults(shot, name, view):
         pytest.fail(f"{'; '.join(found)}; see {save_failure(shot, name, view)}")
 
@@ -59,8 +78,8 @@ def _board_not_mirrored(rig: RigConfig) -> RigConfig:
 
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("name", RIGS)
-def test_an_upright_board_fails(name: str, view: str, locations: Locations) -> None:
-    assert faults(take(_rig(name, locations), view, locations, _boards_upright), name, view)
+def test_an_upright_board_fails(name: str, view: str, shots: Shots) -> None:
+    assert faults(shots(name, _boards_upright)[view], name, view)
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -74,15 +93,13 @@ def test_an_upright_board_fails(name: str, view: str, locations: Locations) -> N
         ("russet", _board_not_mirrored),
     ],
 )
-def test_a_wrong_rig_fails(
-    name: str, mistake: Callable[[RigConfig], RigConfig], view: str, locations: Locations
-) -> None:
-    assert faults(take(mistake(_rig(name, locations)), view, locations), name, view)
+def test_a_wrong_rig_fails(name: str, mistake: Callable[[RigConfig], RigConfig], view: str, shots: Shots) -> None:
+    assert faults(shots(name, mistake)[view], name, view)
 
 
-def test_a_margin_2_cm_off_is_seen_in_the_centres_alone(locations: Locations) -> None:
+def test_a_margin_2_cm_off_is_seen_in_the_centres_alone(shots: Shots) -> None:
     """The first question suffices: it needs no golden picture, only the figures."""
-    shot = take(_margin_2_cm_off(_rig("russet", locations)), "near_top", locations)
+    shot = shots("russet", _margin_2_cm_off)["near_top"]
     assert any("base_board is seen" in fault for fault in centre_faults(shot, "russet", "near_top"))
 
 
@@ -96,9 +113,9 @@ def test_every_marker_is_found_from_above(name: str, locations: Locations) -> No
     quality = load_config(RenderConfig, "quality", "fast", locations)
     # Where a shadow ends on a marker, the plain detector takes its corners amiss.
     quality = quality.model_copy(update={"shadow_map_px": 0})
-    stage = set_stage(rig, scene, quality, size, locations, {})
+    stage = set_up_views(Blueprint(rig, scene), locations, quality, size)
     with stage.renderer() as renderer:
-        grey = cv2.cvtColor(renderer.draw(stage.data, "near_top"), cv2.COLOR_RGB2GRAY)
+        grey = cv2.cvtColor(renderer.render(stage.data, "near_top"), cv2.COLOR_RGB2GRAY)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_6X6_250)
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(grey)
     expected = list(range(217, 226 if name == "single" else 235))
@@ -109,7 +126,7 @@ def test_every_marker_is_found_from_above(name: str, locations: Locations) -> No
     for arm in range(len(rig.arms)):
         board = rig.arms[arm].board
         assert board is not None
-        T = rig.T_base_in_world(arm) @ board.T_board_in_arm
+        T = rig.T_base_in_world(arm) @ rig.arms[arm].T_board_in_base
         for number, marker in zip(board.board.ids, board.board.corners(), strict=True):
             seen = corners[ids.ravel().tolist().index(number)][0]
             wanted = np.array([camera.pixel((T @ [*corner, 1])[:3]) for corner in marker])

@@ -8,23 +8,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.errors import ConfigError, ResourceError
 
+from .certify_object import certify_object
 from .import_object import import_object
 from .tables import Listing, file_size, listing
 
 if TYPE_CHECKING:
     from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
 
-app = typer.Typer(help="List and fetch the robot and object meshes, and import objects.", no_args_is_help=True)
+app = typer.Typer(
+    help="List and fetch the robot and object meshes, and import and certify objects.", no_args_is_help=True
+)
 app.command("import")(import_object)
+app.command("certify")(certify_object)
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 
 @app.command("list")
 def list_assets(json: Json = False) -> None:
-    """List every mesh file: its set, size, state, license and place. Never uses the network.
+    """List every mesh file with its set, size, state and place, and how each object's certificate stands.
 
     Example: yamsim assets list --json
     """
@@ -32,10 +36,12 @@ def list_assets(json: Json = False) -> None:
 
     lock, store = _open()
     items = [item for assets in lock.sets.values() for item in _files(assets, store)]
+    things = _things(lock)
     if json:
-        print_json({"items": items})
+        print_json({"items": items, "things": things})
     else:
         print_table(_table(items, ("name", "set", "status", "size"), 3))
+        print_table(_table(things, ("name", "certificate", "failed"), 3))
         for assets in lock.sets.values():
             print_line(f"{assets.name} ({assets.license}): {store.status(assets)[0].path.parent}")
 
@@ -43,7 +49,8 @@ def list_assets(json: Json = False) -> None:
 @app.command()
 def fetch(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAMES]...", help="Sets to fetch; all of them when none is named.")
+        list[str] | None,
+        typer.Argument(metavar="[NAMES]...", help="Sets to fetch; without any, those that are not `on_demand`."),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -95,10 +102,32 @@ def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]
             "sha256": assets.files[state.name].sha256,
             "status": state.status.value,
             "license": assets.license,
+            "on_demand": assets.on_demand,
             "path": str(state.path),
         }
         for state in store.status(assets)
     ]
+
+
+def _things(lock: AssetLock) -> list[dict[str, Any]]:
+    """Every object there is a config of, and how it stands with its certificate."""
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.things import ObjectConfig
+    from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.things.certificates import find_certificate
+
+    where = Locations.find(os.environ)
+    found = list[dict[str, Any]]()
+    for name in where.config_names("objects"):
+        try:
+            item = load_config(ObjectConfig, "objects", name, where)
+        except ConfigError as error:
+            found.append({"name": name, "certificate": f"its config is not valid: {error}", "failed": [], "path": None})
+            continue
+        stands = find_certificate(where.assets, item, lock)
+        path = stands.path and str(stands.path)
+        found.append({"name": name, "certificate": stands.standing.value, "failed": list(stands.failed), "path": path})
+    return found
 
 
 def _fetch_with_progress(
@@ -144,6 +173,8 @@ def _table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers
 def _shown(column: str, value: Any) -> str:
     if value is None:
         return ""
+    if isinstance(value, list):
+        return ", ".join(value)
     if column == "size":
         return file_size(value)
     return f"{value:,}" if isinstance(value, int) else str(value)

@@ -26,11 +26,13 @@ class PaperSize(StrEnum):
 
 def boards(
     rig: Annotated[str, typer.Option(help="Rig: a name from configs/rigs/ or a YAML file.")] = "single",
-    out: Annotated[Path, typer.Option(help="One .pdf with a page a board, or a .png a board.")] = Path("boards.pdf"),
-    paper: Annotated[PaperSize, typer.Option(case_sensitive=False, help="What the printer holds.")] = PaperSize.A4,
+    out: Annotated[Path, typer.Option(help="A .pdf with one page per board, or one .png per board.")] = Path(
+        "boards.pdf"
+    ),
+    paper: Annotated[PaperSize, typer.Option(case_sensitive=False, help="Paper in the printer.")] = PaperSize.A4,
     json: Json = False,
 ) -> None:
-    """Write a rig's fiducial boards as pages that print at true size. With .png, the arm's name is put in the file's.
+    """Write a rig's fiducial boards as pages that print at true size. Of .png files, each is named after its arm.
 
     Example: yamsim boards --rig bimanual --out boards.pdf
     """
@@ -74,8 +76,8 @@ def boards(
 
 
 def _files(sheets: dict[str, Sheet], out: Path) -> dict[Path, bytes]:
-    """What to write where."""
-    from yamsim_cli.core.boards.pages import pdf_bytes, png_bytes
+    """File to write -> its bytes."""
+    from yamsim_cli.core.boards.print_files import pdf_bytes, png_bytes
 
     if out.suffix.lower() == ".pdf":
         return {out: pdf_bytes(list(sheets.values()))}

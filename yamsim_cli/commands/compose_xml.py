@@ -10,24 +10,29 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line
-from .session import Json, Margin, RigName, opener
+from .session import Json, Margin, Revision, RigName, opener
 from .settings import Grasp
 
 
 def compose_xml(
     rig: RigName = "single",
+    revision: Revision = None,
     out: Annotated[Path, typer.Option(help="Folder to create, or file with --zip.")] = Path("scene"),
     margin: Margin = None,
     boards: Annotated[bool, typer.Option("--boards/--no-boards", help="Base boards and their mounts.")] = True,
     background: Annotated[
         bool, typer.Option("--background/--no-background", help="Sky, floor and lights; a task's table stays.")
     ] = True,
-    task: Annotated[str | None, typer.Option(help="Also the task's table and objects: pickplace.")] = None,
-    seed: Annotated[int, typer.Option(help="Where the task's objects stand.")] = 0,
+    task: Annotated[
+        str | None, typer.Option(help="Also add the table and the objects of this task, such as pickplace.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed that decides where the task's objects stand.")] = 0,
     grasp: Grasp = None,
     mujoco: Annotated[
         Literal["3.3", "4"],
-        typer.Option(help="Oldest MuJoCo to read it; 3.3: dm_control too, without what 4 says of shadows."),
+        typer.Option(
+            help="Oldest MuJoCo that can read the scene. dm_control reads 3.3, which lacks the shadow settings of 4."
+        ),
     ] = "3.3",
     as_zip: Annotated[bool, typer.Option("--zip", help="One zip file instead of a folder.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
@@ -40,23 +45,25 @@ def compose_xml(
     if grasp is not None and task is None:
         raise UsageError("--grasp says how a task's object is held: give --task too, or leave it out")
     where = opener.locations()
-    settings = opener.rig(rig, where, margin)
+    settings = opener.rig(rig, where, margin, revision)
     opener.skip_gl()
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.scene.compose import Contents, mesh_sets
-    from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
+    from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
+    from yamsim_cli.core.scene.compose import mesh_sets
+    from yamsim_cli.core.show.compose import at_home, task_home, write_scene
 
     if task is None:
-        scene = load_config(SceneConfig, "scenes", "studio", where)
-        meshes = opener.meshes(mesh_sets(settings), where)
-        spec, model = rig_spec(settings, scene, Contents(boards, background), where, meshes)
+        scene, home = load_config(SceneConfig, "scenes", "studio", where), None
+        blueprint = Blueprint(settings, scene, boards=boards, background=background)
     else:
-        config = opener.config("default", where, rig=rig, margin=margin, task=task, seed=seed, grasp=grasp)
-        objects = (config.task.object, config.task.target)
-        meshes = opener.meshes(mesh_sets(settings, objects), where)
-        spec, model = task_spec(config, Contents(boards, background, objects), where, meshes)
+        config = opener.config(
+            "default", where, rig=rig, revision=revision, margin=margin, task=task, seed=seed, grasp=grasp
+        )
+        blueprint, home = task_blueprint(config, boards=boards, background=background), task_home(config)
+    where = opener.find_meshes(where, mesh_sets(blueprint))
+    spec, model = at_home(blueprint, where, home)
     target = out.with_name(f"{out.name}.zip") if as_zip and out.suffix != ".zip" else out
     report = write_scene(spec, model, target, as_zip=as_zip, overwrite=overwrite, reader=mujoco)
     if report.moved_aside:

@@ -43,7 +43,7 @@ def list_configs(json: Json = False) -> None:
 
 
 def _named(context: typer.Context, name: str) -> str:
-    """A config's name, which has to be given; asked for here, where it can be told which ones there are."""
+    """The name that was given. A missing one is refused here, where the message can list the valid ones."""
     kind = context.params.get("kind", "")
     if name or context.resilient_parsing:
         return name
@@ -65,8 +65,8 @@ def show(
 
     Example: yamsim config show tasks pickplace
     """
-    from yamsim_cli.core.config.document import dump_yaml
     from yamsim_cli.core.config.loader import load_config, model_of
+    from yamsim_cli.core.documents.document import dump_yaml
 
     data: dict[str, Any] = load_config(model_of(kind), kind, name, opener.locations()).model_dump(mode="json")
     if json:
@@ -83,7 +83,8 @@ def validate(
 ) -> None:
     """Check a file; exit code 3 and one line naming file, key and value if it is not valid.
 
-    It is YAML; that of a camera may be another program's, and of several each is checked, or FILE:CAMERA.
+    The file is YAML. A camera's file may come from another program. If it holds several cameras, each is checked, or
+    the one that FILE:CAMERA names.
 
     Example: yamsim config validate my_rig.yaml --kind rigs
     """

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-# Between two lines of progress in a log, s: a job of minutes stays silent, one of a night can be followed.
+# Seconds between two lines of progress in a log. A short job stays silent, and one of a whole night can be followed.
 _LOG_SECONDS = 30.0
 
 # Called with the number done, the total and a remark.
@@ -30,7 +30,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def print_table(table: RenderableType) -> None:
-    """Write a rich table, or anything rich can draw, to stdout: as wide as the terminal, or 80 columns without one."""
+    """Write a rich table, or anything rich can print, to stdout: as wide as the terminal, or 80 columns without one."""
     out = Console()
     if out.is_terminal:
         out.print(table)
@@ -47,7 +47,7 @@ def print_line(text: str) -> None:
 
 
 def print_text(marked: str, text: str, style: str) -> None:
-    """Write a line of a result to stdout, its beginning in a colour where there are colours, wrapped beside it."""
+    """Write a line of a result to stdout: `marked` in `style` where there are colours, and `text` wrapped beside it."""
     from rich.table import Table
     from rich.text import Text
 
@@ -65,12 +65,12 @@ def note(text: str) -> None:
 
 @contextmanager
 def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Iterator[Advance]:
-    """How far a job is, with rate and time left, on stderr: a bar on a terminal, else a plain line now and then.
+    """A function that reports progress on stderr, with rate and time left: as a bar on a terminal, else as plain lines.
 
     Args:
         label: what is going on.
         unit: what is counted, in the plural.
-        log_seconds: between two lines, and before the first; half a minute unless given.
+        log_seconds: seconds between two lines, and before the first; half a minute unless given.
     """
     if console.is_terminal:
         with _bar(label, unit) as advance:
@@ -111,12 +111,12 @@ def _bar(label: str, unit: str) -> Iterator[Advance]:
 
 
 class _Log:
-    """Writes how far a job is as a line, when it is told and enough time has passed."""
+    """Writes a line of progress when it is called, if enough time has passed since the last one."""
 
     def __init__(self, label: str, unit: str, seconds: float) -> None:
         self._label, self._unit, self._seconds = label, unit, seconds
         self._written = time.monotonic()
-        # What a resumed job found done was not done at this rate.
+        # When counting began, and how many were done by then: a resumed job's rate leaves out what it found done.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:

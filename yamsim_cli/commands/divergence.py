@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-# On another kind of processor the last bit of a sine or a sum differs, and contacts make more of it: emulated, that
-# came to 1.4e-3 in the worst of 40 episodes, the tilt of a banana that rolls, and to 1.5e-4 in most.
+# Another kind of processor rounds the last bit of a sine or a sum differently, and contacts amplify that. On an
+# emulated processor the difference came to 1.5e-4 in most of 40 episodes, and to 1.4e-3 (the tilt of a rolling banana)
+# in the worst.
 _ROUNDING = 0.005
 
 # Check -> how the episode was made again.

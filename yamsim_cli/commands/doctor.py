@@ -25,8 +25,8 @@ def doctor(
 ) -> None:
     """Check OpenGL, meshes, the disk, memory and packages, and say how to put right what is wrong.
 
-    Every OpenGL backend is tried in a process of its own, with a limit on its time; three made-up episodes are written
-    to the disk and removed again. Nothing else is changed. The exit code is 4 if there is a fault.
+    Every OpenGL backend is tried in a process of its own, under a time limit. Three made-up episodes are written to the
+    disk and removed again. Nothing else is changed. The exit code is 4 if there is a fault.
 
     Example: yamsim doctor --out /data/episodes
     """

@@ -11,7 +11,7 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
 from .films import film, films_at
-from .session import Json, opener
+from .session import Json, Revision, opener
 from .settings import (
     Arm,
     ConfigOption,
@@ -45,9 +45,11 @@ def evaluate(
     workers: Workers = None,
     threshold: Threshold = None,
     time_limit: Annotated[
-        float | None, typer.Option(min=0.001, help="Of a trial, in simulated s.  [default: twice the plan's]")
+        float | None, typer.Option(min=0.001, help="Longest trial, simulated s.  [default: twice the plan's]")
     ] = None,
-    policy_timeout: Annotated[float, typer.Option(min=0.001, help="For one answer of the policy, in real s.")] = 30.0,
+    policy_timeout: Annotated[
+        float, typer.Option(min=0.001, help="Real seconds that one answer of the policy may take.")
+    ] = 30.0,
     trial_timeout: Annotated[
         float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
     ] = 600.0,
@@ -66,11 +68,12 @@ def evaluate(
     item: Object = None,
     target: Target = None,
     rig: Rig = None,
+    revision: Revision = None,
     arm: Arm = None,
     config: ConfigOption = "default",
     json: Json = False,
 ) -> None:
-    """Run a policy on randomized trials, the same that `pickplace batch` has for a seed, and count its successes.
+    """Run a policy from sampled starts, the same as `pickplace batch` has for that seed, and count its successes.
 
     Exit code 6 if the policy failed in every trial before its end, so that nothing was measured.
 
@@ -82,7 +85,7 @@ def evaluate(
 
     session = opener.open(
         config,
-        draws=video is not None or sees_images(policy),
+        renders=video is not None or sees_images(policy),
         n=n,
         seed=seed,
         workers=workers,
@@ -95,12 +98,13 @@ def evaluate(
         object=item,
         target=target,
         rig=rig,
+        revision=revision,
         arm=arm,
         wrist=True,
     )
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
-    from yamsim_cli.core.evaluate import evaluation as evaluation
+    from yamsim_cli.core.evaluate import evaluation
     from yamsim_cli.core.evaluate.policy_trial import PolicyChoice
     from yamsim_cli.core.trials.batch import write_report
     from yamsim_cli.core.trials.tally import require_success
@@ -109,7 +113,7 @@ def evaluate(
     choice = PolicyChoice(policy, Path.cwd(), policy_timeout, time_limit)
     with progress_bar("trials", "trials") as advance:
         found = evaluation.evaluate(
-            *session.parts,
+            session,
             choice,
             lambda done, total: advance(done, total, ""),
             trial_timeout,
@@ -118,7 +122,7 @@ def evaluate(
     if films:
         report["videos"] = film(
             films,
-            lambda told: evaluation.film(found, video_trials, films, *session.parts, told),
+            lambda told: evaluation.film(found, video_trials, films, session, told),
         )
     if out is not None:
         write_report(report, out)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.export.source import Exported, Source
     from yamsim_cli.core.resources import Locations
 
-# As many as there are physics steps.
+# Physics takes so many steps a second: no more states can be told apart.
 _MOST_FPS = 500
 
 app = typer.Typer(help="Write a dataset in the formats of others.", no_args_is_help=True)
@@ -42,20 +42,21 @@ def raiden(
     pictures: Annotated[
         Literal["draw", "nearest"] | None,
         typer.Option(
-            help="Pictures at those times: drawn anew, or the nearest recorded ones, which repeat.  [default: draw]",
+            help="Pictures at those times: rendered anew (draw), or the nearest recorded ones, which repeat.  "
+            "[default: draw]",
             show_default=False,
         ),
     ] = None,
     images: Annotated[
         Literal["png", "jpg"],
-        typer.Option(help="Files of pictures; raiden reads PNG alone. jpg with --fps source is what was recorded."),
+        typer.Option(help="Format of the pictures. raiden reads only PNG; jpg with --fps source copies the recording."),
     ] = "png",
     single: Annotated[bool, typer.Option("--single", help="Arrays of one arm: 7 and 13 wide, not 14 and 26.")] = False,
     hand_frame: Annotated[
         Literal["yamsim", "i2rt"],
         typer.Option(help="Hand poses as the simulated arm has them, or as raiden's kinematics of the same joints do."),
     ] = "yamsim",
-    workers: Annotated[int, typer.Option(min=1, help="Processes that draw.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 2,
     episodes: Episodes = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -70,22 +71,24 @@ def raiden(
         raise UsageError(f"--pictures {pictures} is for other times than the recorded ones: leave out --fps source")
     options = RaidenOptions(_rate(fps), pictures or "draw", images, single, hand_frame)
     where = opener.locations()
-    if options.draws:
-        where = _drawing(where)
+    if options.renders:
+        where = _with_renderer(where)
     else:
         opener.skip_gl()
 
     from yamsim_cli.core.export.raiden import export_raiden
     from yamsim_cli.core.export.source import open_source
+    from yamsim_cli.core.session import Session
 
     source = open_source(dataset, episodes, where)
-    meshes = opener.scene_meshes(source.config, where) if options.draws else {}
+    if options.renders:
+        where = opener.with_meshes(Session(source.config, where)).locations
     with progress_bar("exporting", "episodes") as advance:
 
         def progress(n: int, total: int) -> None:
             advance(n, total, "")
 
-        done = export_raiden(source, out, where, progress, options, meshes, workers=workers, overwrite=overwrite)
+        done = export_raiden(source, out, where, progress, options, workers=workers, overwrite=overwrite)
     _show(done, json)
 
 
@@ -113,10 +116,10 @@ def mp4(
         Path, typer.Argument(help="Directory of videos to make; with --sheet a FILE.jpg.", show_default=False)
     ],
     camera: Annotated[list[str] | None, typer.Option(help="Several are put side by side.  [default: all]")] = None,
-    sheet: Annotated[bool, typer.Option("--sheet", help="One picture instead, a row an episode.")] = False,
+    sheet: Annotated[bool, typer.Option("--sheet", help="One picture instead, with a row per episode.")] = False,
     columns: Annotated[int, typer.Option(min=1, max=100, help="With --sheet: images in a row.")] = 8,
-    width: Annotated[int, typer.Option(min=16, max=1920, help="With --sheet: of each image, px.")] = 160,
-    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="Of videos: how fast time passes.")] = 1.0,
+    width: Annotated[int, typer.Option(min=16, max=1920, help="With --sheet: width of each image, px.")] = 160,
+    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="How fast time passes in videos.")] = 1.0,
     episodes: Episodes = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -127,7 +130,7 @@ def mp4(
     """
     source, _ = _source(dataset, episodes)
 
-    from yamsim_cli.core.export.films import export_mp4, export_sheet
+    from yamsim_cli.core.export.videos import export_mp4, export_sheet
 
     with progress_bar("exporting", "episodes") as advance:
 
@@ -171,8 +174,8 @@ def _rate(text: str) -> float | None:
     return rate
 
 
-def _drawing(where: Locations) -> Locations:
-    """Settle on what draws; where nothing does, say what can be exported without."""
+def _with_renderer(where: Locations) -> Locations:
+    """The locations, once an OpenGL backend is settled; where none works, the error says what needs none."""
     try:
         return opener.use_gl(where, workers=True)
     except ResourceError as error:
@@ -180,7 +183,7 @@ def _drawing(where: Locations) -> Locations:
 
 
 def _source(dataset: Path, episodes: str | None) -> tuple[Source, Locations]:
-    """The chosen episodes; nothing is drawn for an export."""
+    """The chosen episodes, for an export that renders nothing."""
     opener.skip_gl()
 
     from yamsim_cli.core.export.source import open_source

@@ -1,4 +1,4 @@
-"""Films of trials, as a batch and an evaluation make them."""
+"""Films of trials, for `pickplace batch` and `eval`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from .console import note, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
-    from yamsim_cli.core.trials.films import FilmedTrial, Progress, TrialFilms
+    from yamsim_cli.core.progress import Progress
+    from yamsim_cli.core.trials.films import FilmedTrial, TrialFilms
 
 
 def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
-    """Where a job's films go; what is wrong with it is told before any trial runs."""
+    """The place for a job's films; a path that cannot be used is refused before any trial runs."""
     from yamsim_cli.core.trials.films import TrialFilms
 
     timing = settings.task.timing
@@ -22,7 +23,7 @@ def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFil
 
 
 def film(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
-    """Make films and tell how far they are, as what a report says of them."""
+    """What a report says of the films that `make` makes; shows their progress meanwhile."""
     with progress_bar("filming", "trials") as advance:
         shown = make(lambda done, wanted: advance(done, wanted, ""))
     if films.moved_aside:

@@ -10,11 +10,11 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line, progress_bar
-from .session import Json, Margin, opener
+from .session import Json, Margin, Revision, opener
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
-    from yamsim_cli.core.overlay.report import OverlayReport
+    from yamsim_cli.core.overlay.overlay_report import OverlayReport
     from yamsim_cli.core.resources import Locations
 
 
@@ -22,31 +22,38 @@ def overlay(
     img: Annotated[list[Path] | None, typer.Option(help="A photo or a folder of photos; may be repeated.")] = None,
     rig: Annotated[
         str | None,
-        typer.Option(help="A name from configs/rigs/ or a YAML file.  [default: single; of an episode, its own]"),
+        typer.Option(help="A name from configs/rigs/ or a YAML file.  [default: single, or an episode's own]"),
     ] = None,
+    revision: Revision = None,
     camera: Annotated[
         str | None,
         typer.Option(
             metavar="NAME|FILE[:CAMERA]",
-            help="Calibration: ours, or a file of OpenCV, ROS, Kalibr or raiden; else estimated.",
+            help="Calibration: yamsim's, or a file of OpenCV, ROS, Kalibr or raiden. Without it, it is estimated.",
         ),
     ] = None,
     joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
     episode: Annotated[
         Path | None, typer.Option(help="A recorded episode, DATASET/ep_NNNNNN, instead of --img.")
     ] = None,
-    episode_camera: Annotated[str | None, typer.Option(help="Which of its cameras; else the one that stands.")] = None,
+    episode_camera: Annotated[str | None, typer.Option(help="Which of its cameras; else the fixed one.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the pictures and overlay.json.")] = Path("overlays"),
     margin: Margin = None,
-    trust_margin: Annotated[bool, typer.Option("--trust-margin", help="The arms stand as the rig says.")] = False,
+    trust_margin: Annotated[
+        bool, typer.Option("--trust-margin", help="The arms stand as the rig says: all boards give one pose.")
+    ] = False,
     refine: Annotated[bool, typer.Option("--refine", help="Improve each pose by the photo's edges.")] = False,
-    mask: Annotated[bool, typer.Option("--mask", help="Also write where each arm is: 0, 1, 2.")] = False,
+    mask: Annotated[bool, typer.Option("--mask", help="Also write a mask: 0 where no arm is, else 1 or 2.")] = False,
     mask_image: Annotated[Path | None, typer.Option(help="Your mask of the robot, or a folder of masks.")] = None,
-    max_reprojection: Annotated[float | None, typer.Option(min=0, help="Exit 4 above so many px.")] = None,
-    min_iou: Annotated[float | None, typer.Option(min=0, max=1, help="Exit 4 below; needs --mask-image.")] = None,
-    opacity: Annotated[float, typer.Option(min=0, max=1, help="Of the drawn arms.")] = 0.55,
-    video: Annotated[Path | None, typer.Option(help="Also an MP4 of all pictures.")] = None,
-    fps: Annotated[float, typer.Option(min=0.1, max=240, help="Of the MP4.")] = 15.0,
+    max_reprojection: Annotated[
+        float | None, typer.Option(min=0, help="Exit 4 if a board's reprojection error is larger, px.")
+    ] = None,
+    min_iou: Annotated[
+        float | None, typer.Option(min=0, max=1, help="Exit 4 if the overlap is smaller; needs --mask-image.")
+    ] = None,
+    opacity: Annotated[float, typer.Option(min=0, max=1, help="Opacity of the rendered arms.")] = 0.55,
+    video: Annotated[Path | None, typer.Option(help="Also write an MP4 of all pictures.")] = None,
+    fps: Annotated[float, typer.Option(min=0.1, max=240, help="Pictures a second in the MP4.")] = 15.0,
     json: Json = False,
 ) -> None:
     """Find each arm's pose in photos by its board, lay the simulated arm over them, and score the fit.
@@ -62,7 +69,7 @@ def overlay(
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
     where = opener.locations()
-    settings = _rig(rig, episode, margin, where)
+    settings = _rig(rig, revision, episode, margin, where)
 
     from yamsim_cli.core.config.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
@@ -74,10 +81,11 @@ def overlay(
     quality = load_config(RenderConfig, "quality", "fast", where)
     opener.use_gl(where)
 
-    from yamsim_cli.core.overlay.joint_files import load_joints
+    from yamsim_cli.core.overlay.joint_files import load_stands
     from yamsim_cli.core.overlay.overlayer import OverlayOptions
     from yamsim_cli.core.overlay.photos import Photo, episode_photos, find_photos
     from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
+    from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
 
     photos = (
@@ -89,7 +97,7 @@ def overlay(
         photos,
         OverlayOptions(trust_margin, refine, opacity),
         model,
-        load_joints(joints, settings, where) if joints else None,
+        load_stands(joints, settings) if joints else None,
         out,
         mask,
         mask_image,
@@ -98,11 +106,9 @@ def overlay(
         max_reprojection,
         min_iou,
     )
-    meshes = opener.meshes(mesh_sets(settings), where)
+    where = opener.find_meshes(where, mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
-        report = run_overlays(
-            settings, request, scene, quality, where, meshes, lambda done, total: advance(done, total, "")
-        )
+        report = run_overlays(settings, request, scene, quality, where, lambda done, total: advance(done, total, ""))
     if json:
         print_json(report.plain())
     else:
@@ -110,7 +116,9 @@ def overlay(
     report.check()
 
 
-def _rig(name: str | None, episode: Path | None, margin: float | None, where: Locations) -> RigConfig:
+def _rig(
+    name: str | None, revision: str | None, episode: Path | None, margin: float | None, where: Locations
+) -> RigConfig:
     """The named rig; without a name, the one that an episode's dataset was recorded with."""
     from yamsim_cli.core.dataset.layout import CONFIG
     from yamsim_cli.core.dataset.reader import dataset_config
@@ -118,8 +126,12 @@ def _rig(name: str | None, episode: Path | None, margin: float | None, where: Lo
     if name is None and episode is not None and ((dataset := episode.resolve().parent) / CONFIG).is_file():
         if margin is not None:
             raise UsageError(f"--margin {margin:g}: an episode's arms stand as they were recorded; give --rig with it")
+        if revision is not None:
+            raise UsageError(
+                f"--revision {revision}: an episode's arms are those it was recorded with; give --rig with it"
+            )
         return dataset_config(dataset, where).rig
-    return opener.rig(name or "single", where, margin)
+    return opener.rig(name or "single", where, margin, revision)
 
 
 def _tell(report: OverlayReport) -> None:

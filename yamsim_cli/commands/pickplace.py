@@ -11,8 +11,8 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
 from .films import film, films_at
-from .pages import require_free
-from .session import Json, opener
+from .report_path import require_free
+from .session import Json, Revision, opener
 from .settings import (
     Arm,
     ConfigOption,
@@ -61,10 +61,11 @@ def batch(
     item: Object = None,
     target: Target = None,
     rig: Rig = None,
+    revision: Revision = None,
     config: ConfigOption = "default",
     json: Json = False,
 ) -> None:
-    """Run randomized trials in physics alone and count the successes; --video draws some of them.
+    """Run trials from sampled starts in physics alone and count the successes; --video renders some of them.
 
     Example: yamsim pickplace batch --n 200 --seed 2 --json
     """
@@ -72,9 +73,9 @@ def batch(
         raise UsageError("--overwrite is for videos and pages: give --video or --html")
     if html:
         require_free(html, overwrite)
-    settings, where = opener.settle(
+    session = opener.open(
         config,
-        draws=video is not None,
+        renders=video is not None,
         n=n,
         seed=seed,
         threshold=threshold,
@@ -85,6 +86,7 @@ def batch(
         object=item,
         target=target,
         rig=rig,
+        revision=revision,
     )
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
@@ -92,21 +94,18 @@ def batch(
     from yamsim_cli.core.trials.films import film_trials
     from yamsim_cli.core.trials.tally import require_success
 
-    films = films_at(video, settings, overwrite=overwrite) if video else None
+    films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
-        report = run_batch(settings, where, THRESHOLDS, lambda done, wanted: advance(done, wanted, ""))
+        report = run_batch(session, THRESHOLDS, lambda done, wanted: advance(done, wanted, ""))
     if films:
-        meshes = opener.scene_meshes(settings, where)
-        report["videos"] = film(
-            films, lambda told: film_trials(report["trials"], video_trials, films, settings, where, meshes, told)
-        )
+        report["videos"] = film(films, lambda told: film_trials(report["trials"], video_trials, films, session, told))
     if out is not None:
         write_report(report, out)
         note(f"Written to {out}.")
     if html:
-        from yamsim_cli.core.summarize.report import write_trials_page
+        from yamsim_cli.core.summarize.report_files import write_trials_page
 
-        write_trials_page(report, settings.sampled, html)
+        write_trials_page(report, session.config.sampled, html)
         report["html"] = str(html)
         note(f"The page is in {html}.")
     if json:

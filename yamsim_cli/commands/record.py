@@ -11,9 +11,10 @@ import typer
 from yamsim_cli.core.errors import UsageError, counted
 
 from .console import note, print_json, print_line, progress_bar
-from .session import Json, opener
+from .session import Json, Revision, opener
 from .settings import (
     Arm,
+    Cameras,
     ConfigOption,
     Grasp,
     Object,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.record.executors import Executors
     from yamsim_cli.core.record.recorder import RecordReport
 
-_STOPPING = "Stopping: what is in hand is finished first. Once more stops at once; nothing is lost either way."
+_STOPPING = "Stopping once the attempts in progress are done. Once more stops at once; nothing is lost either way."
 
 
 def record(
@@ -46,9 +47,11 @@ def record(
     item: Object = None,
     target: Target = None,
     rig: Rig = None,
+    revision: Revision = None,
     arm: Arm = None,
     grasp: Grasp = None,
     wrist: Wrist = None,
+    camera: Cameras = None,
     randomize: Randomize = None,
     boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
     truth: Annotated[
@@ -66,7 +69,8 @@ def record(
         Literal["process", "ray"], typer.Option(help="What workers are: processes here, or actors of a Ray cluster.")
     ] = "process",
     address: Annotated[
-        str | None, typer.Option(help="Of a running Ray cluster, such as auto; without, one is started here.")
+        str | None,
+        typer.Option(help="Address of a running Ray cluster, such as auto; without it, one is started here."),
     ] = None,
     attempt_timeout: Annotated[
         float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
@@ -88,9 +92,11 @@ def record(
         object=item,
         target=target,
         rig=rig,
+        revision=revision,
         arm=arm,
         grasp=grasp,
         wrist=wrist,
+        camera=camera,
         randomize=randomize,
         boards=boards,
         truth=truth,
@@ -106,7 +112,7 @@ def record(
     executors = _executors(executor, address, attempt_timeout)
     with progress_bar("recording", "episodes") as advance, stoppable(_STOPPING) as stop:
         watch = Notifier(lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), note)
-        report = run(*session.parts, Output(out, mode, stage), executors, watch, stop)
+        report = run(session, Output(out, mode, stage), executors, watch, stop)
     _show(report, json)
 
 
@@ -128,8 +134,8 @@ def _executors(kind: str, address: str | None, attempt_timeout: float) -> Execut
         return LocalProcesses(attempt_timeout)
     # Ray reports its use over the network unless told not to.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    how_to_draw = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
-    return RayCluster(address, how_to_draw, attempt_timeout)
+    rendering = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
+    return RayCluster(address, rendering, attempt_timeout)
 
 
 def _show(report: RecordReport, json: bool) -> None:

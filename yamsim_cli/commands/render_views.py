@@ -7,15 +7,16 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.core.session import parse_size
+from yamsim_cli.core.opener import parse_size
 
 from .console import print_json, print_line
-from .session import Json, Margin, RigName, opener
+from .session import Json, Margin, Revision, RigName, opener
 from .settings import Quality
 
 
 def render_views(
     rig: RigName = "single",
+    revision: Revision = None,
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("views"),
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of each view in pixels.")] = "960x720",
     quality: Quality = None,
@@ -27,7 +28,7 @@ def render_views(
     Example: yamsim render-views --rig russet
     """
     where = opener.locations()
-    settings = opener.rig(rig, where, margin)
+    settings = opener.rig(rig, where, margin, revision)
     pixels = parse_size(size)
 
     from yamsim_cli.core.config.loader import load_config
@@ -35,23 +36,19 @@ def render_views(
     from yamsim_cli.core.config.scene import SceneConfig
 
     scene = load_config(SceneConfig, "scenes", "studio", where)
-    # Once without OpenGL: what is wrong with it is told at once.
+    # A bad name is refused before OpenGL is tried, which takes seconds.
     load_config(RenderConfig, "quality", quality or "auto", where)
-    spending = load_config(RenderConfig, "quality", quality or "auto", opener.use_gl(where))
+    where = opener.use_gl(where)
+    spending = load_config(RenderConfig, "quality", quality or "auto", where)
 
+    from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
     from yamsim_cli.core.show.views import render_views as run
-    from yamsim_cli.core.show.views import set_stage, write_views
+    from yamsim_cli.core.show.views import set_up_views, write_views
 
-    stage = set_stage(
-        settings,
-        scene,
-        spending,
-        pixels,
-        where,
-        opener.meshes(mesh_sets(settings), where, reduced=spending.reduced_meshes),
-    )
-    files = write_views(run(settings, stage), out)
+    blueprint = Blueprint(settings, scene)
+    where = opener.find_meshes(where, mesh_sets(blueprint), spending)
+    files = write_views(run(set_up_views(blueprint, where, spending, pixels)), out)
     if json:
         print_json({"files": [str(file) for file in files]})
     else:

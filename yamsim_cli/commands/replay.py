@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.core.session import parse_size
+from yamsim_cli.core.opener import parse_size
 
 from .console import note, print_json, print_line
 from .session import Json, opener
@@ -18,9 +18,9 @@ from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.core.resources import Locations
+    from yamsim_cli.core.session import Session
     from yamsim_cli.core.show.replay import Film
     from yamsim_cli.core.viewers.address import PageAddress
 
@@ -30,9 +30,9 @@ def replay(
     number: Annotated[int | None, typer.Option("--episode", min=0, help="Its number, given a dataset.")] = None,
     video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Write an H.264 video instead.")] = None,
     camera: Annotated[
-        list[str] | None, typer.Option(help="Of the video; several are put side by side.  [default: the first]")
+        list[str] | None, typer.Option(help="Camera of the video; several are put side by side.  [default: the first]")
     ] = None,
-    render: Annotated[bool, typer.Option("--render", help="Draw the video anew from recorded states.")] = False,
+    render: Annotated[bool, typer.Option("--render", help="Render the video anew from recorded states.")] = False,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="With --render: size of each image.")] = None,
     speed: Annotated[float, typer.Option(help="How fast time passes; 0.5 is slow motion.")] = 1.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move an older video aside.")] = False,
@@ -51,7 +51,7 @@ def replay(
         if given:
             raise UsageError(f"{flag} is for {'a video: give' if video is None else 'the viewer: leave out'} --video")
     if size and not render:
-        raise UsageError(f"--size {size}: recorded images have their own size; give --render to draw them anew")
+        raise UsageError(f"--size {size}: recorded images have their own size; give --render to render them anew")
     if not 0.01 <= speed <= 1000:
         raise UsageError(f"--speed {speed:g} is not valid: it must lie in 0.01..1000")
 
@@ -94,16 +94,16 @@ def _film(
         opener.skip_gl()
     period = stored.record.frame_period_s / speed
 
-    from yamsim_cli.core.show.replay import film_recorded, film_rendered, scene_config
+    from yamsim_cli.core.show.replay import film_recorded, film_rendered, shown_again
 
     if not render:
         return film_recorded(stored, cameras, video, period, overwrite=overwrite)
 
-    from yamsim_cli.core.attempt.runner import EpisodeRunner
+    from yamsim_cli.core.attempt.simulator import Simulator
 
-    config = scene_config(_config(stored, where), size)
-    with EpisodeRunner(config, where, opener.scene_meshes(config, where), draw=False) as runner:
-        return film_rendered(stored, runner, cameras, video, period, overwrite=overwrite)
+    session = opener.with_meshes(shown_again(_session(stored, where), size))
+    with Simulator(session) as simulator:
+        return film_rendered(stored, simulator, cameras, video, period, overwrite=overwrite)
 
 
 def watch(stored: StoredEpisode, where: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
@@ -114,29 +114,30 @@ def watch(stored: StoredEpisode, where: Locations, speed: float, page: PageAddre
 
     def ready(url: str | None) -> None:
         _say({"episode": str(stored.directory), "url": url} | found, json)
-        # Whoever reads a pipe must not have to wait for the end.
+        # A program that reads the pipe needs it now and not at the end.
         sys.stdout.flush()
 
-    config = _config(stored, where)
-    meshes = opener.scene_meshes(config, where)
-    # A server or a window that is broken off while it starts cannot be closed.
+    session = opener.with_meshes(_session(stored, where))
+    # A server or a window that is interrupted while it starts cannot be closed.
     with noted_signals() as stopped:
         found = _physics(stored, where)
-        play(stored, config, where, meshes, speed, page, ready, stopped)
+        play(stored, session, speed, page, ready, stopped)
 
 
-def _config(stored: StoredEpisode, where: Locations) -> RecordConfig:
+def _session(stored: StoredEpisode, where: Locations) -> Session:
+    """Of the episode's dataset, without meshes so far."""
     from yamsim_cli.core.dataset.reader import dataset_config
+    from yamsim_cli.core.session import Session
 
-    return dataset_config(stored.dataset, where)
+    return Session(dataset_config(stored.dataset, where), where)
 
 
 def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:
-    """How far the episode's actions lead from what it holds; null where it cannot be told."""
+    """How far the episode's actions, repeated in physics, lead from its recorded states; null if they cannot be."""
     from yamsim_cli.core.show.replay import repeat
 
     try:
-        found = repeat(stored, _config(stored, where), where)
+        found = repeat(stored, _session(stored, where))
     except DatasetError as error:
         note(f"Its actions were not repeated: {error}.")
         found = None

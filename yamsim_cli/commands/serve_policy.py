@@ -27,7 +27,7 @@ def serve_policy(
     from yamsim_cli.core.policies.loading import load_policy
     from yamsim_cli.policy_server import LOOPBACK, PolicyServer
 
-    # Once now: what cannot be loaded is told at once.
+    # Loaded once now, so that a policy that cannot be loaded is refused before anybody connects.
     load_policy(policy, Path.cwd())
     with PolicyServer(lambda: load_policy(policy, Path.cwd()), host, port) as server:
         if host != LOOPBACK:
@@ -36,6 +36,6 @@ def serve_policy(
             print_json({"url": server.url})
         else:
             print_line(f"{server.url}  (Ctrl-C ends)")
-        # Whoever reads a pipe must not have to wait for the end.
+        # A program that reads the pipe needs it now and not at the end.
         sys.stdout.flush()
         server.serve_forever()

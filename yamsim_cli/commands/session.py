@@ -1,4 +1,4 @@
-"""What several commands need before they can start: the flags that they share, and the session that they run in."""
+"""What commands need before they start: flags that most of them share, and what opens their sessions."""
 
 from __future__ import annotations
 
@@ -7,12 +7,21 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.core.session import Opener
+from yamsim_cli.core.import_thing.named import config_of
+from yamsim_cli.core.opener import Opener
 
 from .console import note
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
-RigName = Annotated[str, typer.Option("--rig", help="Rig: a name from configs/rigs/ or a YAML file.")]
+RigName = Annotated[
+    str,
+    typer.Option(
+        "--rig", help="Rig: a name from configs/rigs/, ROBOT+GRIPPER such as yam_pro+linear_4310, or a YAML file."
+    ),
+]
+Revision = Annotated[
+    str | None, typer.Option(help="Of the rig's robots, in place of the rig's own; `yamsim robots list` has them.")
+]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
 
 
@@ -20,5 +29,5 @@ def _flag(setting: str) -> str:
     return f"--{setting.replace('_', '-')}"
 
 
-# Of this process: what is wrong is told by flag, and what a user should know on stderr.
-opener = Opener(os.environ, note, _flag)
+# Its error messages name flags, and what it has to tell goes to stderr.
+opener = Opener(os.environ, note, _flag, config_of)

@@ -1,4 +1,4 @@
-"""The flags that commands share which run a task."""
+"""The flags that are shared by commands that run a task."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ ConfigOption = Annotated[
     str,
     typer.Option("--config", metavar="NAME|FILE", help="Record config: a name from configs/record/ or a YAML file."),
 ]
-Rig = Annotated[str | None, typer.Option(help="Rig: a name from configs/rigs/ or a YAML file.")]
+Rig = Annotated[
+    str | None,
+    typer.Option(help="Rig: a name from configs/rigs/, ROBOT+GRIPPER such as yam_pro+linear_4310, or a YAML file."),
+]
+Cameras = Annotated[
+    list[str] | None,
+    typer.Option("--camera", metavar="NAME", help="A camera to record; give it again for others."),
+]
 Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
 Object = Annotated[
     str | None,
@@ -20,7 +27,7 @@ Object = Annotated[
     ),
 ]
 Target = Annotated[
-    str | None, typer.Option(metavar="NAME|FILE", help="Onto or into what it is put, named as the object is.")
+    str | None, typer.Option(metavar="NAME|FILE", help="What it is put onto or into: also from configs/objects/.")
 ]
 Grasp = Annotated[
     str | None,
@@ -46,7 +53,7 @@ Randomize = Annotated[
 ]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")]
 Quality = Annotated[
-    str | None, typer.Option(help="fast, balanced, high, auto (by what draws), or a YAML file.  [default: auto]")
+    str | None, typer.Option(help="fast, balanced, high, auto (GPU or not), or a YAML file.  [default: auto]")
 ]
 MinSuccess = Annotated[
     float | None,

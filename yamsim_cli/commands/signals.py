@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, which are one wish: to end. Noted where nothing may be broken off, else raised."""
+"""Ctrl-C and SIGTERM, which both ask to end: only noted where nothing may be interrupted, raised elsewhere."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RETRY_SECONDS = 0.02
 
 @contextmanager
 def noted_signals() -> Iterator[Callable[[], bool]]:
-    """Inside, a signal to end raises nothing; the function tells whether one has come."""
+    """A function that tells whether a signal to end has come; inside the block, none raises anything."""
     came = False
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -36,7 +36,7 @@ def noted_signals() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def stoppable(message: str) -> Iterator[Stop]:
-    """For the block, the first signal (or closed terminal) asks it to stop; a second one ends it at once.
+    """A stop that the first signal (or a closed terminal) asks for; a second signal ends the block at once.
 
     Args:
         message: shown on the first signal.
@@ -53,7 +53,7 @@ def stoppable(message: str) -> Iterator[Stop]:
         with suppress(OSError):
             os.write(_STDERR, f"{message}\n".encode())
 
-    # nohup has the hang-up ignored: that is to stay so.
+    # nohup ignores the hang-up, and that stays so.
     wanted = [number for number in (*_ENDING, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, ask) for number in wanted}
     try:
@@ -70,7 +70,8 @@ def raise_signals() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    # Broken off, an extension module reports that it cannot be loaded, and a library may do without it from then on.
+    # An extension module whose import is interrupted reports that it cannot be loaded, and the library that imports it
+    # may then do without it.
     if _importing(frame):
         signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
         return

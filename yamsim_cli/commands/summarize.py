@@ -11,7 +11,7 @@ import typer
 from yamsim_cli.core.errors import DatasetError, UsageError
 
 from .console import note, print_json, print_table, progress_bar
-from .pages import require_free
+from .report_path import require_free
 from .session import Json, opener
 
 
@@ -51,14 +51,14 @@ def summarize(
         )
     report = count(survey, thresholds)
     if html:
-        from yamsim_cli.core.summarize.report import write_report
+        from yamsim_cli.core.summarize.report_files import write_report
 
         write_report(survey, report, html)
         report["html"] = str(html)
     if json:
         print_json(report)
     else:
-        from .findings import findings
+        from .summary_table import findings
 
         print_table(findings(report))
         if html:

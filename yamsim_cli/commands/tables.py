@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-# In a terminal narrower than this, what would be squeezed into columns is told line by line.
+# In a narrower terminal, cells may stand below one another instead of in columns.
 _NARROW = 60
-# The part of such a terminal that names may take beside their values.
+# Largest share of a narrow terminal's width at which names still stand beside their values.
 _NAMES = 0.4
 
 
@@ -66,7 +66,7 @@ class Listing:
             yield _indented(Facts((name, cell) for name, cell in named if cell.plain))
 
     def _narrowest(self) -> int:
-        """How wide it is when lines are broken between words alone."""
+        """The table's width if lines are broken only between words."""
         columns = zip(map(_plain, self._headings), *self._rows, strict=True)
         return sum(max(len(word) for cell in column for word in (cell.plain.split() or [""])) + 3 for column in columns)
 
@@ -146,7 +146,7 @@ def _indented(what: Text | Facts) -> Padding:
 
 
 def _plain(cell: str | Text) -> Text:
-    """Never markup: a path may hold brackets. What is too long for a line is folded."""
+    """The cell as text that is folded where it is too long. It is never read as markup: a path may hold brackets."""
     from rich.text import Text
 
     text = Text(cell) if isinstance(cell, str) else cell.copy()

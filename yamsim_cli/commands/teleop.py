@@ -13,7 +13,7 @@ from yamsim_cli.core.errors import UsageError, counted
 
 from .console import note, print_json, print_line
 from .record import mode_of
-from .session import Json, opener
+from .session import Json, Revision, opener
 from .settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist
 from .signals import stoppable
 from .viewing import Host, Port, page_address, quiet_page
@@ -21,7 +21,7 @@ from .viewing import Host, Port, page_address, quiet_page
 if TYPE_CHECKING:
     from yamsim_cli.core.teleop.loop import TeleopReport
 
-_ENDING = "Ending: what was recorded is judged and drawn first. Once more ends at once; whole episodes are safe."
+_ENDING = "Ending: what was recorded is judged and rendered first. Once more ends at once; whole episodes are safe."
 
 
 def teleop(
@@ -30,7 +30,7 @@ def teleop(
         typer.Option("--input", metavar="STREAM.jsonl", help="Commands with their times, in place of the page."),
     ] = None,
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="With --input: at the clock's pace, not as fast as it goes.")
+        bool, typer.Option("--realtime", help="With --input: at the clock's pace instead of as fast as possible.")
     ] = False,
     out: Annotated[Path, typer.Option(help="The dataset's directory.")] = Path("teleop"),
     seed: Seed = None,
@@ -38,12 +38,13 @@ def teleop(
     item: Object = None,
     target: Target = None,
     rig: Rig = None,
+    revision: Revision = None,
     arm: Arm = None,
     wrist: Wrist = None,
     size: Size = None,
     quality: Quality = None,
     time_limit: Annotated[
-        float, typer.Option(min=1, max=3600, help="Of a recording, s: then it is stopped and judged.")
+        float, typer.Option(min=1, max=3600, help="Seconds after which a recording is stopped and judged.")
     ] = 600.0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Add to a dataset; what a killed session left there is judged first.")
@@ -61,12 +62,13 @@ def teleop(
     mode = mode_of(resume=resume, overwrite=overwrite)
     for flag, given in (("--port", port is not None), ("--host", host is not None)):
         if stream is not None and given:
-            raise UsageError(f"{flag} is of the page: leave it out, or leave out --input")
+            raise UsageError(f"{flag} is for the page: leave it out, or leave out --input")
     if realtime and stream is None:
         raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
     session = opener.open(
         config,
         rig=rig,
+        revision=revision,
         arm=arm,
         task=task,
         object=item,
@@ -81,19 +83,19 @@ def teleop(
     from yamsim_cli.core.teleop.loop import check_page, open_seat, run_page, run_stream
     from yamsim_cli.core.teleop.stream import read_stream
 
-    commands = None if stream is None else read_stream(stream, session.config, session.locations)
+    commands = None if stream is None else read_stream(stream, session.config)
     page = None if commands else page_address(port, host)
     if page is not None:
         check_page(page)
 
     def ready(url: str) -> None:
-        # Standard output is the report's.
+        # Standard output is kept for the report.
         note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 
     with (
         stoppable(_ENDING) as stop,
-        open_seat(*session.parts, out, mode, note, time_limit=time_limit) as seat,
+        open_seat(session, out, mode, note, time_limit=time_limit) as seat,
     ):
         if page is None:
             assert commands is not None

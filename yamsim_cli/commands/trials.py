@@ -1,4 +1,4 @@
-"""Figures of a batch's or an evaluation's trials, for a person."""
+"""Tables of a batch's or an evaluation's figures."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ if TYPE_CHECKING:
 
 
 def trials_table(report: dict[str, Any]) -> Facts:
-    """What `jobs.batch.run_batch` reports, as a table."""
+    """What `core.trials.batch.run_batch` reports, as a table."""
     return facts([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
 def evaluation_table(report: dict[str, Any]) -> Facts:
-    """What `jobs.evaluate.summary` reports, as a table."""
+    """What `core.evaluate.evaluation.summary` reports, as a table."""
     return facts([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
 
 
 def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """What `jobs.tally.tally` counts."""
+    """What `core.trials.tally.tally` counts."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
     yield (

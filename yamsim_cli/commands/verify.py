@@ -50,23 +50,23 @@ def verify(
 
     from yamsim_cli.core.dataset.reader import dataset_config
     from yamsim_cli.core.dataset.selection import select_episodes
+    from yamsim_cli.core.session import Session
 
     where = opener.locations()
     chosen = select_episodes(dataset, episodes, sample)
-    config = dataset_config(dataset, where)
+    session = Session(dataset_config(dataset, where), where)
     if images:
         opener.use_gl(where, workers=True)
+        session = opener.with_meshes(session)
     else:
         opener.skip_gl()
 
     from yamsim_cli.core.verify.remake import Limits
     from yamsim_cli.core.verify.verifier import verify as run
 
-    # Without images nobody looks.
-    meshes = opener.scene_meshes(config, where) if images else {}
     limits = Limits(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:
-        report = run(chosen, config, where, meshes, limits, workers, lambda done, total: advance(done, total, ""))
+        report = run(chosen, session, limits, workers, lambda done, total: advance(done, total, ""))
     report = {"path": str(dataset)} | report
     if json:
         print_json(report)

@@ -11,7 +11,7 @@ import typer
 from yamsim_cli.core.errors import ResourceError, UsageError
 
 from .console import print_json, print_line
-from .session import Json, Margin, opener
+from .session import Json, Margin, Revision, opener
 from .settings import Rig, Seed, Task
 from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 def view(
     rig: Rig = None,
+    revision: Revision = None,
     margin: Margin = None,
     task: Task = None,
     seed: Seed = None,
@@ -49,7 +50,7 @@ def view(
         if episode is not None and value is not None:
             raise UsageError(f"{flag} is not for --episode, which shows the rig and the task that were recorded")
     if seed is not None and task is None:
-        raise UsageError(f"--seed {seed} is of a task's layout; give --task with it")
+        raise UsageError(f"--seed {seed} decides a task's layout; give --task with it")
     page = choose_viewer(web, port, host)
     where = opener.locations()
     if episode is not None:
@@ -62,10 +63,10 @@ def view(
 
     settings: RigConfig | RecordConfig
     if task is None:
-        settings = opener.rig(rig or "single", where, margin)
+        settings = opener.rig(rig or "single", where, margin, revision)
     else:
-        settings = opener.config("default", where, rig=rig, margin=margin, task=task, seed=seed)
-    pictures = page is not None and _can_draw(where)
+        settings = opener.config("default", where, rig=rig, revision=revision, margin=margin, task=task, seed=seed)
+    pictures = page is not None and _can_render(where)
     prepare_viewer(page)
 
     from yamsim_cli.core.show.view import view_in_browser, view_in_window
@@ -75,10 +76,10 @@ def view(
             print_json({"url": url})
         else:
             print_line(f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home")
-        # Whoever reads a pipe must not have to wait for the end.
+        # A program that reads the pipe needs it now and not at the end.
         sys.stdout.flush()
 
-    # A server or a window that is broken off while it starts cannot be closed.
+    # A server or a window that is interrupted while it starts cannot be closed.
     with noted_signals() as stopped:
         live, viewpoint = _live(settings, where, boards=boards or page is not None, pictures=pictures)
         if page is None:
@@ -87,8 +88,8 @@ def view(
             view_in_browser(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)
 
 
-def _can_draw(where: Locations) -> bool:
-    """Whether the cameras' pictures can be drawn here; settles by what."""
+def _can_render(where: Locations) -> bool:
+    """Whether cameras' pictures can be rendered here; if so, an OpenGL backend is settled."""
     try:
         opener.use_gl(where)
     except ResourceError:
@@ -103,16 +104,16 @@ def _live(
     from yamsim_cli.core.config.recording import RecordConfig, RenderConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.scene.compose import Contents, mesh_sets
+    from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
+    from yamsim_cli.core.scene.compose import mesh_sets
+    from yamsim_cli.core.session import Session
     from yamsim_cli.core.show.view import live_rig, live_task, task_viewpoint
 
-    contents = Contents(boards=boards)
     quality: RenderConfig | None = load_config(RenderConfig, "quality", "fast", where) if pictures else None
     if isinstance(settings, RecordConfig):
-        items = (settings.task.object, settings.task.target)
-        contents = Contents(boards=boards, objects=items)
-        meshes = opener.meshes(mesh_sets(settings.rig, items), where)
-        return live_task(settings, contents, where, meshes, quality), task_viewpoint(settings)
+        where = opener.find_meshes(where, mesh_sets(task_blueprint(settings)))
+        return live_task(Session(settings, where), boards=boards, quality=quality), task_viewpoint(settings)
     assert isinstance(settings, RigConfig)
     scene = load_config(SceneConfig, "scenes", "studio", where)
-    return live_rig(settings, scene, contents, where, opener.meshes(mesh_sets(settings), where), quality), None
+    blueprint = Blueprint(settings, scene, boards=boards)
+    return live_rig(blueprint, opener.find_meshes(where, mesh_sets(blueprint)), quality), None

@@ -1,4 +1,4 @@
-"""What the commands that open a viewer share: which one it is, and what it needs before it is imported."""
+"""Shared by the commands that open a viewer: which viewer it is, and what has to be set before it is imported."""
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ Web = Annotated[
 ]
 Port = Annotated[
     int | None,
-    typer.Option(min=0, max=65535, help=f"Of the browser page, {_PORT} unless given; 0 takes a free one."),
+    typer.Option(min=0, max=65535, help=f"Port of the browser page, {_PORT} unless given; 0 takes a free one."),
 ]
 Host = Annotated[
     str | None,
-    typer.Option(help="Of the browser page: an address of this machine, 127.0.0.1 unless given; 0.0.0.0 is all."),
+    typer.Option(
+        help="Where the browser page listens: an address of this machine, 127.0.0.1 unless given; 0.0.0.0 is all."
+    ),
 ]
 
 
 def page_address(port: int | None, host: str | None) -> PageAddress:
-    """Where a browser page is to listen; the user is told of one that others can reach."""
+    """Where a browser page is to listen. The user is warned if others can reach it."""
     from yamsim_cli.core.viewers.address import LOOPBACK, PageAddress
 
     address = PageAddress(_PORT if port is None else port, host or LOOPBACK)
@@ -64,7 +66,7 @@ def choose_viewer(web: bool | None, port: int | None, host: str | None = None) -
 
 
 def prepare_viewer(page: PageAddress | None) -> None:
-    """Settle what MuJoCo draws with, before it is imported, unless that is settled."""
+    """Tell MuJoCo how to open its OpenGL, before it is imported, unless that is settled already."""
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
@@ -73,8 +75,8 @@ def prepare_viewer(page: PageAddress | None) -> None:
 
 
 def quiet_page() -> None:
-    """Keep a page's library from writing to stdout."""
-    # Viser tells of its server on stdout, by rich's own console; ours are others.
+    """Keep the page's library from writing to stdout."""
+    # Viser announces its server on stdout through rich's global console, which yamsim does not use.
     import rich
 
     rich.get_console().quiet = True
@@ -82,7 +84,7 @@ def quiet_page() -> None:
 
 def _missing_for_window() -> str | None:
     if sys.platform == "darwin":
-        # Where macOS wants windows: in the main thread, which MuJoCo's own interpreter keeps free for them.
+        # macOS opens windows in the main thread only, and MuJoCo's interpreter keeps that thread free for them.
         return None if "MJPYTHON_BIN" in os.environ else "MuJoCo's interpreter mjpython on macOS"
     if sys.platform == "win32" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         return None

@@ -18,13 +18,14 @@ from .assets import AssetSet, AssetStore, find_reduced, load_lock
 from .assets.store import FileStatus
 from .errors import ResourceError, YamsimError
 from .files import nearest_directory, obstacle, publish_directory
-from .gl import INSTALL_GL, LINUX_BACKENDS, Backend, probe_backend
+from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 from .machine import usable_cores, usable_memory
 from .mounts import network_mount, read_mounts
 from .resources import Locations
 
-# What every command needs, and what an extra is for.
+# Packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
+# Extra -> its package, and what it is for.
 EXTRAS = {
     "view": ("viser", "the browser page of view and replay"),
     "video": ("av", "MP4"),
@@ -34,27 +35,29 @@ EXTRAS = {
     "gym": ("gymnasium", "the gymnasium environment"),
     "remote": ("msgpack", "policies in another process"),
     "ray": ("ray", "record --executor ray"),
+    "import": ("coacd", "assets import of glTF, SDFormat and other files"),
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),
 }
 
-# Of a worker that draws, and of the recorder. Source: measured at 640x480, resident, rounded up.
+# Resident memory of a worker that renders, and of the recorder. Source: measured at 640x480, rounded up.
 _WORKER_BYTES = 300_000_000
 _RECORDER_BYTES = 150_000_000
 
-# An episode with one camera at 640x480, roughly.
+# Size of an episode with one camera at 640x480, roughly: its frames, and what each of them takes.
 _FRAMES = 57
 _IMAGE_BYTES = 22_000
 _LOWDIM_BYTES = 2_000
 _EPISODES_WRITTEN = 3
-# Below this, writing keeps up with no more than one worker.
+# If writing an episode takes longer, it keeps up with no more than one worker.
 _SLOW_S = 1.0
+# Room for fewer episodes gets a warning.
 _FEW_EPISODES = 500
 
 _GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")
 
 
 class Health(StrEnum):
-    """How a check ended; only a fault keeps something from working."""
+    """How a check ended. Only a fault keeps something from working."""
 
     OK = "ok"
     WARNING = "warning"
@@ -81,7 +84,7 @@ class Check:
 def examine(
     environ: Mapping[str, str], locations: Locations, out: Path, on_check: Callable[[Check], None] = lambda check: None
 ) -> list[Check]:
-    """Look at everything, one thing after the other; nothing is changed, and nothing is waited for without a limit.
+    """All checks, made one after the other. Nothing is changed, and every wait has a limit.
 
     Args:
         environ: the process's environment.
@@ -121,38 +124,38 @@ def _version(package: str) -> str | None:
 def _gl(environ: Mapping[str, str]) -> Iterator[Check]:
     wanted = environ.get("MUJOCO_GL")
     names = dict.fromkeys([*([wanted] if wanted else []), *LINUX_BACKENDS])
-    found: dict[str, Backend | str] = {}
+    found: dict[str, GlBackend | str] = {}
     for name in names:
         began = time.monotonic()
         found[name] = backend = probe_backend(name, environ)
         seconds = time.monotonic() - began
-        if isinstance(backend, Backend):
+        if isinstance(backend, GlBackend):
             kind = "software" if backend.software else "GPU"
             detail = f"works: {backend.renderer} ({kind}), started in {seconds:.1f} s"
             yield Check(f"gl.{name}", Health.OK, detail, figures={"start_s": seconds})
         else:
-            others = any(isinstance(other, Backend) for other in found.values())
+            others = any(isinstance(other, GlBackend) for other in found.values())
             health = Health.OK if others and name != wanted else Health.WARNING
             yield Check(f"gl.{name}", health, f"does not work: {backend}", figures={"start_s": seconds})
     yield _chosen_gl(wanted, found)
 
 
-def _chosen_gl(wanted: str | None, found: Mapping[str, Backend | str]) -> Check:
-    working = [backend for backend in found.values() if isinstance(backend, Backend)]
-    if wanted and not isinstance(found[wanted], Backend):
+def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> Check:
+    working = [backend for backend in found.values() if isinstance(backend, GlBackend)]
+    if wanted and not isinstance(found[wanted], GlBackend):
         detail = f"MUJOCO_GL={wanted} is set, which does not work, and so no other is tried"
         return Check("gl", Health.FAULT, detail, "unset MUJOCO_GL" if working else INSTALL_GL)
     if not working:
-        return Check("gl", Health.FAULT, "nothing can be drawn: no OpenGL backend works", INSTALL_GL)
+        return Check("gl", Health.FAULT, "nothing can be rendered: no OpenGL backend works", INSTALL_GL)
     chosen = found[wanted] if wanted else working[0]
-    assert isinstance(chosen, Backend)
+    assert isinstance(chosen, GlBackend)
     gpu = next((device for device in _GPUS if Path(device).exists()), None)
     if chosen.software and gpu:
         fix = (
             "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container let it in "
             "(NVIDIA_DRIVER_CAPABILITIES=all)"
         )
-        return Check("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} draws, without a GPU", fix)
+        return Check("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
     quality = "balanced" if chosen.software else "high"
     return Check("gl", Health.OK, f"MUJOCO_GL={chosen.name} will be used; --quality auto is {quality}")
 
@@ -173,10 +176,13 @@ def _meshes(locations: Locations) -> Iterator[Check]:
                 name,
                 Health.FAULT,
                 f"not the locked files: {', '.join(changed)} in {states[0].path.parent}",
-                "yamsim assets fetch",
+                f"yamsim assets fetch {assets.name}",
             )
+        elif bad and assets.on_demand:
+            detail = f"fetched on demand; without, primitives are drawn: yamsim assets fetch {assets.name}"
+            yield Check(name, Health.OK, detail)
         elif bad:
-            detail = f"{len(bad)} of {len(states)} files are not in {locations.assets}: primitives are drawn instead"
+            detail = f"{len(bad)} of {len(states)} files are not in {locations.assets}: primitives are shown instead"
             yield Check(name, Health.WARNING, detail, "yamsim assets fetch")
         else:
             yield _reduced(name, f"{len(states)} files, every hash is right", store, assets)
@@ -190,14 +196,14 @@ def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> Che
             name, Health.WARNING, f"{detail}; they cannot be reduced: {error}", "install yamsim's requirements"
         )
     if reduced is None:
-        return Check(name, Health.WARNING, f"{detail}; they are not reduced yet", "yamsim assets fetch")
+        return Check(name, Health.WARNING, f"{detail}; they are not reduced yet", f"yamsim assets fetch {assets.name}")
     return Check(name, Health.OK, f"{detail}; reduced from {reduced.source_faces} faces to {reduced.faces}")
 
 
 def _disk(out: Path) -> Iterator[Check]:
     mount = network_mount(out, read_mounts())
     if mount is not None:
-        # Not touched: a server that does not answer would hold us here for good.
+        # The mount is not touched: a server that does not answer would hold this process for good.
         detail = f"{out} is on {mount.point}, which is {mount.kind} ({mount.source}): writing there may be slow"
         yield Check("disk", Health.WARNING, detail, "yamsim record --stage DIR, with DIR on a local disk")
         return
@@ -230,7 +236,7 @@ def _disk(out: Path) -> Iterator[Check]:
 
 
 def _write_episodes(place: Path) -> float:
-    """Seconds that the slowest of a few episodes takes to write, as `record` writes it; they are removed again.
+    """Seconds that the slowest of a few made-up episodes takes to write as `record` does; they are removed again.
 
     Raises:
         OSError: the disk refused something.
@@ -263,5 +269,5 @@ def _workers() -> Iterator[Check]:
 
 
 def faults(checks: Sequence[Check]) -> list[Check]:
-    """Those that keep something from working."""
+    """The checks that ended in a fault."""
     return [check for check in checks if check.health is Health.FAULT]

@@ -20,10 +20,10 @@ from pathlib import Path
 
 from .errors import UsageError
 
-# What the system says of a path that something is in the way of; of anything else, what it says is enough.
+# Errors that come from the path itself, which `obstacle` explains better than the system's own text does.
 _OF_PATHS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
 
-# Flushing waits for the disk, and does not hold the interpreter.
+# Threads that flush files: each one waits for the disk and leaves the interpreter free.
 _FLUSHERS = 16
 
 
@@ -46,7 +46,7 @@ def fsync_directory(path: Path) -> None:
 
 @contextlib.contextmanager
 def _opened(path: Path, flags: int) -> Iterator[int]:
-    """A descriptor for the block; its errors name the file, which the system's own do not."""
+    """A descriptor for the block. Errors in the block name the file, as those of read and write otherwise do not."""
     descriptor = os.open(path, flags, 0o666)
     try:
         yield descriptor
@@ -99,9 +99,9 @@ def publish_file(part: Path, final: Path) -> None:
 
 
 def append_line(path: Path, line: str) -> None:
-    """Append one line and flush it to the disk; a single write, so that a crash leaves a whole line or none.
+    """Append one line and flush it to the disk. It is a single write, so that a crash leaves a whole line or none.
 
-    A cut-off last line, as a power cut can leave, is closed first, so that it never swallows the new one.
+    A power cut can leave a last line without its end. That line is ended first, so that the new one stands alone.
     """
     with _opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND) as descriptor:
         size = os.fstat(descriptor).st_size
@@ -156,7 +156,7 @@ class StagedDirectory:
 
     Attributes:
         path: where to write until all is done.
-        moved_aside: where what was in the way has gone; known once all is done.
+        moved_aside: the new place of what stood in the way; None if nothing did, and until all is done.
     """
 
     path: Path
@@ -167,13 +167,13 @@ class StagedDirectory:
 def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[StagedDirectory]:
     """A hidden directory beside `final`, to be filled in the block; then flushed to the disk and renamed to `final`.
 
-    For trees that are too large for `publish_directory`. Leaving the block by an exception removes what was written.
+    For trees that are too large for `publish_directory`. An exception in the block removes what was written.
 
     Args:
         overwrite: move what is at `final` aside, once the new directory is whole.
 
     Raises:
-        UsageError: `final` is to be moved aside, and this process is in it.
+        UsageError: the process's current directory is `final` or lies in it.
         FileExistsError: `final` exists, and not as an empty directory.
         OSError: the tree could not be written; nothing appeared under `final`.
     """
@@ -199,7 +199,7 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
 
 
 def _fsync_tree(root: Path) -> None:
-    """Flush all files and directories below `root`; many at a time, which the disk takes together."""
+    """Flush all files and directories below `root`; many at a time, which the disk then flushes together."""
     paths = [root, *root.rglob("*")]
     with ThreadPoolExecutor(_FLUSHERS) as flushers:
         for _ in flushers.map(_fsync, paths):
@@ -212,7 +212,7 @@ def _fsync(path: Path) -> None:
 
 
 def nearest_directory(path: Path) -> Path:
-    """The directory at `path`, or the first one around it that is there."""
+    """The directory at `path`, or the nearest one above it that exists."""
     # Not Path.is_dir, which raises where a name is too long or a directory may not be looked into.
     return next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
 
@@ -242,12 +242,12 @@ def refusal(error: OSError, path: Path) -> str:
 
 
 def _named(path: Path) -> Path:
-    """The same place by a path that has a name, which `.` and `..` have not."""
+    """The same place as a path that ends in a name, and not in `.` or `..`."""
     return path.resolve() if path.name in ("", "..") else path
 
 
 def _require_elsewhere(path: Path) -> None:
-    """Refuse to give another name to the directory that this process is in, or to one around it."""
+    """Refuse to rename the directory that this process is in, or one above it."""
     if not path.is_symlink() and Path.cwd().is_relative_to(path.resolve()):
         raise UsageError(
             f"{path} cannot be moved aside, because you are in it: run from another directory, or write elsewhere"
@@ -255,10 +255,10 @@ def _require_elsewhere(path: Path) -> None:
 
 
 def move_aside(path: Path) -> Path:
-    """Rename what is at `path` to the first free `<name>.old-<n>` beside it, and say where it went.
+    """The new place of what was at `path`: the first free `<name>.old-<n>` beside it.
 
     Raises:
-        UsageError: it is the directory that this process is in, or one around that; whoever started it is in it too.
+        UsageError: it is the directory that this process is in, or one above that. The user's shell is there too.
         OSError: it cannot be renamed.
     """
     path = _named(path)

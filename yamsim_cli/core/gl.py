@@ -1,7 +1,7 @@
-"""Which OpenGL backend MuJoCo is to use, found out before MuJoCo is imported: it reads `MUJOCO_GL` once, at import.
+"""Which OpenGL backend MuJoCo is to use. It is found before MuJoCo is imported, since MuJoCo reads `MUJOCO_GL` then.
 
-A backend can be missing, broken or hung, and only trying tells. It is tried in a process of its own, under a time
-limit, so that a driver that hangs or crashes costs a message and nothing else.
+A backend can be missing, broken or hung, which shows only when it is tried. It is tried in a process of its own, under
+a time limit, so that a driver that hangs or crashes costs a message and nothing else.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from .errors import ResourceError
 # GPU first, then Mesa's software renderer through EGL, then OSMesa, which newer Mesa no longer ships.
 LINUX_BACKENDS = ("egl", "osmesa")
 _PROBE_SECONDS = 60.0
-# What OpenGL calls itself where there is no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others' stand-ins.
+# Names of OpenGL implementations that need no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
-# Drawn and read back: some backends make a context that then cannot draw.
+# Renders and reads the picture back: some backends open a context and then render nothing.
 _PROBE = """
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
@@ -28,12 +28,12 @@ data = mujoco.MjData(model)
 mujoco.mj_forward(model, data)
 renderer = mujoco.Renderer(model, 16, 16)
 renderer.update_scene(data)
-drawn = renderer.render().any()
+rendered = renderer.render().any()
 from OpenGL import GL
 print((GL.glGetString(GL.GL_RENDERER) or b"unknown").decode())
 renderer.close()
-if not drawn:
-    raise SystemExit("what it draws is black")
+if not rendered:
+    raise SystemExit("its pictures are black")
 """
 INSTALL_GL = (
     "on Debian or Ubuntu: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0, "
@@ -42,7 +42,7 @@ INSTALL_GL = (
 
 
 @dataclass(frozen=True)
-class Backend:
+class GlBackend:
     """A way to OpenGL.
 
     Attributes:
@@ -55,7 +55,7 @@ class Backend:
 
     @property
     def software(self) -> bool:
-        """Whether it draws without a GPU, as far as is known."""
+        """Whether it renders without a GPU, as far as is known."""
         return _SOFTWARE.search(self.renderer) is not None
 
 
@@ -67,8 +67,8 @@ def choose_backend(environ: Mapping[str, str], platform: str = sys.platform) -> 
     return find_backend(environ, platform).name
 
 
-def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Backend:
-    """A backend that works for headless rendering.
+def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> GlBackend:
+    """The first backend that works for headless rendering.
 
     Args:
         environ: the process's environment; a `MUJOCO_GL` in it is the user's choice and the only one tried.
@@ -78,11 +78,11 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Ba
     """
     wanted = environ.get("MUJOCO_GL")
     if platform != "linux" and not wanted:
-        return Backend(None)
+        return GlBackend(None)
     reasons = []
     for name in (wanted,) if wanted else LINUX_BACKENDS:
         found = probe_backend(name, environ)
-        if isinstance(found, Backend):
+        if isinstance(found, GlBackend):
             return found
         reasons.append(f"{name}: {found}")
     chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if wanted else ""
@@ -93,17 +93,17 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Ba
 
 
 def bind_backend(name: str) -> None:
-    """Let MuJoCo use a backend that was chosen once MuJoCo had been imported, as by a notebook.
+    """Make MuJoCo use a backend that is chosen after MuJoCo was imported, as happens in a notebook.
 
     Args:
-        name: the value that `MUJOCO_GL` has by now.
+        name: the value that `MUJOCO_GL` has now.
     """
     if (mujoco := sys.modules.get("mujoco")) and name in LINUX_BACKENDS:
         mujoco.GLContext = importlib.import_module(f"mujoco.{name}").GLContext  # type: ignore[attr-defined]
 
 
-def probe_backend(name: str, environ: Mapping[str, str]) -> Backend | str:
-    """Try a backend in a process of its own; the backend if it works, else why not."""
+def probe_backend(name: str, environ: Mapping[str, str]) -> GlBackend | str:
+    """The backend if it works, else why it does not; tried in a process of its own."""
     environment = {**environ, "MUJOCO_GL": name}
     # PyOpenGL's own choice has to agree with MuJoCo's, or the import fails.
     environment.pop("PYOPENGL_PLATFORM", None)
@@ -121,6 +121,6 @@ def probe_backend(name: str, environ: Mapping[str, str]) -> Backend | str:
     except subprocess.TimeoutExpired:
         return f"hangs (gave up after {_PROBE_SECONDS:g} s)"
     if probe.returncode == 0:
-        return Backend(name, probe.stdout.strip().splitlines()[-1] if probe.stdout.strip() else "")
+        return GlBackend(name, probe.stdout.strip().splitlines()[-1] if probe.stdout.strip() else "")
     lines = [line for line in probe.stderr.splitlines() if line.strip()]
     return lines[-1].strip() if lines else f"crashes (exit code {probe.returncode})"

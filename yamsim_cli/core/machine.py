@@ -23,7 +23,7 @@ def usable_cores() -> int:
 
 
 def usable_memory() -> int | None:
-    """Bytes that may still be taken, of the machine's and of the container's; None where nothing tells."""
+    """Bytes that may still be taken, within the limits of machine and container; None where they are not known."""
     left = []
     for line in _read(_MEMINFO).splitlines():
         if line.startswith("MemAvailable:"):
@@ -36,7 +36,7 @@ def usable_memory() -> int | None:
 
 
 def _groups() -> list[Path]:
-    """The control group of this process and those around it, whose limits hold too."""
+    """The control group of this process, and those that contain it, whose limits apply too."""
     for line in _read(_MEMBERSHIP).splitlines():
         # Source: Linux's cgroup-v2.rst: the unified hierarchy's line is "0::$PATH".
         if line.startswith("0::"):

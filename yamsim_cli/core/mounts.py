@@ -1,6 +1,6 @@
 """Which filesystem a path is on, from the kernel's mount table alone.
 
-Nothing on a network mount is touched to find out: a stat on a server that does not answer cannot even be killed.
+Nothing on a network mount is touched for that: a process that asks a dead server for a file cannot even be killed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 _TABLE = Path("/proc/self/mountinfo")
 
-# Filesystems whose files lie on another machine. Any `fuse.*` counts too, but for those that are local.
+# Filesystems whose files lie on another machine. Every `fuse.*` counts too, except those in `_LOCAL_FUSE`.
 _NETWORK = frozenset(
     [
         "9p",
@@ -44,13 +44,13 @@ _NETWORK = frozenset(
 )
 _LOCAL_FUSE = frozenset(["fuse.fuse-overlayfs", "fuse.lxcfs", "fuse.portal", "fuse.snapfuse", "fuse.squashfuse"])
 
-# Those whose locks (flock) hold between machines. Source: flock(2) on NFS and CIFS; the others' manuals.
+# Network filesystems whose locks (flock) hold between machines. Source: flock(2) on NFS and CIFS; the others' manuals.
 _SHARED_LOCKS = frozenset(
     ["ceph", "cifs", "gfs2", "glusterfs", "fuse.glusterfs", "gpfs", "nfs", "nfs4", "ocfs2", "smb3"]
 )
 _UNSHARED_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
 
-# As the kernel gives up: a chain of links this long is a loop.
+# A chain of more links counts as a loop. Source: the kernel's own limit, path_resolution(7).
 _MAX_LINKS = 40
 
 
@@ -95,7 +95,7 @@ def read_mounts() -> list[Mount]:
 
 
 def parse_mounts(text: str) -> list[Mount]:
-    """Read a mount table in the format of `/proc/self/mountinfo`. Source: proc(5)."""
+    """The mounts of a table in the format of `/proc/self/mountinfo`. Source: proc(5)."""
     mounts = []
     for line in text.splitlines():
         before, dash, after = line.partition(" - ")
@@ -110,7 +110,7 @@ def parse_mounts(text: str) -> list[Mount]:
 def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
     """The mount that an absolute path without links lies on; None when the table has none for it.
 
-    Walks down from the root, so that a mount hidden by a later one above it does not count.
+    The search walks down from the root: a mount that a later one covers does not count.
     """
     numbers = {mount.number for mount in mounts}
     current = next((mount for mount in mounts if mount.parent not in numbers or mount.parent == mount.number), None)
@@ -129,7 +129,7 @@ def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
 def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str], str] = os.readlink) -> Mount | None:
     """The network mount that a path leads to, if it does.
 
-    Links on the way are followed as long as they lie on local filesystems; the first step onto a network mount ends it.
+    Links are followed as long as they lie on local filesystems. At the first step onto a network mount this stops.
 
     Args:
         path: need not exist; relative to the current directory, or absolute.
@@ -146,7 +146,7 @@ def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str],
         step = here / part
         mount = mount_at(step, mounts)
         if mount is not None and mount.is_network:
-            # From here on only what is written: a local filesystem may be mounted further down.
+            # The rest is taken as it is written, without following links. A local filesystem may be mounted below.
             mount = mount_at(PurePosixPath(os.path.normpath(step.joinpath(*rest))), mounts)
             return mount if mount is not None and mount.is_network else None
         try:
@@ -164,5 +164,5 @@ def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str],
 
 
 def _unescaped(text: str) -> str:
-    """The table writes blanks, tabs, newlines and backslashes as three octal digits."""
+    """A field as plain text: the table writes blanks, tabs, newlines and backslashes as three octal digits."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match.group(1), 8)), text)

@@ -4,28 +4,41 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from .errors import ConfigError, ResourceError, suggest
 
-# The quality that names another one, chosen by whoever knows what draws.
+# Kind and name of the config that stands for another quality, `Locations.auto_quality`, which depends on the GPU.
 AUTO = ("quality", "auto")
 
-# The asset set of the user's own meshes: a folder of that name among the fetched ones, in no lock.
+# The asset set of the user's own meshes: a folder among the fetched ones that no lock lists.
 IMPORTED = "imported"
 
 # What a config file's name ends in. Cameras may come from other programs.
 _ENDINGS = (".yaml", ".yml")
 _CAMERA_ENDINGS = (*_ENDINGS, ".json", ".xml")
 
+# What the names of the things of our own kitchen begin with.
+_KITCHEN = "kitchen_"
+# Asset set -> folder of its meshes, or None where they are not here. Primitives stand in for what has no folder.
+Meshes = Mapping[str, Path | None]
+
+# Where the configs of a kind lie under a root of data, `*` standing for their names.
+_PLACES = {"robots": "robot_models/*/model.yaml", "grippers": "robot_models/grippers/*/gripper.yaml"}
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def _built_in() -> Path:
-    """The data shipped with this yamsim: `_data` inside an installed wheel, else the checkout's top level."""
+    """The folder of the data shipped with yamsim: `_data` in an installed wheel, else the checkout's top level."""
     packaged = _PACKAGE / "_data"
     return packaged if packaged.is_dir() else _PACKAGE.parent
+
+
+def config_place(kind: str) -> str:
+    """Where the configs of a kind lie under a root of data, `*` standing for a name."""
+    return _PLACES.get(kind, f"configs/{kind}/*.yaml")
 
 
 def camera_file(name: str) -> tuple[Path, str] | None:
@@ -38,21 +51,23 @@ def camera_file(name: str) -> tuple[Path, str] | None:
 
 @dataclass(frozen=True)
 class Locations:
-    """The directories a job may read from. Plain data, so that workers on any machine can be handed it.
+    """The directories that a job may read from. Plain data, so that it can be sent to workers on any machine.
 
     Attributes:
         data: roots that hold `configs/`, `robot_models/` and `assets/`, most important first.
         assets: the cache of fetched meshes.
         auto_quality: the quality that the name `auto` stands for.
+        meshes: the folders of those that a scene is to show, once they were looked for; empty shows primitives.
     """
 
     data: tuple[Path, ...]
     assets: Path
     auto_quality: str = "balanced"
+    meshes: Meshes = field(default_factory=dict)
 
     @classmethod
     def find(cls, environ: Mapping[str, str]) -> Locations:
-        """Build from the environment: `YAMSIM_DATA_DIR`, `YAMSIM_ASSETS`, `XDG_CACHE_HOME`, `HOME`. Touches no file."""
+        """The locations that `YAMSIM_DATA_DIR`, `YAMSIM_ASSETS`, `XDG_CACHE_HOME` and `HOME` name. Touches no file."""
         roots = [Path(environ["YAMSIM_DATA_DIR"])] if environ.get("YAMSIM_DATA_DIR") else []
         if environ.get("YAMSIM_ASSETS"):
             assets = Path(environ["YAMSIM_ASSETS"])
@@ -76,21 +91,26 @@ class Locations:
         )
 
     def config_names(self, kind: str) -> list[str]:
-        """Names of the configs of one kind (`rigs`, `tasks`, ...), sorted."""
-        names = {path.stem for root in self.data for path in (root / "configs" / kind).glob("*.yaml")}
+        """Names of the configs of one kind (`rigs`, `tasks`, `robots`, ...), sorted."""
+        place = config_place(kind)
+        depth = place.split("/").index("*") if kind in _PLACES else -1
+        found = {path.relative_to(root).parts[depth] for root in self.data for path in root.glob(place)}
+        names = {name.removesuffix(".yaml") for name in found}
         return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
 
     def config_file(self, kind: str, name: str) -> Path:
         """The file of a named config, or of a path the user gave (anything ending in `.yaml` or `.yml`).
 
-        A number in front, as in `013_apple`, may be left out. A camera's file may also end in `.json` or `.xml`, and
-        have one of its cameras' names behind it, as in `calibration.json:left`: then so has the path that comes back.
+        What stands in front, as in `013_apple` and `kitchen_spoon`, may be left out. A camera's file may also end in
+        `.json` or `.xml`. One of its cameras may be named behind it, as in `calibration.json:left`, and stays in the
+        path that comes back.
 
         Raises:
             ConfigError: no such config; the message lists the names there are.
         """
         path = Path(name)
-        file = path if name.endswith(_ENDINGS) else None
+        # A robot is recorded by its name, so it has to be where names are looked up.
+        file = path if name.endswith(_ENDINGS) and kind not in _PLACES else None
         if kind == "cameras" and (found := camera_file(name)):
             file = found[0]
         if file is not None:
@@ -105,9 +125,14 @@ class Locations:
             valid = suggest(name, self.config_names(kind))
             raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{hint}")
         chosen = self.auto_quality if (kind, name) == AUTO else name
-        return self.file(f"configs/{kind}/{chosen}.yaml")
+        return self.file(config_place(kind).replace("*", chosen))
 
     def _numbered(self, kind: str, name: str) -> str | None:
-        """The only config whose name is a number and this name, as `013_apple` for `apple`; None if there is none."""
-        found = [other for other in self.config_names(kind) if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]
+        """The only config whose name is a number and this name, as `013_apple` for `apple`; else the kitchen's of this
+        name, as `kitchen_spoon` for `spoon`; None if there is none.
+        """
+        names = self.config_names(kind)
+        found = [other for other in names if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]
+        if not found and (ours := f"{_KITCHEN}{name}") in names:
+            return ours
         return found[0] if len(found) == 1 else None

@@ -18,20 +18,20 @@ PATTERN = rf"^({PRIMITIVES}|({FULL}|{REDUCED}) [0-9a-f]{{64}})$"
 # Digits of a hash that are enough to tell two apart.
 _SHOWN = 12
 
-# Asset set -> what is drawn of it.
-Drawn = Mapping[str, str]
+# Asset set -> the text on what is shown of it.
+ShownMeshes = Mapping[str, str]
 
 
 def shown(text: str | None) -> str:
-    """What is drawn of a set, for a message; None where it is not used."""
+    """What is shown of a set, for a message; `text` is None where the set is not used."""
     if text is None:
         return "not used"
     kind, _, digest = text.partition(" ")
     return f"{kind} {digest[:_SHOWN]}" if digest else kind
 
 
-def differences(one: Drawn, other: Drawn, places: tuple[str, str] = ("there", "now")) -> list[str]:
-    """`set: what is drawn there, what is drawn now` for every set that is drawn otherwise."""
+def differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, str] = ("there", "now")) -> list[str]:
+    """`set: what is shown there, what is shown now` for every set of which these differ."""
     return [
         f"{name}: {shown(one.get(name))} {places[0]}, {shown(other.get(name))} {places[1]}"
         for name in sorted({*one, *other})
@@ -39,8 +39,8 @@ def differences(one: Drawn, other: Drawn, places: tuple[str, str] = ("there", "n
     ]
 
 
-def remedy(recorded: Drawn, now: Drawn) -> str:
-    """What to do, where a dataset shows other meshes than would be drawn now."""
+def remedy(recorded: ShownMeshes, now: ShownMeshes) -> str:
+    """What to do where a dataset shows other meshes than it would now."""
     changed = [name for name in recorded if recorded[name] != now.get(name)]
     if any(now.get(name) == PRIMITIVES for name in changed):
         return "`yamsim assets fetch` brings the meshes, or set YAMSIM_ASSETS to where they are"

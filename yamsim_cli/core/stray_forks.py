@@ -1,4 +1,4 @@
-"""Processes that foreign code forks off, and that come back from it as if they were this one."""
+"""Forks of this process that a user's code makes, and that return from it as if they were this process."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def forks_end_here() -> Iterator[None]:
-    """End, at the end of the block, every process that was forked off within it.
+    """End, at the end of the block, every process that was forked within it.
 
-    A fork that returns from a policy would go on as its worker: run the trial a second time and answer for it. Its
-    parent alone may do that. A fork that exits by itself keeps its exit code.
+    A fork that returns from a policy would otherwise go on as a second copy of the worker, and answer twice. A fork
+    that exits by itself keeps its exit code.
     """
     own = os.getpid()
     try:

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from .geometry.se3 import Array
-from .randomized import Randomized
+import numpy as np
+from numpy.typing import NDArray
 
-# Whether the weld holds; of two arms, whether each one's does, the left one's first.
-Holds = bool | tuple[bool, ...]
+from .geometry.se3 import Array, UprightPose, pose, rotation_z, yaw
+from .variation import Variation
+
+# Whether each arm's weld holds, on each of some ticks: (ticks, arms) or (arms,), the left arm's first.
+Holds = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -23,19 +26,37 @@ class Layout:
 
     T_in_world: Mapping[str, Array]
 
+    @classmethod
+    def of(cls, places: Mapping[str, UprightPose]) -> Layout:
+        """From what `places` gave."""
+        return cls({name: pose((x, y, z), rotation_z(angle)) for name, (x, y, z, angle) in places.items()})
+
+    @property
+    def places(self) -> dict[str, UprightPose]:
+        """Object name -> where it stands upright, in `world`, as records hold it."""
+        return {name: (float(T[0, 3]), float(T[1, 3]), float(T[2, 3]), yaw(T)) for name, T in self.T_in_world.items()}
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Where an arm stands: its joints (dof,) in rad, and the opening of one finger in m."""
+
+    joints: Array
+    opening: float
+
 
 @dataclass(frozen=True)
 class Waypoint:
-    """One pose the plan passes through.
+    """One pose that a plan passes through.
 
     Attributes:
         name: for messages and figures.
-        T_object_in_world: where the grasped object is, or would be were it already held, (4, 4).
+        T_object_in_world: pose (4, 4) of the object, as if it were in the hand all the time.
         ticks: control ticks on the way to this waypoint.
         stop: whether the motion comes to rest here.
         gripper: opening of one finger there, m.
         grip: how hard each finger presses there, N.
-        fingers_from: part of the way (0..1) after which the fingers begin to move.
+        fingers_from: share (0..1) of the way after which the fingers begin to move.
     """
 
     name: str
@@ -54,7 +75,7 @@ class Phases:
     Attributes:
         reached: the first tick by which the hand must not have moved the object.
         held: the ticks during which the object is to move with the hand.
-        arm: which arm's hand: 0 of a lone arm or of the left one, 1 of the right one.
+        arm: number of the arm whose hand it is: 0 for a lone arm or the left one, 1 for the right one.
     """
 
     reached: int
@@ -64,10 +85,10 @@ class Phases:
 
 @dataclass(frozen=True)
 class Plan:
-    """What the hand is to do, in terms of the object it holds.
+    """What the hand is to do, in terms of the object that it holds.
 
-    Every waypoint is a pose of the object's frame as held, before the grasp too: so "over the plate's centre" means the
-    object and not the gripper.
+    Every waypoint is a pose of the object in the hand, even before the grasp. So "over the plate's centre" is said of
+    the object and not of the gripper.
 
     Attributes:
         object: name of the object to carry.
@@ -94,8 +115,8 @@ class JointPath:
     """A plan in joint space, for n control ticks.
 
     Attributes:
-        joints: reference positions (n + 1, 6) at the ticks' boundaries, rad; the first row is where the arm starts.
-        torques: what moving so takes (n, 6), in the middle of each tick, N m.
+        joints: reference positions (n + 1, dof) at the ticks' boundaries, rad; the first row is where the arm starts.
+        torques: the torques (n, dof) that this motion takes, in the middle of each tick, N m.
         gripper: opening (n,) of one finger, m.
         grip: how hard each finger presses (n,), N.
         magnet: whether the weld holds during each tick, (n,) of bool.
@@ -115,24 +136,24 @@ class JointPath:
 
     @property
     def velocities(self) -> Array:
-        """Mean joint velocities (n, 6) during each tick, rad/s."""
+        """Mean joint velocities (n, dof) during each tick, rad/s."""
         change: Array = self.joints[1:] - self.joints[:-1]
         return change / self.tick
 
 
 @dataclass(frozen=True)
 class Actions:
-    """All that acts on the scene during n control ticks: from the same start, the same actions give the same states.
+    """All that acts on the scene during n control ticks. The same actions from the same start give the same states.
 
     Attributes:
-        ctrl: what the drives are told during each tick (n, nu), rad and m.
-        magnet: whether the weld holds during each tick, n of them.
-        joints: the six joints and the finger opening of each arm (n, 7 or 14), the left one first, that the plan asks
-            for at the end of each tick, rad and m. Nothing in physics depends on them.
+        ctrl: what the drives are told during each tick (n, nu), rad and m, in MuJoCo's order.
+        magnet: whether each arm's weld holds during each tick (n, arms).
+        joints: the joints and the finger opening of each arm (n, arms, drives) that the plan asks for at the end of
+            each tick, rad and m. Nothing in physics depends on them.
     """
 
     ctrl: Array
-    magnet: tuple[Holds, ...]
+    magnet: Holds
     joints: Array
 
 
@@ -152,7 +173,7 @@ class StepState:
 
 
 class Cause(StrEnum):
-    """Why an attempt failed. `WORKER_LOST` is the one that the machine can have a part in, and never the task."""
+    """Why an attempt failed. `WORKER_LOST` alone is never the task's doing: the worker died, or hung."""
 
     NO_LAYOUT = "no_layout"
     UNREACHABLE = "unreachable"
@@ -168,14 +189,14 @@ class Cause(StrEnum):
 
 @dataclass(frozen=True)
 class Margins:
-    """How near an attempt's motion came to what the arm can do, as simulated: the worst of all joints and all time.
+    """How near an attempt's simulated motion came to what the arm can do: the worst over all joints and all times.
 
     Attributes:
-        velocity: of a joint, as a share of its motor's no-load speed.
-        torque: of a drive, as a share of the most that it gives.
-        joint: distance of a joint from its nearer stop, rad; negative beyond it.
+        velocity: largest speed of a joint, as a share of its motor's no-load speed.
+        torque: largest torque of a drive, as a share of the most that it gives.
+        joint: smallest distance of a joint from its nearer stop, rad; negative beyond it.
         slip: how far the object moved in the hand while it was held, m.
-        tilt: of the object while it was held, against how it lay, rad.
+        tilt: how far the object turned from how it lay while it was held, rad.
     """
 
     velocity: float
@@ -187,13 +208,13 @@ class Margins:
 
 @dataclass(frozen=True)
 class Motion:
-    """What was seen of an attempt's motion.
+    """What was observed of an attempt's motion.
 
     Attributes:
         margins: how near it came to what the arm can do.
-        lost: when the fingers first did not both touch the object that they were to hold, s; None if they always did.
-        collision: what touched what it must not, and when; None if nothing did.
-        breakdown: what broke physics, and when; None if nothing did.
+        lost: when one of the fingers first let go of the object that both were to hold, s; None if none did.
+        collision: what touched something that it must not touch, and when; None if nothing did.
+        breakdown: what went wrong in physics itself, and when; None if nothing did.
     """
 
     margins: Margins
@@ -207,9 +228,9 @@ class Outcome:
     """How an attempt ended, in numbers, so that any other threshold can be applied later.
 
     Attributes:
-        success: against the threshold of the task.
-        cause: why not; None on success.
-        detail: the figures behind the cause, for a person.
+        success: whether it succeeded by the task's own threshold.
+        cause: why it failed; None on success.
+        detail: the figures behind the cause, as text for a person.
         dxy: horizontal distance of the object from the target's centre at the end, m; None if never simulated.
         dz: height of the object's origin above the target's, m; None if never simulated.
         speed: speed of the object at the end, m/s; None if never simulated.
@@ -230,10 +251,32 @@ class Outcome:
 
 @dataclass(frozen=True)
 class EpisodeJob:
-    """What a worker is told: everything random in the attempt follows from these two numbers."""
+    """What a worker is asked for: an attempt, in which everything random follows from these two numbers."""
 
     seed: int
     attempt: int
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What was sampled for one attempt. What happens in it follows from this value and from what acts.
+
+    Attributes:
+        job: its numbers.
+        layout: where things stand; None where there was no room for them.
+        variation: what differs from other attempts beside the layout.
+        start: MuJoCo's positions (nq,) at the beginning, when everything is at rest; None without a layout.
+    """
+
+    job: EpisodeJob
+    layout: Layout | None = None
+    variation: Variation = field(default_factory=Variation)
+    start: Array | None = None
+
+    @property
+    def places(self) -> dict[str, UprightPose]:
+        """Object name -> where it stands at the start, in `world`; empty without a layout."""
+        return {} if self.layout is None else self.layout.places
 
 
 @dataclass(frozen=True)
@@ -241,23 +284,24 @@ class EpisodePayload:
     """What a worker gives back for one attempt.
 
     Attributes:
-        job: the attempt.
+        attempt: what was sampled for it.
         outcome: how it ended.
-        layout: object name -> start pose `[x, y, z, yaw]` in `world`, m and rad; empty without a layout.
         files: relative POSIX path -> content of the episode, without `episode.json`; empty unless it succeeded.
         frames: how many frames `files` holds.
-        content_sha256: hash of the decoded lowdim values, which outlives changes of the pickle format.
-        versions: of what the bytes depend on, where they were made.
-        renderer: the OpenGL implementation that drew the images; empty without images.
-        randomized: what was drawn beside the layout.
+        content_sha256: hash of the decoded lowdim values, so that it does not depend on the pickle format.
+        versions: package -> version, of those that the bytes depend on, where they were made.
+        renderer: the OpenGL implementation that rendered the images; empty without images.
     """
 
-    job: EpisodeJob
+    attempt: Attempt
     outcome: Outcome
-    layout: Mapping[str, tuple[float, float, float, float]]
     files: Mapping[str, bytes] = field(default_factory=dict)
     frames: int = 0
     content_sha256: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     renderer: str = ""
-    randomized: Randomized = field(default_factory=Randomized)
+
+    @property
+    def job(self) -> EpisodeJob:
+        """The attempt's numbers."""
+        return self.attempt.job

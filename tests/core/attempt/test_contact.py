@@ -11,19 +11,26 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.undrawn import SIZE, read_frame, write_dataset
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.attempts import all_actions, planned
+from tests.core.unrendered import SIZE, read_frame, write_dataset
+from yamsim_cli.core.attempt.physics import repeat
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.rollout import path_actions
 from yamsim_cli.core.tasks.pickplace import SLIP_DISTANCE
-from yamsim_cli.core.types import Actions, Cause, EpisodeJob, JointPath
+from yamsim_cli.core.types import Actions, Attempt, Cause, JointPath
 from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 
 FRICTION = {("rig",): "single_linear", ("grasp",): "contact", ("image", "size_px"): SIZE, ("seed",): 5}
+
+
+# An attempt, and what acts in it.
+Succeeded = tuple[Attempt, Actions]
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +39,8 @@ def friction(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 
 @pytest.fixture(scope="module")
-def runner(friction: RecordConfig, locations: Locations) -> EpisodeRunner:
-    return EpisodeRunner(friction, locations, {}, draw=False)
+def simulator(friction: RecordConfig, locations: Locations) -> Simulator:
+    return Simulator(Session(friction, locations))
 
 
 @pytest.fixture(scope="module")
@@ -44,28 +51,23 @@ def original(tmp_path_factory: pytest.TempPathFactory, friction: RecordConfig, l
 
 
 @pytest.fixture(scope="module")
-def actions(runner: EpisodeRunner) -> tuple[np.ndarray, Actions]:
-    """Start and actions of an attempt that succeeds."""
-    _, outcome, rollout = runner.simulate(EpisodeJob(5, 0))
-    assert outcome.success
-    assert rollout
-    acting = [state.actions for state in rollout.states]
-    joined = Actions(
-        np.concatenate([act.ctrl for act in acting]),
-        tuple(magnet for act in acting for magnet in act.magnet),
-        np.concatenate([act.joints for act in acting]),
-    )
-    return rollout.states[0].qpos, joined
+def succeeded(simulator: Simulator) -> Succeeded:
+    """An attempt that succeeds, and what acts in it."""
+    done = planned(simulator, 5)
+    assert done.outcome.success
+    return done.attempt, all_actions(done.states)
 
 
-def test_friction_alone_holds_the_object(runner: EpisodeRunner) -> None:
-    for attempt in range(6):
-        _, outcome, rollout = runner.simulate(EpisodeJob(11, attempt))
+def test_friction_alone_holds_the_object(simulator: Simulator) -> None:
+    for number in range(6):
+        done = planned(simulator, 11, number)
+        outcome = done.outcome
         assert outcome.success, outcome
+        assert outcome.dxy is not None
         assert outcome.dxy < 0.01
-        assert rollout
-        assert not any(magnet for state in rollout.states for magnet in state.actions.magnet)
-        assert rollout.motion.lost is None
+        assert not all_actions(done.states).magnet.any()
+        assert done.rollout is not None
+        assert done.rollout.motion.lost is None
         margins = outcome.margins
         assert margins is not None
         assert 0 < margins.slip < SLIP_DISTANCE / 2
@@ -89,68 +91,66 @@ def test_no_two_frames_are_the_same(original: Path) -> None:
     assert (np.abs(np.diff(speeds, axis=0)).max(axis=0) < (5, 5, 5, 10, 10, 10)).all()
 
 
-def _rerun(runner: EpisodeRunner, start: np.ndarray, actions: Actions) -> tuple[Cause | None, str]:
-    outcome, _ = runner.repeat(start, actions, 0.0, 0.0)
+def _rerun(simulator: Simulator, attempt: Attempt, actions: Actions) -> tuple[Cause | None, str]:
+    outcome = repeat(simulator, attempt, actions, planned=True).outcome
     return outcome.cause, outcome.detail
 
 
-def test_fingers_that_open_on_the_way_drop_it(runner: EpisodeRunner, actions: tuple[np.ndarray, Actions]) -> None:
-    start, acting = actions
+def test_fingers_that_open_on_the_way_drop_it(simulator: Simulator, succeeded: Succeeded) -> None:
+    attempt, acting = succeeded
     ctrl = acting.ctrl.copy()
     ctrl[50:60, 6] = 0.04
-    cause, detail = _rerun(runner, start, replace(acting, ctrl=ctrl))
+    cause, detail = _rerun(simulator, attempt, replace(acting, ctrl=ctrl))
     assert cause is Cause.DROPPED
     # Tick 50 is at 1.6 s.
     assert "out of the fingers after 1." in detail
 
 
-def test_a_slippery_object_slips(
-    friction: RecordConfig, locations: Locations, actions: tuple[np.ndarray, Actions]
-) -> None:
-    slippery = EpisodeRunner(friction, locations, {}, draw=False)
+def test_a_slippery_object_slips(friction: RecordConfig, locations: Locations, succeeded: Succeeded) -> None:
+    slippery = Simulator(Session(friction, locations))
     slippery.scene.model.geom_friction[:] = 0.02
-    outcome, rollout = slippery.repeat(*actions, 0.0, 0.0)
+    outcome = repeat(slippery, *succeeded, planned=True).outcome
     assert outcome.cause in (Cause.SLIPPED, Cause.DROPPED)
-    assert rollout.motion.margins.slip > SLIP_DISTANCE
+    assert outcome.margins is not None
+    assert outcome.margins.slip > SLIP_DISTANCE
 
 
-def test_a_hand_that_comes_down_beside_it_knocks_it_away(
-    runner: EpisodeRunner, actions: tuple[np.ndarray, Actions]
-) -> None:
-    start, acting = actions
-    address = runner.scene.object_qpos["banana"]
-    moved = start.copy()
+def test_a_hand_that_comes_down_beside_it_knocks_it_away(simulator: Simulator, succeeded: Succeeded) -> None:
+    attempt, acting = succeeded
+    address = simulator.scene.object_qpos["banana"]
+    assert attempt.start is not None
+    moved = attempt.start.copy()
     moved[address : address + 2] += (0.02, 0.02)
-    cause, detail = _rerun(runner, moved, acting)
+    cause, detail = _rerun(simulator, replace(attempt, start=moved), acting)
     assert cause in (Cause.KNOCKED, Cause.DROPPED), detail
 
 
 def test_an_arm_that_touches_table_or_plate_fails_whatever_becomes_of_the_object(
-    runner: EpisodeRunner, actions: tuple[np.ndarray, Actions]
+    simulator: Simulator, succeeded: Succeeded
 ) -> None:
-    start, acting = actions
+    attempt, acting = succeeded
     ctrl = acting.ctrl.copy()
     # After everything is done: the shoulder bows until the fingers are on the table, or on the plate's rim.
     ctrl[-25:, 1] += 0.8
-    cause, detail = _rerun(runner, start, replace(acting, ctrl=ctrl))
+    cause, detail = _rerun(simulator, attempt, replace(acting, ctrl=ctrl))
     assert cause is Cause.COLLIDED
     assert "finger" in detail
     assert "table" in detail or "plate" in detail
     assert "touch after 3." in detail
 
 
-def test_a_joint_that_is_driven_too_hard_fails(runner: EpisodeRunner, actions: tuple[np.ndarray, Actions]) -> None:
-    start, acting = actions
+def test_a_joint_that_is_driven_too_hard_fails(simulator: Simulator, succeeded: Succeeded) -> None:
+    attempt, acting = succeeded
     ctrl = acting.ctrl.copy()
     ctrl[-20:, 0] += 2.0
-    cause, detail = _rerun(runner, start, replace(acting, ctrl=ctrl))
+    cause, detail = _rerun(simulator, attempt, replace(acting, ctrl=ctrl))
     assert cause is Cause.LIMITS
     assert "of its motor's speed" in detail
 
 
 def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locations) -> None:
     config = dataset_config(original, locations)
-    verifier = EpisodeVerifier(config, locations, {}, Limits(values=0.0, images=None))
+    verifier = EpisodeVerifier(Session(config, locations), Limits(values=0.0, images=None))
     for number in range(2):
         verdict = verifier.run((number, original / f"ep_{number:06d}"))
         assert verdict.agrees
@@ -171,7 +171,7 @@ def test_its_record_says_how_it_was_held(original: Path, tmp_path: Path) -> None
 
 def test_a_gripper_without_pads_is_refused_with_the_rig_to_use(locations: Locations) -> None:
     overrides = {("grasp",): ("test", "contact")}
-    wanted = r"contact.*linear_4310.*rig 'single' has crank; use --rig single_linear"
+    wanted = r"'contact' needs a gripper with pads.*rig 'single' has crank; use --rig single_linear"
     with pytest.raises(ConfigError, match=wanted):
         load_config(RecordConfig, "record", "default", locations, overrides)
     run = yamsim("pickplace", "batch", "--grasp", "contact", "--n", "1")
@@ -186,8 +186,8 @@ def test_an_object_that_friction_cannot_hold_is_refused(locations: Locations) ->
         load_config(RecordConfig, "record", "default", locations, overrides)
 
 
-def test_the_drive_is_told_to_close_further_than_the_object_lets_it(runner: EpisodeRunner) -> None:
-    scene = runner.scene
+def test_the_drive_is_told_to_close_further_than_the_object_lets_it(simulator: Simulator) -> None:
+    scene = simulator.scene
     n = 3
     path = JointPath(
         joints=np.zeros((n + 1, 6)),

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from tests.core.attempts import planned
 from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
 from yamsim_cli.core.dataset.lowdim import load_frame
@@ -15,6 +17,7 @@ from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.dataset.truth_files import TruthLabels, array_faults, load_depth, load_truth
 from yamsim_cli.core.images.label_images import decode_labels
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob, EpisodePayload
 
 pytestmark = pytest.mark.render
@@ -30,7 +33,7 @@ def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 @pytest.fixture(scope="module")
 def runner(config: RecordConfig, locations: Locations) -> Iterator[EpisodeRunner]:
-    with EpisodeRunner(config, locations, {}, draw=True) as runner:
+    with EpisodeRunner(Session(config, locations), render=True) as runner:
         yield runner
 
 
@@ -78,7 +81,7 @@ def test_another_worker_gives_the_same_bytes(
     payload: EpisodePayload, config: RecordConfig, locations: Locations
 ) -> None:
     """Whatever it made before."""
-    with EpisodeRunner(config, locations, {}, draw=True) as other:
+    with EpisodeRunner(Session(config, locations), render=True) as other:
         other.run(EpisodeJob(0, 1))
         assert other.run(EpisodeJob(0, 0)).files == payload.files
 
@@ -86,7 +89,7 @@ def test_another_worker_gives_the_same_bytes(
 def test_truth_changes_nothing_else(
     payload: EpisodePayload, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    with EpisodeRunner(make_config(CHANGES | {("truth",): False}), locations, {}, draw=True) as plain:
+    with EpisodeRunner(Session(make_config(CHANGES | {("truth",): False}), locations), render=True) as plain:
         files = plain.run(EpisodeJob(0, 0)).files
     assert {name: payload.files[name] for name in files} == files
     assert {name.split("/")[0] for name in payload.files.keys() - files.keys()} == {"depth", "segmentation", "truth"}
@@ -95,8 +98,8 @@ def test_truth_changes_nothing_else(
 def test_boards_change_no_physics(
     payload: EpisodePayload, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    with EpisodeRunner(make_config({("boards",): True}), locations, {}, draw=False) as runner:
-        rollout = runner.simulate(EpisodeJob(0, 0))[2]
-        assert rollout is not None
-        for k, state in enumerate(rollout.states):
+    with Simulator(Session(make_config({("boards",): True}), locations)) as simulator:
+        states = planned(simulator, 0).states
+        assert states
+        for k, state in enumerate(states):
             np.testing.assert_array_equal(state.qpos, load_frame(payload.files[f"lowdim/{k:06d}.pkl"])["sim_qpos"])

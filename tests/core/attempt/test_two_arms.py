@@ -12,16 +12,20 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.core.undrawn import SIZE, change_frame, read_frame, write_dataset
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.attempts import all_actions, planned
+from tests.core.unrendered import SIZE, change_frame, read_frame, write_dataset
+from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.physics import repeat
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.checks.lowdim import frame_faults
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.tasks.handover import schedule
-from yamsim_cli.core.types import Actions, Cause, EpisodeJob
+from yamsim_cli.core.types import Cause
 from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 
 OBJECTS = ("banana", "plate")
@@ -35,11 +39,10 @@ def _config(make_config: Callable[..., RecordConfig], **keys: Any) -> RecordConf
 
 
 def _frames(config: RecordConfig, locations: Locations) -> Frames:
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        _, outcome, rollout = runner.simulate(EpisodeJob(config.seed, 1))
-        assert outcome.success, outcome.detail
-        assert rollout is not None
-        return runner.frames(rollout.states)
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, config.seed, 1)
+        assert done.outcome.success, done.outcome.detail
+        return frames(simulator, done.attempt, done.states)
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +70,8 @@ def test_commands_are_the_left_arms_first_and_physics_own_order_is_kept_beside(
 ) -> None:
     """On this rig MuJoCo has the right arm first."""
     config = _config(make_config, rig="bimanual", arm="left", wrist=True)
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        names = [runner.scene.model.actuator(k).name for k in range(14)]
+    with Simulator(Session(config, locations)) as simulator:
+        names = [simulator.scene.model.actuator(k).name for k in range(14)]
     assert names[0].startswith("arm2_") is False
     of_left = [k for k, name in enumerate(names) if name.startswith("arm2_")]
     ctrl, first = _column(left, "ctrl"), np.array([frame["sim_ctrl"][0] for frame in left], np.float32)
@@ -78,8 +81,8 @@ def test_commands_are_the_left_arms_first_and_physics_own_order_is_kept_beside(
     assert np.abs(ctrl - _column(left, "action_joints")).max() < 0.4
 
 
-def _column(frames: Frames, key: str, part: Any = ...) -> np.ndarray:
-    return np.array([frame[key] for frame in frames])[:, part]
+def _column(recorded: Frames, key: str, part: Any = ...) -> np.ndarray:
+    return np.array([frame[key] for frame in recorded])[:, part]
 
 
 @pytest.mark.parametrize(("side", "acts", "rests"), [("left", LEFT, RIGHT), ("right", RIGHT, LEFT)])
@@ -108,8 +111,8 @@ def test_either_arm_does_the_very_same_before_its_own_base(left: Frames, right: 
 def test_a_frame_of_two_arms_has_the_left_one_first_and_all_poses_in_its_base(left: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera")
     first = left[0]
-    assert frame_faults(first, OBJECTS, cameras, arms=2) == []
-    assert frame_faults(first, OBJECTS, cameras, arms=1) != []
+    assert frame_faults(first, OBJECTS, cameras, 2, 7) == []
+    assert frame_faults(first, OBJECTS, cameras, 1, 7) != []
     assert (first["ctrl"].shape, first["ee_pose"].shape, first["magnet"].shape) == ((14,), (2, 4, 4), (2,))
     assert first["sim_magnet"].shape == (2, 2)
     np.testing.assert_allclose(first["T_right_base_in_left_base"][:3, 3], (0, -0.7, 0), atol=1e-6)
@@ -126,12 +129,12 @@ def test_a_frame_of_two_arms_has_the_left_one_first_and_all_poses_in_its_base(le
 def test_simulation_data_of_another_number_of_arms_are_a_fault(left: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera")
     for magnet in (np.ones(2, bool), np.ones((2, 3), bool)):
-        (fault,) = frame_faults(left[0] | {"sim_magnet": magnet}, OBJECTS, cameras, arms=2)
+        (fault,) = frame_faults(left[0] | {"sim_magnet": magnet}, OBJECTS, cameras, 2, 7)
         assert "sim_magnet" in fault
 
 
 def test_the_right_hand_holds_then_both_then_the_left_one(handed: Frames, handover: RecordConfig) -> None:
-    at = schedule(handover.task)
+    at = schedule(handover.task, handover.grasp)
     assert len(handed) == at.total // handover.task.timing.ticks_per_frame == 94
     ticks = np.concatenate([frame["sim_magnet"] for frame in handed])
     for column, (first, last) in enumerate(((at.taken, at.placed), (at.grasped, at.given))):
@@ -155,25 +158,19 @@ def test_the_banana_goes_from_one_arm_to_the_other_in_the_air_and_level(handed: 
 def test_both_wrists_are_recorded_of_a_hand_over(handed: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera", "right_wrist_camera")
     assert set(handed[0]["extrinsics"]) == set(cameras)
-    assert frame_faults(handed[0], OBJECTS, cameras, arms=2) == []
+    assert frame_faults(handed[0], OBJECTS, cameras, 2, 7) == []
     # Which of them it would be of could not be told.
     assert "K_wrist" not in handed[0]
 
 
 def test_arms_that_meet_fail_the_attempt(handover: RecordConfig, locations: Locations) -> None:
-    with EpisodeRunner(handover, locations, {}, draw=False) as runner:
-        rollout = runner.simulate(EpisodeJob(handover.seed, 1))[2]
-        assert rollout is not None
-        parts = [state.actions for state in rollout.states]
-        actions = Actions(
-            np.concatenate([part.ctrl for part in parts]),
-            tuple(magnet for part in parts for magnet in part.magnet),
-            np.concatenate([part.joints for part in parts]),
-        )
+    with Simulator(Session(handover, locations)) as simulator:
+        done = planned(simulator, handover.seed, 1)
+        actions = all_actions(done.states)
         # While the hands are together, the left arm turns towards the right one.
-        at, ctrl = schedule(handover.task), actions.ctrl.copy()
-        ctrl[at.taken : at.placed, runner.scene.arms[0].arm_ctrl[0]] -= 0.8
-        outcome, _ = runner.repeat(rollout.states[0].qpos, replace(actions, ctrl=ctrl), 0.0, 0.0)
+        at, ctrl = schedule(handover.task, handover.grasp), actions.ctrl.copy()
+        ctrl[at.taken : at.placed, simulator.scene.arms[0].arm_ctrl[0]] -= 0.8
+        outcome = repeat(simulator, done.attempt, replace(actions, ctrl=ctrl), planned=True).outcome
     assert outcome.cause is Cause.COLLIDED
     assert "arm2_" in outcome.detail
 
@@ -186,7 +183,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory, handover: RecordConfig, lo
 
 
 def test_a_hand_over_is_made_again_bit_for_bit(dataset: Path, locations: Locations) -> None:
-    verifier = EpisodeVerifier(dataset_config(dataset, locations), locations, {}, Limits(values=0.0, images=None))
+    verifier = EpisodeVerifier(Session(dataset_config(dataset, locations), locations), Limits(values=0.0, images=None))
     verdict = verifier.run((0, dataset / "ep_000000"))
     assert verdict.agrees
     assert set(verdict.checks) == {SEED, ACTIONS}
@@ -198,7 +195,9 @@ def test_a_recorded_camera_is_given_in_the_first_arms_base(dataset: Path, handov
     frame = read_frame(dataset / "ep_000000", 0)
     T_right_in_cam = inverse(frame["extrinsics"]["scene_camera"]) @ frame["T_right_base_in_left_base"]
     np.testing.assert_allclose(photo.T_base_in_cam, T_right_in_cam, atol=1e-5)
-    np.testing.assert_allclose(photo.joints, [frame["joints"][RIGHT], frame["joints"][LEFT]], atol=1e-6)
+    assert photo.stands is not None
+    stands = [[*stand.joints, stand.opening] for stand in photo.stands]
+    np.testing.assert_allclose(stands, [frame["joints"][RIGHT], frame["joints"][LEFT]], atol=1e-6)
 
 
 def test_summarize_accepts_two_arms_and_checks_both(dataset: Path, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.core.boards.image import board_image, board_texture, marker_cells
+from yamsim_cli.core.boards.board_image import board_image, board_texture, marker_cells
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError

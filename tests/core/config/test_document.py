@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.config.document import Document, dump_yaml, load_yaml, parse_yaml
+from yamsim_cli.core.documents.document import Document, dump_yaml, load_yaml, parse_yaml
 from yamsim_cli.core.errors import ConfigError
 
 

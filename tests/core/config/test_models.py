@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from yamsim_cli.core.config.base import Name, Quaternion, Range, Rgba
 from yamsim_cli.core.config.primitives import Capsule, Cylinder, Ring
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import BasePose
 from yamsim_cli.core.config.scene import FixedCamera, Table
 from yamsim_cli.core.config.task import TaskConfig, Timing
 from yamsim_cli.core.config.things import Grasp, Inertia, ObjectConfig
+from yamsim_cli.core.documents.base import Name, Quaternion, Range, Rgba
 
 
 def models_in(model: BaseModel):
@@ -94,7 +94,7 @@ def test_small_types_accept_and_refuse(kind, good, bad):
 
 def test_what_decides_the_data_leaves_out_how_much_and_by_whom(config):
     data = config.data_config()
-    assert set(data) == set(RecordConfig.model_fields) - {"episodes", "workers", "arm", "meshes"}
+    assert set(data) == set(RecordConfig.model_fields) - {"episodes", "workers", "arm", "cameras", "meshes"}
     assert config.model_copy(update={"arm": "left"}).data_config() == data | {"arm": "left"}
     noted = {"meshes": {"ycb": "primitives"}}
     assert config.model_copy(update=noted).data_config() == data | noted
@@ -151,11 +151,11 @@ def test_the_pinch_frame_points_down_and_closes_along_the_axis(position, axis_de
 def test_the_open_fingers_stand_on_either_side_along_the_closing_axis(axis_deg, open_by):
     grasp = Grasp(position=(0.01, -0.02, 0.003), axis_deg=axis_deg, opening=0.01)
     closing = grasp.T_pinch_in_object(False)[:2, 1]
-    one, other = (np.array(disc[:2]) - grasp.position[:2] for disc in grasp.fingers(open_by))
+    one, other = (np.array(disc[:2]) - grasp.position[:2] for disc in grasp.fingers(open_by, 0.012))
     assert np.allclose(one, -other)
     assert abs(one @ closing) == pytest.approx(np.linalg.norm(one))
     assert np.linalg.norm(one) >= open_by
-    assert all(disc[2] > 0 for disc in grasp.fingers(open_by))
+    assert all(disc[2] > 0 for disc in grasp.fingers(open_by, 0.012))
 
 
 def covered(discs, points) -> bool:
@@ -190,6 +190,8 @@ def test_the_footprint_knows_every_primitive(config):
         "ring": {"type": "ring", "inner": (0.01, 0.0), "outer": (0.03, 0.01), "thickness": 0.001, "segments": 8},
         "sphere": {"type": "sphere", "centre": (0.5, 0.5, 0), "radius": 0.02},
         "box": {"type": "box", "centre": (0.7, 0.7, 0), "half_size": (0.01, 0.035, 0.01), "yaw_deg": 30},
+        "hull": {"type": "hull", "file": "a.stl", "low": (0.1, 0.1, 0), "high": (0.12, 0.14, 0.02)},
+        "sdf": {"type": "sdf", "file": "a.stl", "low": (-0.1, 0.1, 0), "high": (-0.08, 0.14, 0.02)},
     }
     annotation = ObjectConfig.model_fields["collision"].annotation
     branches = get_args(get_args(get_args(annotation)[0])[0])

@@ -36,15 +36,15 @@ def jpeg(width: int = 16, height: int = 12, seed: int = 0) -> bytes:
 def frame(k: int = 0, seed: int = 0) -> dict:
     rng = np.random.default_rng([seed, k])
     return frame_data(
-        joints=rng.normal(size=7),
+        joints=rng.normal(size=(1, 7)),
         timestamp=k * 0.064,
         intrinsics={CAMERA: rng.normal(size=(3, 3))},
         extrinsics={CAMERA: np.eye(4)},
         object_poses={"banana": rng.normal(size=(4, 4)), "plate": np.eye(4)},
-        ee_pose=np.eye(4),
-        ctrl=rng.normal(size=7),
-        action_joints=rng.normal(size=7),
-        magnet=k == 2,
+        ee_pose=np.eye(4)[None],
+        ctrl=rng.normal(size=(1, 7)),
+        action_joints=rng.normal(size=(1, 7)),
+        magnet=np.array([k == 2]),
         language_task="pick_place_banana",
         language_prompt="pick up the banana",
     )

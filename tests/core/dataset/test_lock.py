@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG
-from yamsim_cli.core.dataset.lock import DirectoryLock
+from yamsim_cli.core.dataset.directory_lock import DirectoryLock
 from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
 from yamsim_cli.core.errors import ResourceError, UsageError
 

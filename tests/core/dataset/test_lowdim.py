@@ -14,7 +14,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tests.core.dataset.making import CAMERA, frame
-from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, flat, frame_data, load_frame, shapes
+from yamsim_cli.core.dataset.lowdim import (
+    SimulationData,
+    content_hash,
+    dump_frame,
+    flat,
+    frame_data,
+    load_frame,
+    shapes,
+)
 from yamsim_cli.core.errors import DatasetError
 
 
@@ -57,12 +65,12 @@ def test_a_frames_keys_come_in_one_order():
 def test_the_wrist_cameras_matrix_is_stored_on_its_own_too():
     K = np.diag([5.0, 6.0, 1.0])
     data = frame_data(
-        **{key: np.zeros(shape) for key, shape in shapes(1).items()},
+        **{key: np.zeros((1, *shape)) for key, shape in shapes(1, 7).items()},
         timestamp=0,
         intrinsics={"scene": np.eye(3), "wrist": K},
         extrinsics={},
         object_poses={},
-        magnet=False,
+        magnet=np.array([False]),
         language_task="",
         language_prompt="",
         wrist_camera="wrist",
@@ -73,15 +81,15 @@ def test_the_wrist_cameras_matrix_is_stored_on_its_own_too():
 
 def test_arrays_are_contiguous_float32_and_scalars_plain():
     data = frame_data(
-        joints=[0, 1, 2, 3, 4, 5, 6],
+        joints=np.arange(7)[None],
         timestamp=np.float32(0.5),
         intrinsics={"c": np.asfortranarray(np.arange(9.0).reshape(3, 3))},
         extrinsics={"c": np.eye(4)[::-1]},
         object_poses={"banana": np.eye(4, dtype=int)},
-        ee_pose=np.eye(4),
-        ctrl=range(7),
-        action_joints=tuple(range(7)),
-        magnet=np.True_,
+        ee_pose=np.eye(4)[None],
+        ctrl=np.arange(7)[None],
+        action_joints=np.arange(7.0)[None, ::-1],
+        magnet=np.array([True]),
         language_task="",
         language_prompt="",
     )
@@ -90,6 +98,28 @@ def test_arrays_are_contiguous_float32_and_scalars_plain():
     assert len(arrays) == 7
     assert all(array.dtype == np.float32 and array.flags.c_contiguous for array in arrays)
     assert (type(data["timestamp"]), type(data["magnet"])) == (float, bool)
+
+
+def test_a_lone_arm_has_no_axis_and_two_come_one_after_the_other():
+    """What is there for each arm comes in with an axis of arms."""
+    for arms in (1, 2):
+        given = {key: np.zeros((arms, 7)) for key in ("joints", "ctrl", "action_joints")}
+        data = frame_data(
+            **given | {"joints": np.arange(7.0 * arms).reshape(arms, 7)},
+            timestamp=0,
+            intrinsics={},
+            extrinsics={},
+            object_poses={},
+            ee_pose=np.tile(np.eye(4), (arms, 1, 1)),
+            magnet=np.arange(arms) == 1,
+            language_task="",
+            language_prompt="",
+            simulation=SimulationData(np.zeros(9), np.zeros((2, 7 * arms)), np.zeros((2, arms), bool)),
+        )
+        assert data["joints"].tolist() == list(range(7 * arms))
+        assert data["ee_pose"].shape == ((4, 4) if arms == 1 else (2, 4, 4))
+        assert data["sim_magnet"].shape == ((2,) if arms == 1 else (2, 2))
+        assert data["magnet"] is False if arms == 1 else data["magnet"].tolist() == [False, True]
 
 
 def test_equal_frames_give_equal_bytes_whatever_objects_they_are_made_of():

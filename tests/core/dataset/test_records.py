@@ -18,7 +18,7 @@ from yamsim_cli.core.dataset.records import (
     to_json,
 )
 from yamsim_cli.core.errors import DatasetError
-from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Margins, Outcome
+from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Layout, Margins, Outcome
 
 MANIFEST = Manifest(
     task="pickplace",
@@ -95,7 +95,7 @@ def test_what_is_no_record_is_a_dataset_error(text):
 
 def test_an_attempt_is_written_down_with_its_outcome():
     payload = EpisodePayload(
-        job=EpisodeJob(seed=7, attempt=4),
+        Attempt(EpisodeJob(seed=7, attempt=4), Layout.of({"banana": (1.0, 2.0, 3.0, 0.5)})),
         outcome=Outcome(
             False,
             Cause.DROPPED,
@@ -107,7 +107,6 @@ def test_an_attempt_is_written_down_with_its_outcome():
             tilt=0.02,
             margins=Margins(velocity=0.5, torque=0.4, joint=0.2, slip=0.001, tilt=0.01),
         ),
-        layout={"banana": (1.0, 2.0, 3.0, 4.0)},
     )
     record = attempt_record(payload, None)
     assert plain(record) == {
@@ -131,7 +130,7 @@ def test_an_attempt_is_written_down_with_its_outcome():
                 "object_tilt_rad": 0.01,
             },
         },
-        "layout": {"banana": [1.0, 2.0, 3.0, 4.0]},
+        "layout": {"banana": [1.0, 2.0, 3.0, 0.5]},
     }
     assert from_json(AttemptRecord, to_json(record), "x") == record
     assert attempt_record(payload, 2).episode == 2

@@ -25,17 +25,17 @@ CTRL = 0.2 + np.arange(14).reshape(2, 7) * 1e-12
 
 
 def simulated() -> dict:
-    plain = {key: np.zeros(shape) for key, shape in shapes(1).items()}
+    plain = {key: np.zeros((1, *shape)) for key, shape in shapes(1, 7).items()}
     return frame_data(
         **plain,
         timestamp=0.064,
         intrinsics={CAMERA: np.eye(3)},
         extrinsics={CAMERA: np.eye(4)},
         object_poses={name: np.eye(4) for name in OBJECTS},
-        magnet=False,
+        magnet=np.array([False]),
         language_task="",
         language_prompt="",
-        simulation=SimulationData(QPOS, CTRL, (False, True)),
+        simulation=SimulationData(QPOS, CTRL, np.array([[False], [True]])),
     )
 
 
@@ -51,8 +51,8 @@ def test_it_comes_last_and_keeps_every_bit():
 def test_a_frame_has_all_of_it_or_none():
     assert has_simulation(simulated())
     assert not has_simulation(frame())
-    assert frame_faults(simulated(), OBJECTS, [CAMERA]) == []
-    assert frame_faults(frame(), OBJECTS, [CAMERA]) == []
+    assert frame_faults(simulated(), OBJECTS, [CAMERA], 1, 7) == []
+    assert frame_faults(frame(), OBJECTS, [CAMERA], 1, 7) == []
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_a_frame_has_all_of_it_or_none():
     ],
 )
 def test_each_fault_is_named(change, fault):
-    (found,) = frame_faults(simulated() | change, OBJECTS, [CAMERA])
+    (found,) = frame_faults(simulated() | change, OBJECTS, [CAMERA], 1, 7)
     assert found.endswith(fault)
 
 
@@ -80,8 +80,8 @@ def test_the_actions_of_an_episode_are_those_of_every_tick():
     start, actions = recorded
     np.testing.assert_array_equal(start, QPOS)
     np.testing.assert_array_equal(actions.ctrl, [*CTRL, CTRL[0] + 1])
-    assert actions.magnet == (False, True, True)
-    assert actions.joints.shape == (3, 7)
+    assert actions.magnet.tolist() == [[False], [True], [True]]
+    assert actions.joints.shape == (3, 1, 7)
 
 
 def test_without_simulation_data_in_every_frame_there_are_no_actions():

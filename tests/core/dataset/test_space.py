@@ -8,7 +8,7 @@ import pytest
 
 from tests.core.dataset.making import made
 from yamsim_cli.core.config.recording import ImageConfig
-from yamsim_cli.core.dataset.faults import explain, reason
+from yamsim_cli.core.dataset.disk_faults import explain, reason
 from yamsim_cli.core.dataset.records import Manifest, from_json
 from yamsim_cli.core.dataset.space import EpisodeSize, check_space, files_per_episode
 from yamsim_cli.core.errors import ResourceError

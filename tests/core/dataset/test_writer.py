@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG, failed_attempt, made, publish
-from yamsim_cli.core.config.document import load_yaml
 from yamsim_cli.core.dataset.ledger import LINE_LOST, Ledger
 from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json, to_json
 from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
+from yamsim_cli.core.documents.document import load_yaml
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 
 

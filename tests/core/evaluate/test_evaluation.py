@@ -11,17 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.core.undrawn import write_dataset
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.attempts import all_actions, planned
+from tests.core.unrendered import write_dataset
+from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import OutcomeRecord
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_run, summary
 from yamsim_cli.core.evaluate.policy_trial import Ended, PolicyChoice, TrialResult, TrialRunner
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.closed_loop import ClosedLoop
 from yamsim_cli.core.trials.batch import run_batch
-from yamsim_cli.core.types import Cause, EpisodeJob, Outcome
+from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, Outcome
 
 SAMPLES = Path(__file__).parents[1] / "policies"
 N = 12
@@ -46,7 +49,7 @@ def trial(config: RecordConfig, locations: Locations) -> Iterator[Callable[..., 
 
     def run(name: str, attempt: int = 0, seed: int = 0, **limits: float) -> TrialResult:
         choice = PolicyChoice(name, SAMPLES, **limits)
-        with TrialRunner(config, locations, {}, choice) as runner:
+        with TrialRunner(Session(config, locations), choice) as runner:
             return runner.run(EpisodeJob(seed, attempt))
 
     yield run
@@ -58,8 +61,8 @@ def outcomes(report: dict[str, Any]) -> list[Any]:
 
 def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConfig, locations: Locations) -> None:
     """Every number of every trial, failures too, whatever the workers."""
-    batch = run_batch(strict, locations, (0.05,), lambda *_: None)
-    found = evaluate(strict, locations, {}, PolicyChoice("scripted", SAMPLES), lambda *_: None)
+    batch = run_batch(Session(strict, locations), (0.05,), lambda *_: None)
+    found = evaluate(Session(strict, locations), PolicyChoice("scripted", SAMPLES), lambda *_: None)
     report = json.loads(json.dumps(summary(found, strict, (0.05,))))
     batch = json.loads(json.dumps(batch))
     assert 0 < report["stats"]["n_success"] < N
@@ -70,7 +73,7 @@ def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConf
 
 
 def test_holding_still_scores_nothing(strict: RecordConfig, locations: Locations) -> None:
-    found = evaluate(strict, locations, {}, PolicyChoice("hold_still", SAMPLES, time_limit=1.0), lambda *_: None)
+    found = evaluate(Session(strict, locations), PolicyChoice("hold_still", SAMPLES, time_limit=1.0), lambda *_: None)
     report = summary(found, strict, (0.08,))
     assert (report["stats"]["n_success"], report["stats"]["rates"]["0.08"]) == (0, 0.0)
     assert report["stats"]["ended"] == {"time_limit": N}
@@ -92,16 +95,16 @@ def test_a_datasets_actions_are_replayed_on_their_own_starts(
 
 
 def test_the_closed_loop_is_the_simulation_bit_for_bit(config: RecordConfig, locations: Locations) -> None:
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        rollout = runner.simulate(EpisodeJob(0, 3))[2]
-        assert rollout
-        loop = ClosedLoop(runner.scene, rollout.states[0].qpos, config.task.object.name, config.task.timing)
-        for state in rollout.states:
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 0, 3)
+        assert done.attempt.start is not None
+        loop = ClosedLoop(simulator.scene, done.attempt.start, config.task.object.name, config.task.timing)
+        for state in done.states:
             np.testing.assert_array_equal(loop.data.qpos, state.qpos)
             for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
-                loop.step(ctrl, magnet)
-        assert loop.actions.magnet == tuple(magnet for state in rollout.states for magnet in state.actions.magnet)
-        assert any(loop.actions.magnet)
+                loop.step(ctrl[simulator.scene.drives], magnet)
+        np.testing.assert_array_equal(loop.actions.magnet, all_actions(done.states).magnet)
+        assert loop.actions.magnet.any()
 
 
 def test_the_weld_does_not_reach_across_the_table(trial: Callable[..., TrialResult]) -> None:
@@ -109,7 +112,7 @@ def test_the_weld_does_not_reach_across_the_table(trial: Callable[..., TrialResu
     result = trial("sample_policies.py:Faulty", attempt=4)
     assert (result.ended, result.ticks) == (Ended.DONE, 6)
     assert result.actions is not None
-    assert not any(result.actions.magnet)
+    assert not result.actions.magnet.any()
 
 
 def test_what_is_still_held_at_the_end_is_let_go(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
@@ -119,12 +122,12 @@ def test_what_is_still_held_at_the_end_is_let_go(config: RecordConfig, locations
         "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
         "        return {**action, 'done': self._tick == 30}\n"
     )
-    with TrialRunner(config, locations, {}, PolicyChoice("holder.py:Holder", tmp_path)) as runner:
+    with TrialRunner(Session(config, locations), PolicyChoice("holder.py:Holder", tmp_path)) as runner:
         result = runner.run(EpisodeJob(0, 0))
     assert result.actions is not None
     assert (result.ended, result.ticks) == (Ended.DONE, 30 + config.task.timing.settle_ticks)
-    assert result.actions.magnet[29]
-    assert not any(result.actions.magnet[30:])
+    assert result.actions.magnet[29].all()
+    assert not result.actions.magnet[30:].any()
     assert not result.outcome.success
 
 
@@ -170,8 +173,8 @@ def test_a_fork_that_a_policy_leaves_behind_answers_for_no_trial(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     config = make_config({("episodes",): 4, ("workers",): 1})
-    found = evaluate(config, locations, {}, PolicyChoice("sample_policies.py:Forker", SAMPLES), lambda *_: None)
-    assert [result.job.attempt for result in found.results] == [0, 1, 2, 3]
+    found = evaluate(Session(config, locations), PolicyChoice("sample_policies.py:Forker", SAMPLES), lambda *_: None)
+    assert [result.attempt.job.attempt for result in found.results] == [0, 1, 2, 3]
     assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3)}
 
 
@@ -179,7 +182,7 @@ def test_a_policy_that_ends_its_process_costs_its_trial_alone(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     config = make_config({("episodes",): 3, ("workers",): 1})
-    found = evaluate(config, locations, {}, PolicyChoice("sample_policies.py:Suicidal", SAMPLES), lambda *_: None)
+    found = evaluate(Session(config, locations), PolicyChoice("sample_policies.py:Suicidal", SAMPLES), lambda *_: None)
     assert [result.ended for result in found.results] == [Ended.DONE, Ended.LOST, Ended.DONE]
     assert "ended with code 3, in each of 3 tries" in found.results[1].error
     assert summary(found, config, (0.05,))["stats"]["causes"]["policy_lost"] == 1
@@ -197,7 +200,7 @@ def test_a_policy_that_ends_its_process_costs_its_trial_alone(
 )
 def test_trials_that_did_not_run_measure_nothing(ended: tuple[Ended, ...], ran: bool, config: RecordConfig) -> None:
     outcome = OutcomeRecord.of(Outcome(False, Cause.NO_LAYOUT, "no free place"))
-    results = tuple(TrialResult(EpisodeJob(0, k), outcome, {}, how) for k, how in enumerate(ended))
+    results = tuple(TrialResult(Attempt(EpisodeJob(0, k)), outcome, how) for k, how in enumerate(ended))
     report = summary(Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0), config, ())
     with contextlib.nullcontext() if ran else pytest.raises(PartialJobError, match=r"no trial of mine.py .*no free"):
         require_run(report)
@@ -208,9 +211,7 @@ def test_a_policy_that_cannot_be_loaded_stops_the_job(
 ) -> None:
     with pytest.raises(UsageError, match="it has no 'Stil'; did you mean 'Still'"):
         evaluate(
-            make_config({("episodes",): 2}),
-            locations,
-            {},
+            Session(make_config({("episodes",): 2}), locations),
             PolicyChoice("sample_policies.py:Stil", SAMPLES),
             lambda *_: None,
         )
@@ -227,7 +228,7 @@ def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult
 
 @pytest.mark.render
 def test_a_policy_sees_what_it_asks_for(strict: RecordConfig, locations: Locations) -> None:
-    with TrialRunner(strict, locations, {}, PolicyChoice("sample_policies.py:Seeing", SAMPLES)) as runner:
+    with TrialRunner(Session(strict, locations), PolicyChoice("sample_policies.py:Seeing", SAMPLES)) as runner:
         result = runner.run(EpisodeJob(0, 0))
     assert (result.ended, result.ticks, result.error) == (Ended.DONE, 1, "")
 
@@ -239,14 +240,13 @@ def test_an_observation_says_where_everything_is(config: RecordConfig, locations
         "    def __call__(self, observation):\n        type(self).seen.append(observation)\n"
         "        return {'ctrl': observation['joints'], 'done': True}\n"
     )
-    with TrialRunner(config, locations, {}, PolicyChoice("spy.py", tmp_path)) as runner:
+    with TrialRunner(Session(config, locations), PolicyChoice("spy.py", tmp_path)) as runner:
         runner.run(EpisodeJob(0, 0))
         seen = type(runner._policy).seen[0]  # type: ignore[attr-defined]
-    with EpisodeRunner(config, locations, {}, draw=False) as made:
-        rollout = made.simulate(EpisodeJob(0, 0))[2]
-        assert rollout
-        frame = made.frames(rollout.states[:1])[0]
-        T_base = made.scene.T_base_in_world
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 0)
+        frame = frames(simulator, done.attempt, done.states[:1])[0]
+        T_base = simulator.scene.T_base_in_world
     np.testing.assert_allclose(seen["joints"], frame["joints"], atol=1e-6)
     np.testing.assert_allclose(seen["gripper"], frame["joints"][6], atol=1e-6)
     np.testing.assert_allclose(seen["ee_pose_world"], T_base @ frame["ee_pose"], atol=1e-6)

@@ -13,8 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.core.attempts import planned
 from tests.core.policies import sample_policies
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.pictures import render
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.evaluate.asking import Asker, TooSlowError
@@ -23,6 +26,7 @@ from yamsim_cli.core.evaluate.policy_trial import Ended, PolicyChoice, TrialRunn
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
 
 SAMPLES = Path(sample_policies.__file__).parent
@@ -30,29 +34,29 @@ CAMERAS = {"scene_rgb": "scene_camera", "wrist_rgb": "right_wrist_camera"}
 
 
 class Easel:
-    """Draws the first of the positions, and remembers which cameras it drew."""
+    """Renders the first of the positions, and remembers of which cameras."""
 
     def __init__(self) -> None:
-        self.drawn: list[str] = []
-        self.pictures = Pictures(self.draw)
+        self.rendered: list[str] = []
+        self.pictures = Pictures(self.render)
 
-    def draw(self, qpos: Array, camera: str) -> Image:
-        self.drawn.append(camera)
+    def render(self, qpos: Array, camera: str) -> Image:
+        self.rendered.append(camera)
         return np.full((2, 2, 3), qpos[0], np.uint8)
 
     def observe(self) -> LazyObservation:
         return LazyObservation({"time": 0.5}, np.array([7.0]), CAMERAS, self.pictures)
 
 
-def test_a_picture_is_drawn_when_it_is_read_and_once() -> None:
+def test_a_picture_is_rendered_when_it_is_read_and_once() -> None:
     easel = Easel()
     seen = easel.observe()
     assert (list(seen), len(seen), "wrist_rgb" in seen, "left" in seen) == (["time", *CAMERAS], 3, True, False)
     assert (seen["time"], seen.get("left"), repr(seen)) == (0.5, None, "LazyObservation(time, scene_rgb, wrist_rgb)")
-    assert easel.drawn == []
+    assert easel.rendered == []
     assert seen["wrist_rgb"][0, 0, 0] == 7
     assert seen.get("wrist_rgb") is seen["wrist_rgb"]
-    assert easel.drawn == ["right_wrist_camera"]
+    assert easel.rendered == ["right_wrist_camera"]
     with pytest.raises(KeyError):
         seen["left"]
 
@@ -65,7 +69,7 @@ def test_a_copy_is_a_dictionary_of_everything(make: Callable[[LazyObservation], 
     made = make(easel.observe())
     assert isinstance(made, dict)
     assert (made["time"], made["scene_rgb"].shape, made["wrist_rgb"].shape) == (0.5, (2, 2, 3), (2, 2, 3))
-    assert sorted(easel.drawn) == sorted(CAMERAS.values())
+    assert sorted(easel.rendered) == sorted(CAMERAS.values())
 
 
 def test_what_can_no_longer_be_drawn_is_told() -> None:
@@ -82,11 +86,11 @@ def test_what_can_no_longer_be_drawn_is_told() -> None:
     thread = threading.Thread(target=read)
     thread.start()
     thread.join()
-    assert "scene_rgb cannot be drawn in another thread: read observation['scene_rgb']" in str(errors[0])
+    assert "scene_rgb cannot be rendered in another thread: read observation['scene_rgb']" in str(errors[0])
     kept = seen["wrist_rgb"]
     easel.pictures.end()
     assert seen["wrist_rgb"] is kept
-    with pytest.raises(RuntimeError, match=r"scene_rgb cannot be drawn once its trial is over"):
+    with pytest.raises(RuntimeError, match=r"scene_rgb cannot be rendered once its trial is over"):
         seen["scene_rgb"]
     assert easel.pictures.failure is None
 
@@ -114,14 +118,14 @@ def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
 
 @contextmanager
 def trial(name: str, config: RecordConfig, locations: Locations) -> Iterator[TrialRunner]:
-    with TrialRunner(config, locations, {}, PolicyChoice(f"sample_policies.py:{name}", SAMPLES)) as runner:
+    with TrialRunner(Session(config, locations), PolicyChoice(f"sample_policies.py:{name}", SAMPLES)) as runner:
         yield runner
 
 
 def test_who_does_not_look_needs_no_renderer(config: RecordConfig, locations: Locations) -> None:
     with trial("Blind", config, locations) as runner:
         assert runner.run(EpisodeJob(0, 0)).ended is Ended.TIME_LIMIT
-        assert runner._runner._renderer is None
+        assert runner._simulator._renderer is None
 
 
 def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
@@ -130,7 +134,7 @@ def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
     def refuse(*_: object) -> None:
         raise ResourceError("no OpenGL here")
 
-    monkeypatch.setattr(EpisodeRunner, "draw", refuse)
+    monkeypatch.setattr("yamsim_cli.core.evaluate.policy_trial.render", refuse)
     with trial("Swallows", config, locations) as runner, pytest.raises(ResourceError, match="no OpenGL here"):
         runner.run(EpisodeJob(0, 0))
 
@@ -145,9 +149,9 @@ def test_a_picture_shows_what_was_when_it_was_told(
         result = runner.run(EpisodeJob(0, 0))
         assert (result.ended, result.error) == (Ended.DONE, "")
         seen = type(runner._policy).seen  # type: ignore[attr-defined]
-        assert result.start is not None
-        drawn = runner._runner.draw(result.start, ("scene_camera",))["scene_camera"]
-    np.testing.assert_array_equal(seen[0]["scene_rgb"], drawn)
+        assert result.attempt.start is not None
+        rendered = render(runner._simulator, result.attempt, result.attempt.start, ("scene_camera",))["scene_camera"]
+    np.testing.assert_array_equal(seen[0]["scene_rgb"], rendered)
     with pytest.raises(RuntimeError, match="once its trial is over"):
         seen[8]["scene_rgb"]
 
@@ -160,11 +164,10 @@ def test_the_state_is_told_to_who_asks(
     with trial("Knowing", config, locations) as runner:
         assert runner.run(EpisodeJob(0, 0)).ended is Ended.DONE
         seen = list(type(runner._policy).seen)  # type: ignore[attr-defined]
-    with EpisodeRunner(config, locations, {}, draw=False) as made:
-        rollout = made.simulate(EpisodeJob(0, 0))[2]
-        assert rollout
-        frame = made.frames(rollout.states[:1])[0]
-        T_base = made.scene.T_base_in_world
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 0)
+        frame = frames(simulator, done.attempt, done.states[:1])[0]
+        T_base = simulator.scene.T_base_in_world
     for key, item in (("T_object_in_world", "banana"), ("T_target_in_world", "plate")):
         np.testing.assert_allclose(seen[0][key], T_base @ frame[f"{item}_pose"], atol=1e-6)
     joints, speeds = (np.array([one[key] for one in seen]) for key in ("joints", "joint_velocities"))
@@ -186,5 +189,5 @@ def test_the_state_is_told_to_nobody_else(config: RecordConfig, locations: Locat
         "'prompt', 'time']\n"
         "        return {'ctrl': observation['joints'], 'done': True}\n"
     )
-    with TrialRunner(config, locations, {}, PolicyChoice("plain.py", tmp_path)) as runner:
+    with TrialRunner(Session(config, locations), PolicyChoice("plain.py", tmp_path)) as runner:
         assert runner.run(EpisodeJob(0, 0)).error == ""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.core.undrawn import write_dataset
+from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.evaluate.evaluation import evaluate, summary
@@ -17,6 +17,7 @@ from yamsim_cli.core.evaluate.observation import policy_cameras
 from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
 from yamsim_cli.core.policies.base import SCENE, WRIST
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.trials.batch import run_batch
 from yamsim_cli.core.types import EpisodeJob
 
@@ -61,8 +62,8 @@ def test_the_plans_actions_do_what_the_batch_does(
     name: str, locations: Locations, request: pytest.FixtureRequest
 ) -> None:
     config: RecordConfig = request.getfixturevalue(name)
-    batch = run_batch(config, locations, (0.05,), lambda *_: None)
-    found = evaluate(config, locations, {}, PolicyChoice("scripted", HERE), lambda *_: None)
+    batch = run_batch(Session(config, locations), (0.05,), lambda *_: None)
+    found = evaluate(Session(config, locations), PolicyChoice("scripted", HERE), lambda *_: None)
     report = json.loads(json.dumps(summary(found, config, (0.05,))))
     assert report["stats"]["n_success"] == 2
     assert [trial["outcome"] for trial in report["trials"]] == [trial["outcome"] for trial in batch["trials"]]
@@ -71,16 +72,16 @@ def test_the_plans_actions_do_what_the_batch_does(
 def test_a_datasets_actions_are_replayed(left: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     write_dataset(tmp_path / "dataset", left, locations, 1)
     choice = PolicyChoice(f"replay:{tmp_path / 'dataset'}", HERE)
-    with TrialRunner(left, locations, {}, choice) as runner:
+    with TrialRunner(Session(left, locations), choice) as runner:
         assert runner.run(EpisodeJob(left.seed, 0)).outcome.success
 
 
 def test_numbers_are_the_left_arms_first(left: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     (tmp_path / "watcher.py").write_text(WATCHER)
-    with TrialRunner(left, locations, {}, PolicyChoice("watcher.py:Watcher", tmp_path)) as runner:
+    with TrialRunner(Session(left, locations), PolicyChoice("watcher.py:Watcher", tmp_path)) as runner:
         result = runner.run(EpisodeJob(left.seed, 0))
         seen = runner._policy.__call__.__globals__["SEEN"]
-        scene = runner._runner.scene
+        scene = runner._simulator.scene
     first, last = seen[0], seen[-1]
     assert first["joints"].shape == (14,)
     assert first["ee_pose_world"].shape == (2, 4, 4)
@@ -96,8 +97,9 @@ def test_numbers_are_the_left_arms_first(left: RecordConfig, locations: Location
     assert abs(last["joints"][0] - first["joints"][0]) < 0.02
     # No hand was near the banana.
     assert result.actions is not None
-    assert set(result.actions.magnet) == {(False, False)}
-    assert result.actions.joints.shape == result.actions.ctrl.shape == (10, scene.model.nu)
+    assert not result.actions.magnet.any()
+    assert result.actions.ctrl.shape == (10, scene.model.nu)
+    assert (result.actions.magnet.shape, result.actions.joints.shape) == ((10, 2), (10, 2, 7))
 
 
 def test_the_wrist_cameras_are_those_of_the_arms_that_act(handover: RecordConfig, left: RecordConfig) -> None:

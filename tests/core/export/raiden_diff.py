@@ -18,7 +18,7 @@ def differences(root: Path, *, arms: int = 1, single: bool = False) -> list[str]
     return list(_dataset(root, arms, schema.lowdim(1 if single else 2, arms)))
 
 
-def _dataset(root: Path, arms: int, lowdim: Mapping[str, schema.Form]) -> Iterator[str]:
+def _dataset(root: Path, arms: int, lowdim: Mapping[str, schema.RaidenForm]) -> Iterator[str]:
     split = json.loads((root / schema.SPLIT).read_text())
     yield from _keys(schema.SPLIT, split, schema.SPLIT_KEYS)
     yield from _names(
@@ -37,7 +37,7 @@ def _dataset(root: Path, arms: int, lowdim: Mapping[str, schema.Form]) -> Iterat
     yield from _calibration(root, json.loads(first.read_text())["cameras"], arms)
 
 
-def _episode(folder: Path, frames: int, lowdim: Mapping[str, schema.Form]) -> Iterator[str]:
+def _episode(folder: Path, frames: int, lowdim: Mapping[str, schema.RaidenForm]) -> Iterator[str]:
     metadata = json.loads((folder / schema.METADATA).read_text())
     depth = "depth" in metadata["labels"]
     keys = {**schema.METADATA_KEYS, **(schema.DEPTH_METADATA_KEYS if depth else {})}
@@ -55,7 +55,7 @@ def _episode(folder: Path, frames: int, lowdim: Mapping[str, schema.Form]) -> It
         yield from _form(
             f"{camera}/{schema.TIMESTAMPS_FILE}",
             np.load(folder / "rgb" / camera / "timestamps.npy"),
-            schema.Form(schema.TIMESTAMPS.dtype, (frames,)),
+            schema.RaidenForm(schema.TIMESTAMPS.dtype, (frames,)),
         )
     for file in folder.glob("depth/*/*"):
         with np.load(file, allow_pickle=False) as archive:
@@ -69,7 +69,7 @@ def _episode(folder: Path, frames: int, lowdim: Mapping[str, schema.Form]) -> It
         yield from _frame(file, cameras, lowdim)
 
 
-def _frame(file: Path, cameras: list[str], lowdim: Mapping[str, schema.Form]) -> Iterator[str]:
+def _frame(file: Path, cameras: list[str], lowdim: Mapping[str, schema.RaidenForm]) -> Iterator[str]:
     frame = pickle.loads(file.read_bytes())
     if list(frame) != list(lowdim):
         yield f"{file.name}: keys are {list(frame)}, not {list(lowdim)}"
@@ -92,7 +92,7 @@ def _calibration(root: Path, cameras: list[str], arms: int) -> Iterator[str]:
         yield from _keys(f"{schema.CALIBRATION}: {name}", entry, keys)
 
 
-def _form(where: str, value: Any, form: schema.Form) -> Iterator[str]:
+def _form(where: str, value: Any, form: schema.RaidenForm) -> Iterator[str]:
     if isinstance(value, np.ndarray):
         found, shape = str(value.dtype), value.shape
         fits = len(shape) == len(form.shape) and all(b in (-1, a) for a, b in zip(shape, form.shape, strict=True))

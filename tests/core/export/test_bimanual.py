@@ -14,7 +14,7 @@ import pytest
 
 from tests.core.export.lerobot_files import check_numbers, rows
 from tests.core.export.raiden_diff import differences
-from tests.core.undrawn import change_record
+from tests.core.unrendered import change_record
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import DatasetError, UsageError
@@ -25,6 +25,7 @@ from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
 
 FRAMES = 94
@@ -221,7 +222,7 @@ def test_lerobots_actions_are_those_that_a_policy_answers_with(
     np.save(tmp_path / "actions.npy", rows(lerobot, "data/*/*.parquet")["action"])
     (tmp_path / "player.py").write_text(PLAYER.format(file=str(tmp_path / "actions.npy")))
     config = dataset_config(two_armed, locations)
-    with TrialRunner(config, locations, {}, PolicyChoice("player.py:Player", tmp_path)) as runner:
+    with TrialRunner(Session(config, locations), PolicyChoice("player.py:Player", tmp_path)) as runner:
         outcome = runner.run(EpisodeJob(config.seed, 0)).outcome
     assert outcome.success, outcome.detail
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.core.export.conftest import CAMERAS, jpeg
-from tests.core.undrawn import SIZE, write_dataset
+from tests.core.unrendered import SIZE, write_dataset
 from yamsim_cli.core.config.camera import CameraConfig
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig

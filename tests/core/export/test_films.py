@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.core.export.conftest import CAMERAS, EPISODES, picture
-from tests.core.undrawn import SIZE
+from tests.core.unrendered import SIZE
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
-from yamsim_cli.core.export.films import export_mp4, export_sheet
 from yamsim_cli.core.export.source import open_source
+from yamsim_cli.core.export.videos import export_mp4, export_sheet
 from yamsim_cli.core.files import move_aside
 from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.core.resources import Locations
@@ -102,7 +102,7 @@ def test_a_sheet_on_a_full_disk_is_told(
     def full(path: Path, data: bytes) -> None:
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("yamsim_cli.core.export.films.write_file", full)
+    monkeypatch.setattr("yamsim_cli.core.export.videos.write_file", full)
     with pytest.raises(PartialJobError, match="No space left on device"):
         export_sheet(open_source(dataset, "0", locations), tmp_path / "sheet.jpg", (), ignore)
 

@@ -14,8 +14,8 @@ import pytest
 
 from tests.core.export.conftest import EPISODES
 from tests.core.export.raiden_diff import differences
-from tests.core.undrawn import change_record
-from yamsim_cli.core.config.limits import load_limits
+from tests.core.unrendered import change_record
+from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
 from yamsim_cli.core.export.raiden import export_raiden
@@ -23,6 +23,7 @@ from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robots.models import ArmModel
 
 FRAMES = 57
 # The recorded frames and no others; and what needs nothing drawn, at raiden's own rate.
@@ -194,7 +195,7 @@ def test_raidens_replay_keeps_to_the_motors_speeds_at_30_hz_alone(
     As a share of the motors' no-load speeds: in the third episode one of joints 1 to 3 would have to turn at 7.0 rad/s,
     and its motor does 5.5 at most.
     """
-    motors = np.array([joint.motor_rad_s for joint in load_limits("i2rt_yam", locations).joints])
+    motors = np.array([joint.motor_rad_s for joint in load_config(ArmModel, "robots", "i2rt_yam", locations).joints])
     before = [(played(frames_of(export / f"{k:04d}")) / motors).max() for k in range(EPISODES)]
     after = [(played(frames_of(at_30_hz / f"{k:04d}")) / motors).max() for k in range(EPISODES)]
     np.testing.assert_allclose(before, (0.705, 0.884, 1.281), atol=0.002)

@@ -14,10 +14,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.core.drawn import SMALL, write_drawn_dataset
+from tests.core.attempts import all_actions, planned
 from tests.core.export.conftest import jpeg
-from tests.core.undrawn import change_frame, write_dataset
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.rendered import SMALL, write_rendered_dataset
+from tests.core.unrendered import change_frame, write_dataset
+from yamsim_cli.core.attempt.physics import repeat
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.actions import recorded_actions
 from yamsim_cli.core.dataset.lowdim import SIMULATION
@@ -28,15 +30,15 @@ from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.resample import frame_times, nearest_frames, resample
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.moments import Moments
-from yamsim_cli.core.types import EpisodeJob
 
 TICK, PERIOD = 0.032, 0.064
 
 
 @pytest.fixture(scope="module")
-def runner(dataset: Path, locations: Locations) -> Iterator[EpisodeRunner]:
-    with EpisodeRunner(dataset_config(dataset, locations), locations, {}, draw=False) as made:
+def simulator(dataset: Path, locations: Locations) -> Iterator[Simulator]:
+    with Simulator(Session(dataset_config(dataset, locations), locations)) as made:
         yield made
 
 
@@ -50,21 +52,20 @@ def test_times_begin_with_the_first_frame_and_do_not_go_beyond_the_last() -> Non
 
 @pytest.mark.parametrize("number", [0, 2])
 def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plans(
-    dataset: Path, runner: EpisodeRunner, number: int
+    dataset: Path, simulator: Simulator, number: int
 ) -> None:
-    """At every control tick, and the plan's reference is known at each: it is drawn up again from the seed."""
+    """At every control tick, and the plan's reference is known at each: it is made again from the seed."""
     episode = open_episode(dataset / f"ep_{number:06d}")
-    seen = Moments(runner.scene.model, np.arange(113) * TICK)
-    _, _, rollout = runner.simulate(EpisodeJob(episode.record.seed, episode.record.attempt))
-    assert rollout
-    plan = np.concatenate([state.actions.joints for state in rollout.states])
-    found = resample(runner, episode, 1 / TICK)
-    recorded = recorded_actions(episode.frames(), runner.scene.model.nq, runner.scene.model.nu)
+    seen = Moments(simulator.scene.model, np.arange(113) * TICK)
+    done = planned(simulator, episode.record.seed, episode.record.attempt)
+    plan = all_actions(done.states).joints[:, 0]
+    found = resample(simulator, episode, 1 / TICK)
+    recorded = recorded_actions(episode.frames(), simulator.scene.model.nq, simulator.scene.model.nu)
     assert recorded
-    runner.repeat(*recorded, 0.0, 0.0, see=seen)
+    repeat(simulator, done.attempt, recorded[1], planned=True, see=seen)
     assert len(found.times) == 113
     np.testing.assert_array_equal(found.qpos, seen.qpos)
-    np.testing.assert_array_equal(found.qpos[::2], [state.qpos for state in rollout.states])
+    np.testing.assert_array_equal(found.qpos[::2], [state.qpos for state in done.states])
     asked = np.array([frame["action_joints"] for frame in found.frames])
     np.testing.assert_array_equal(asked[::2], plan[0:113:2].astype(np.float32))
     off = np.abs(asked - plan[:113])
@@ -73,15 +74,15 @@ def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plan
     assert off[:, 6].max() < 0.0007
 
 
-def test_between_two_steps_a_state_lies_on_the_way(dataset: Path, runner: EpisodeRunner) -> None:
+def test_between_two_steps_a_state_lies_on_the_way(dataset: Path, simulator: Simulator) -> None:
     episode = open_episode(dataset / "ep_000001")
-    steps = resample(runner, episode, 500.0)
-    halves = resample(runner, episode, 1000.0)
+    steps = resample(simulator, episode, 500.0)
+    halves = resample(simulator, episode, 1000.0)
     np.testing.assert_array_equal(halves.qpos[::2], steps.qpos)
     middle = (steps.qpos[:-1] + steps.qpos[1:]) / 2
     # Quaternions turn, the rest is straight.
     np.testing.assert_allclose(halves.qpos[1::2], middle[: len(halves.qpos[1::2])], atol=1e-4)
-    for adr in _quaternions(runner.scene.model):
+    for adr in _quaternions(simulator.scene.model):
         np.testing.assert_allclose(np.linalg.norm(halves.qpos[:, adr : adr + 4], axis=1), 1.0, atol=1e-9)
 
 
@@ -118,7 +119,7 @@ def drawn_dataset(
     """One episode, with noise of its own."""
     path = tmp_path_factory.mktemp("drawn") / "dataset"
     config = make_config(SMALL | {("wrist",): True, ("randomization",): "default"})
-    write_drawn_dataset(path, config, locations, 1)
+    write_rendered_dataset(path, config, locations, 1)
     return path
 
 
@@ -127,7 +128,7 @@ def test_pictures_drawn_anew_are_the_recorded_ones_at_recorded_times(
     drawn_dataset: Path, locations: Locations, tmp_path: Path
 ) -> None:
     source = open_source(drawn_dataset, None, locations)
-    done = export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(), {}, workers=1)
+    done = export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(), workers=1)
     episode = done.path / "0000"
     assert json.loads((episode / "metadata.json").read_text())["pictures"] == {"source": "drawn"}
     quality = [cv2.IMWRITE_JPEG_QUALITY, source.config.image.jpeg_quality]
@@ -149,6 +150,6 @@ def test_what_would_look_otherwise_is_not_drawn(
 ) -> None:
     write_dataset(tmp_path / "dataset", make_config({("wrist",): True}), locations, 1, jpeg)
     source = open_source(tmp_path / "dataset", None, locations)
-    with pytest.raises(DatasetError, match=r"drawn anew is not what was recorded .* --pictures nearest"):
-        export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(), {}, workers=1)
+    with pytest.raises(DatasetError, match=r"rendered anew is not what was recorded .* --pictures nearest"):
+        export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(), workers=1)
     assert not (tmp_path / "out").exists()

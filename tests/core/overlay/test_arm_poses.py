@@ -34,7 +34,7 @@ def boards_of(rig: RigConfig, which: tuple[int, ...] = (0, 1)) -> list:
     for k in which:
         board = rig.arms[k].board
         assert board is not None
-        placed.append((board.board, T_WORLD_IN_CAM @ rig.T_base_in_world(k) @ board.T_board_in_arm))
+        placed.append((board.board, T_WORLD_IN_CAM @ rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base))
     return placed
 
 
@@ -177,3 +177,36 @@ def test_an_unknown_camera_without_any_board_says_that_nothing_is_known(russet: 
     assert (lens.focal.low, lens.focal.high) == (None, None)
     assert lens.focal.reason == "no board tells the focal length"
     assert lens.camera.focal_sigma == 0.35
+
+
+@pytest.mark.parametrize("scale", [0.97, 1.02])
+def test_a_print_of_another_size_is_told_by_the_other_board(russet: RigConfig, scale: float) -> None:
+    """It looks too far away or too near, by 2 cm; which of both is right cannot be known."""
+    (one, T_one), (two, T_two) = boards_of(russet)
+    printed = replace(two, marker_length=two.marker_length * scale, gap=two.gap * scale)
+    grey = with_noise(picture(CAMERA, [(one, T_one), (printed, T_two)]))
+    for trust in (False, True):
+        result = found(russet, grey, trust)
+        assert result.bases == {}
+        for arm in result.arms:
+            assert arm.sighting is not None
+            assert arm.status == "poor_fit"
+            assert f"{100 * scale:.1f} % as large" in arm.sighting.reason
+            assert "measure both" in arm.sighting.reason
+
+
+def test_arms_that_stand_elsewhere_have_no_print_of_another_size(russet: RigConfig) -> None:
+    (one, T_one), (two, T_two) = boards_of(russet)
+    for shift in ((0.0, 0.03, 0.0), (0.03, 0.0, 0.0)):
+        T_moved = T_two.copy()
+        T_moved[:3, 3] += T_two[:3, :3] @ shift
+        result = found(russet, with_noise(picture(CAMERA, [(one, T_one), (two, T_moved)])))
+        assert set(result.bases) == {0, 1}
+
+
+def test_in_a_series_a_board_is_looked_for_where_it_was(russet: RigConfig, clean: np.ndarray) -> None:
+    before = found(russet, with_noise(clean))
+    assert find_arms(russet, PHOTO, with_noise(clean), Lens.known(CAMERA, "file"), False, before).bases.keys() == {0, 1}
+    # Neither board can be read, and dark things lie against one of them.
+    blurred = with_noise(picture(CAMERA, boards_of(russet), blur=2.6))
+    assert find_arms(russet, PHOTO, blurred, Lens.known(CAMERA, "file"), False, before).bases.keys() == {0, 1}

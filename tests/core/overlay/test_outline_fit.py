@@ -16,7 +16,7 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vec
 from yamsim_cli.core.images.image_files import grey_of
 from yamsim_cli.core.overlay.arm_poses import RECORDED, ArmPose, Lens, PhotoResult
 from yamsim_cli.core.overlay.outline_fit import overlap, refine, score_outlines
-from yamsim_cli.core.overlay.rendered_arms import ArmDrawer
+from yamsim_cli.core.overlay.rendered_arms import ArmRenderer
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.lens import project_points
 
@@ -24,11 +24,11 @@ pytestmark = pytest.mark.render
 
 
 @pytest.fixture(scope="module")
-def drawer(russet_shot: Shot, locations: Locations) -> Iterator[ArmDrawer]:
+def renderer(russet_shot: Shot, locations: Locations) -> Iterator[ArmRenderer]:
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
-    with ArmDrawer(russet_shot.rig, scene, quality, russet_shot.camera, locations, {}) as drawer:
-        yield drawer
+    with ArmRenderer(russet_shot.rig, scene, quality, russet_shot.camera, locations) as renderer:
+        yield renderer
 
 
 def moved(T: Array, shift: tuple[float, float, float], turn: tuple[float, float, float]) -> Array:
@@ -57,41 +57,41 @@ def miss_px(shot: Shot, k: int, T: Array) -> float:
     ],
 )
 def test_a_pose_that_is_off_by_pixels_is_brought_back(
-    russet_shot: Shot, drawer: ArmDrawer, shift: tuple[float, float, float], turn: tuple[float, float, float]
+    russet_shot: Shot, renderer: ArmRenderer, shift: tuple[float, float, float], turn: tuple[float, float, float]
 ) -> None:
     grey = grey_of(russet_shot.image)
     off = {k: moved(russet_shot.T_base_in_cam(k), shift, turn) for k in (0, 1)}
-    better = refine(with_poses(russet_shot, off), drawer, russet_shot.joints, grey, together=False)
+    better = refine(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=False)
     for k in (0, 1):
         before, after = miss_px(russet_shot, k, off[k]), miss_px(russet_shot, k, better.bases[k])
         assert before > 3.0
         assert after < before / 5
 
 
-def test_together_they_move_as_one(russet_shot: Shot, drawer: ArmDrawer) -> None:
+def test_together_they_move_as_one(russet_shot: Shot, renderer: ArmRenderer) -> None:
     grey = grey_of(russet_shot.image)
     off = {k: moved(russet_shot.T_base_in_cam(k), (0.008, 0.0, 0.0), (0, 0, 0)) for k in (0, 1)}
     apart = inverse(off[0]) @ off[1]
-    better = refine(with_poses(russet_shot, off), drawer, russet_shot.joints, grey, together=True).bases
+    better = refine(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=True).bases
     assert inverse(better[0]) @ better[1] == pytest.approx(apart, abs=1e-9)
     for k in (0, 1):
         assert miss_px(russet_shot, k, better[k]) < miss_px(russet_shot, k, off[k]) / 5
 
 
-def test_an_arm_without_a_pose_stays_so(russet_shot: Shot, drawer: ArmDrawer) -> None:
+def test_an_arm_without_a_pose_stays_so(russet_shot: Shot, renderer: ArmRenderer) -> None:
     one = with_poses(russet_shot, {1: russet_shot.T_base_in_cam(1)})
-    better = refine(one, drawer, russet_shot.joints, grey_of(russet_shot.image), together=False)
+    better = refine(one, renderer, russet_shot.stands, grey_of(russet_shot.image), together=False)
     assert list(better.bases) == [1]
     assert better.arms[0] == one.arms[0]
 
 
-def test_the_score_says_how_many_pixels_it_is_off(russet_shot: Shot, drawer: ArmDrawer) -> None:
+def test_the_score_says_how_many_pixels_it_is_off(russet_shot: Shot, renderer: ArmRenderer) -> None:
     grey = grey_of(russet_shot.image)
     scores = []
     for mm in (0, 4, 8):
         poses = {k: moved(russet_shot.T_base_in_cam(k), (0.001 * mm, 0, 0), (0, 0, 0)) for k in (0, 1)}
-        drawer.pose(poses, russet_shot.joints)
-        result = score_outlines(with_poses(russet_shot, poses), drawer, grey)
+        renderer.pose(poses, russet_shot.stands)
+        result = score_outlines(with_poses(russet_shot, poses), renderer, grey)
         assert result.edge_residual is not None
         scores.append(result.edge_residual)
         assert all(arm.edge_residual is not None for arm in result.arms)
@@ -101,12 +101,12 @@ def test_the_score_says_how_many_pixels_it_is_off(russet_shot: Shot, drawer: Arm
     assert scores[1] < scores[2] < 5.5
 
 
-def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: Shot, drawer: ArmDrawer) -> None:
+def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: Shot, renderer: ArmRenderer) -> None:
     """Labels say which arm is seen, and an outline stops where the other arm covers it."""
-    drawer.pose({k: russet_shot.T_base_in_cam(k) for k in (0, 1)}, russet_shot.joints)
-    both = drawer.flat_labels()
-    drawer.pose({0: russet_shot.T_base_in_cam(0)}, russet_shot.joints)
-    one = drawer.flat_labels()
+    renderer.pose({k: russet_shot.T_base_in_cam(k) for k in (0, 1)}, russet_shot.stands)
+    both = renderer.flat_labels()
+    renderer.pose({0: russet_shot.T_base_in_cam(0)}, russet_shot.stands)
+    one = renderer.flat_labels()
     assert set(np.unique(both)) == {0, 1, 2}
     assert set(np.unique(one)) == {0, 1}
     assert (one[both == 1] == 1).all()

@@ -79,15 +79,15 @@ def test_a_photo_is_not_its_own_mask(tmp_path: Path) -> None:
 def frame(**changes: Any) -> dict[str, Any]:
     cameras = ("scene_camera", "right_wrist_camera")
     data = frame_data(
-        joints=JOINTS,
+        joints=np.array([JOINTS]),
         timestamp=0.0,
         intrinsics=dict.fromkeys(cameras, K),
         extrinsics={"scene_camera": T_CAM, "right_wrist_camera": np.eye(4)},
         object_poses={},
-        ee_pose=np.eye(4),
-        ctrl=np.zeros(7),
-        action_joints=np.zeros(7),
-        magnet=False,
+        ee_pose=np.eye(4)[None],
+        ctrl=np.zeros((1, 7)),
+        action_joints=np.zeros((1, 7)),
+        magnet=np.array([False]),
         language_task="t",
         language_prompt="p",
     )
@@ -119,9 +119,9 @@ def test_an_episode_knows_its_camera_its_pose_and_its_joints(episode: Path, sing
     last = photos[2]
     assert last.camera is not None
     assert (last.camera.width, last.camera.height, last.camera.focal) == (64, 48, 60.0)
-    assert last.joints is not None
-    assert last.joints.shape == (1, 7)
-    assert last.joints[0] == pytest.approx(np.array(JOINTS) + 0.02, abs=1e-6)
+    assert last.stands is not None
+    (stand,) = last.stands
+    assert [*stand.joints, stand.opening] == pytest.approx(np.array(JOINTS) + 0.02, abs=1e-6)
     assert last.joints_source == "episode"
     assert last.T_base_in_cam is not None
     assert last.T_base_in_cam == pytest.approx(inverse(T_CAM), abs=1e-6)

@@ -10,10 +10,12 @@ import pytest
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_z
 from yamsim_cli.core.planning.clearance import Clearance
+from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.planning.ik import IkSolution, IkSolver
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.robot import bare_arm
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan
 from yamsim_cli.core.types import Layout, Plan
 
@@ -25,12 +27,12 @@ def friction(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 @pytest.fixture(scope="module")
 def clearance(friction: RecordConfig, locations: Locations) -> Clearance:
-    return Clearance(build_scene(friction, locations, {}))
+    return Clearance(build_scene(Session(friction, locations)), 0, start_stands(friction))
 
 
 @pytest.fixture(scope="module")
 def ik(friction: RecordConfig, locations: Locations) -> IkSolver:
-    return IkSolver(bare_arm(friction.rig.arms[0], locations), np.eye(4))
+    return IkSolver(bare_arm(friction.rig.arms[0]), np.eye(4))
 
 
 def _layout(banana_yaw: float = 0.0, plate: tuple[float, float] = (0.35, 0.15)) -> Layout:

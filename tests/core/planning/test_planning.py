@@ -9,11 +9,13 @@ import pytest
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_vector, rotation_z
 from yamsim_cli.core.planning.choice import PathChooser
+from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.planning.dynamics import ArmDynamics
 from yamsim_cli.core.planning.ik import IkSolver
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.types import EpisodeJob, JointPath, Layout, Plan
@@ -27,21 +29,22 @@ TORQUE = np.array([28, 28, 28, 10, 10, 10])
 
 @pytest.fixture(scope="module")
 def ik(config: RecordConfig, locations: Locations) -> IkSolver:
-    return IkSolver(bare_arm(config.rig.arms[0], locations), np.eye(4))
+    return IkSolver(bare_arm(config.rig.arms[0]), np.eye(4))
 
 
 @pytest.fixture(scope="module")
 def dynamics(config: RecordConfig, locations: Locations) -> ArmDynamics:
-    return ArmDynamics(arm_spec(config.rig.arms[0], locations, None).compile())
+    return ArmDynamics(arm_spec(config.rig.arms[0], None).compile(), config.rig.arms[0].robot)
 
 
 @pytest.fixture(scope="module")
 def chooser(config: RecordConfig, locations: Locations, ik: IkSolver, dynamics: ArmDynamics) -> PathChooser:
-    return PathChooser(ik, dynamics, build_scene(config, locations, {}), config.task, config.grasp)
+    scene = build_scene(Session(config, locations))
+    return PathChooser(ik, dynamics, scene, config.task, config.grasp, 0, start_stands(config))
 
 
 def _layout(config: RecordConfig, seed: int, attempt: int) -> Layout:
-    layout = sample_layout(config.task, config.table, generator(EpisodeJob(seed, attempt), Stream.LAYOUT))
+    layout = sample_layout(config, generator(EpisodeJob(seed, attempt), Stream.LAYOUT))
     assert layout is not None
     return layout
 
@@ -73,8 +76,8 @@ def test_a_held_frame_is_what_is_brought_to_the_target(ik: IkSolver) -> None:
 
 def test_targets_are_in_world(config: RecordConfig, locations: Locations) -> None:
     T_base = pose((0.3, -0.4, 0.1), rotation_z(0.7))
-    moved = IkSolver(bare_arm(config.rig.arms[0], locations), T_base)
-    at_origin = IkSolver(bare_arm(config.rig.arms[0], locations), np.eye(4))
+    moved = IkSolver(bare_arm(config.rig.arms[0]), T_base)
+    at_origin = IkSolver(bare_arm(config.rig.arms[0]), np.eye(4))
     joints = np.array([0.2, 1.5, 1.2, -1.0, 0.1, 0.3])
     np.testing.assert_allclose(inverse(T_base) @ moved.pose_of(joints), at_origin.pose_of(joints), atol=1e-12)
     assert moved.solve(moved.pose_of(joints), joints + 0.05, 100).position_error < 1e-5
@@ -172,7 +175,7 @@ def test_torques_stay_within_the_drives(paths: list[tuple[Plan, JointPath]]) -> 
 
 def test_torques_move_the_arm_along_the_path(config: RecordConfig, locations: Locations, dynamics: ArmDynamics) -> None:
     """Forward dynamics under the torques alone follows the path that they were computed from."""
-    spec = arm_spec(config.rig.arms[0], locations, None)
+    spec = arm_spec(config.rig.arms[0], None)
     model = spec.compile()
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION | mujoco.mjtDisableBit.mjDSBL_CONTACT
     model.opt.timestep = 0.001
@@ -195,10 +198,11 @@ def test_fingers_open_no_wider_than_they_go(
 ) -> None:
     """An apple is as wide as the crank opens: there is no room for more around it."""
     config = make_config({("rig",): rig, ("task", "object"): "013_apple", ("task", "target"): "024_bowl"})
-    arm, scene = config.rig.arms[0], build_scene(config, locations, {})
-    ik = IkSolver(bare_arm(arm, locations), scene.T_base_in_world)
-    chooser = PathChooser(ik, ArmDynamics(arm_spec(arm, locations, None).compile()), scene, config.task, "weld")
-    layout = sample_layout(config.task, config.table, generator(EpisodeJob(2, 0), Stream.LAYOUT))
+    arm, scene = config.rig.arms[0], build_scene(Session(config, locations))
+    ik = IkSolver(bare_arm(arm), scene.T_base_in_world)
+    dynamics = ArmDynamics(arm_spec(arm, None).compile(), arm.robot)
+    chooser = PathChooser(ik, dynamics, scene, config.task, "weld", 0, start_stands(config))
+    layout = sample_layout(config, generator(EpisodeJob(2, 0), Stream.LAYOUT))
     assert layout is not None
     _, path = chooser.choose(layout)
     assert path.gripper.max() <= widest + 1e-4

@@ -10,18 +10,18 @@ import pytest
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.policies.base import InvalidActionError, read_action
-from yamsim_cli.core.policies.faults import fault_of
 from yamsim_cli.core.policies.loading import load_policy, reset_policy, wanted_images, wanted_state
+from yamsim_cli.core.policies.policy_faults import fault_of
 from yamsim_cli.core.policies.wire import WireError, pack, unpack
 
 HERE = Path(__file__).parent
 
 
 def test_an_action_is_read() -> None:
-    action = read_action({"ctrl": [0, 1, 2, 3, 4, 5, 0.01], "magnet": np.float32(1), "done": np.array([False])})
-    np.testing.assert_array_equal(action.ctrl, [0, 1, 2, 3, 4, 5, 0.01])
-    assert (action.magnet, action.done) == (True, False)
-    assert read_action({"ctrl": np.zeros(7, np.float32)}).magnet is False
+    action = read_action({"ctrl": [0, 1, 2, 3, 4, 5, 0.01], "magnet": np.float32(1), "done": np.array([False])}, 1, 7)
+    np.testing.assert_array_equal(action.ctrl, [[0, 1, 2, 3, 4, 5, 0.01]])
+    assert (action.magnet, action.done) == ((True,), False)
+    assert read_action({"ctrl": np.zeros(7, np.float32)}, 1, 7).magnet == (False,)
 
 
 @pytest.mark.parametrize(
@@ -43,21 +43,21 @@ def test_an_action_is_read() -> None:
 )
 def test_what_is_no_action_is_told(answer: object, told: str) -> None:
     with pytest.raises(InvalidActionError, match=re.escape(told)):
-        read_action(answer)
+        read_action(answer, 1, 7)
 
 
 def test_two_arms_have_two_of_everything() -> None:
-    action = read_action({"ctrl": np.arange(14), "magnet": [False, True]}, arms=2)
-    np.testing.assert_array_equal(action.ctrl, np.arange(14))
+    action = read_action({"ctrl": np.arange(14), "magnet": [False, True]}, 2, 7)
+    np.testing.assert_array_equal(action.ctrl, np.arange(14).reshape(2, 7))
     assert (action.magnet, action.done) == ((False, True), False)
-    assert read_action({"ctrl": np.zeros(14)}, arms=2).magnet == (False, False)
+    assert read_action({"ctrl": np.zeros(14)}, 2, 7).magnet == (False, False)
     for answer, told in (
         ({"ctrl": np.zeros(7)}, "ctrl has the shape (7,), not (14,)"),
         ({"ctrl": np.zeros(14), "magnet": True}, "magnet is True, not 2 times true or false"),
         ({"ctrl": np.zeros(14), "done": [0, 1]}, "done is [0, 1], not true or false"),
     ):
         with pytest.raises(InvalidActionError, match=re.escape(told)):
-            read_action(answer, arms=2)
+            read_action(answer, 2, 7)
 
 
 @pytest.mark.parametrize("name", ["sample_policies.py:Still", "sample_policies:Still"])
@@ -124,7 +124,7 @@ class Unspeakable(Exception):  # noqa: N818
         (ValueError(), "ValueError"),
         (ValueError("two\n  lines"), "ValueError: two lines"),
         (ValueError("long " * 100), "ValueError: " + ("long " * 59) + "..."),
-        (Unspeakable(), "Unspeakable: its message cannot be told"),
+        (Unspeakable(), "Unspeakable: its message cannot be shown"),
     ],
 )
 def test_whatever_is_raised_is_one_line(error: Exception, told: str) -> None:

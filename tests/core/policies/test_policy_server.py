@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from tests.core.policies.sample_policies import Unsendable
-from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.evaluate.evaluation import evaluate, summary
@@ -22,6 +21,7 @@ from yamsim_cli.core.policies.base import InvalidActionError
 from yamsim_cli.core.policies.loading import load_policy
 from yamsim_cli.core.policies.remote import RemoteError, RemotePolicy
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.policy_server import PolicyServer
 
@@ -51,9 +51,11 @@ def test_it_listens_on_this_machine_alone() -> None:
 def test_a_remote_policy_does_what_it_does_here(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     config = make_config({("episodes",): 3, ("workers",): 2})
     with served("Random") as url:
-        there = evaluate(config, locations, {}, PolicyChoice(url, HERE, time_limit=0.5), lambda *_: None)
+        there = evaluate(Session(config, locations), PolicyChoice(url, HERE, time_limit=0.5), lambda *_: None)
     here = evaluate(
-        config, locations, {}, PolicyChoice("sample_policies.py:Random", HERE, time_limit=0.5), lambda *_: None
+        Session(config, locations),
+        PolicyChoice("sample_policies.py:Random", HERE, time_limit=0.5),
+        lambda *_: None,
     )
     for one, other in zip(there.results, here.results, strict=True):
         assert one.actions is not None
@@ -82,8 +84,8 @@ def test_faults_are_told_as_those_of_a_policy_here(
 ) -> None:
     config = make_config({("episodes",): 4, ("workers",): 2})
     with served("Faulty") as url:
-        found = evaluate(config, locations, {}, PolicyChoice(url, HERE, call_seconds=1.0), lambda *_: None)
-    told = {result.job.attempt: (result.ended.value, result.error) for result in found.results}
+        found = evaluate(Session(config, locations), PolicyChoice(url, HERE, call_seconds=1.0), lambda *_: None)
+    told = {result.attempt.job.attempt: (result.ended.value, result.error) for result in found.results}
     assert told[0][0] == "policy_raised"
     assert re.fullmatch(
         r"KeyError: 'no such thing' \(.*sample_policies.py:\d+, in __call__\), after 3 ticks", told[0][1]
@@ -121,7 +123,7 @@ def test_an_answer_that_cannot_be_sent_is_an_invalid_one(
 ) -> None:
     config = make_config({("episodes",): 1, ("workers",): 1})
     with served("Unsendable") as url:
-        found = evaluate(config, locations, {}, PolicyChoice(url, HERE), lambda *_: None)
+        found = evaluate(Session(config, locations), PolicyChoice(url, HERE), lambda *_: None)
     assert found.results[0].ended is Ended.INVALID
     assert found.results[0].error.startswith("ctrl of the answer: object cannot be sent")
 
@@ -139,13 +141,14 @@ def test_pictures_and_state_reach_a_policy_elsewhere(
     make_config: Callable[..., RecordConfig], locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     picture = np.random.default_rng(0).integers(0, 255, (8, 8, 3), dtype=np.uint8)
-    monkeypatch.setattr(EpisodeRunner, "draw", lambda self, qpos, cameras: dict.fromkeys(cameras, picture))
+    render = "yamsim_cli.core.evaluate.policy_trial.render"
+    monkeypatch.setattr(render, lambda simulator, attempt, qpos, cameras: dict.fromkeys(cameras, picture))
     config = make_config({("episodes",): 1})
-    with served("Remembering") as url, TrialRunner(config, locations, {}, PolicyChoice(url, HERE)) as runner:
+    with served("Remembering") as url, TrialRunner(Session(config, locations), PolicyChoice(url, HERE)) as runner:
         assert runner._policy.images == ("scene",)  # type: ignore[attr-defined]
         result = runner.run(EpisodeJob(0, 0))
         assert (result.ended, result.error) == (Ended.DONE, "")
-    with served("Knowing") as url, TrialRunner(config, locations, {}, PolicyChoice(url, HERE)) as runner:
+    with served("Knowing") as url, TrialRunner(Session(config, locations), PolicyChoice(url, HERE)) as runner:
         assert runner._policy.wants == ("objects", "velocities")  # type: ignore[attr-defined]
         assert runner.run(EpisodeJob(0, 0)).ended is Ended.DONE
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -15,7 +15,8 @@ from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.recorder import RecordReport, record
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Layout, Outcome
 from yamsim_cli.core.workers.executor import LostJobError
 from yamsim_cli.core.workers.stop import Stop
 
@@ -24,12 +25,12 @@ FRAMES = 1
 
 def payload(job: EpisodeJob) -> EpisodePayload:
     """Every third attempt fails."""
-    layout = {"banana": (0.3 + job.attempt / 1000, 0.0, 0.0, float(job.seed))}
+    attempt = Attempt(job, Layout.of({"banana": (0.3 + job.attempt / 1000, 0.0, 0.0, float(job.seed % 3))}))
     if job.attempt % 3 == 1:
-        return EpisodePayload(job, Outcome(False, Cause.OFF_TARGET, "far off", dxy=0.2, dz=0.0), layout)
+        return EpisodePayload(attempt, Outcome(False, Cause.OFF_TARGET, "far off", dxy=0.2, dz=0.0))
     names = [name for k in range(FRAMES) for name in (lowdim_name(k), image_name("scene_camera", k))]
     files = {name: f"{job.seed} {job.attempt} {name}".encode() * 3 for name in names}
-    return EpisodePayload(job, Outcome(True, dxy=0.01, dz=0.0), layout, files, FRAMES, "c0ffee", {"numpy": "2"}, "none")
+    return EpisodePayload(attempt, Outcome(True, dxy=0.01, dz=0.0), files, FRAMES, "c0ffee", {"numpy": "2"}, "none")
 
 
 @dataclass
@@ -47,7 +48,7 @@ class Inline:
     jobs: list[EpisodeJob] = field(default_factory=list)
     made: list[int] = field(default_factory=list)
 
-    def open(self, config: object, locations: object, meshes: object, workers: int) -> Inline:
+    def open(self, session: object, workers: int) -> Inline:
         self.workers = workers
         return self
 
@@ -95,13 +96,13 @@ class Recording:
         self.stage = stage
         self.meshes: dict[str, Path | None] = {}
         self.warnings: list[str] = []
+        self.locations = Locations(Locations.find({}).data, Path("/nowhere"))
         self.stop = Stop()
 
     def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
+        locations = replace(self.locations, meshes=self.meshes)
         return record(
-            self.config.model_copy(update={"workers": workers}),
-            Locations(Locations.find({}).data, Path("/nowhere")),
-            self.meshes,
+            Session(self.config.model_copy(update={"workers": workers}), locations),
             Output(self.path, mode, self.stage),
             executor or Inline(),
             Notifier(lambda done, wanted, attempts: None, self.warnings.append),

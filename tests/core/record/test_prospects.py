@@ -13,7 +13,8 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.record.prospects import GaveUpError, hopeless
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 
 Make = Callable[..., RecordConfig]
 Asked = list[tuple[Cause, int]]
@@ -29,7 +30,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
     """What was asked of the starts, all of which are out of reach."""
     asked: Asked = []
 
-    def answer(config: RecordConfig, locations: Locations, cause: Cause, first: int) -> bool:
+    def answer(session: Session, cause: Cause, first: int) -> bool:
         asked.append((cause, first))
         return cause is Cause.UNREACHABLE
 
@@ -42,8 +43,8 @@ def failing(cause: Cause, but: Callable[[int], bool] = lambda attempt: False) ->
 
     def make(job: EpisodeJob) -> EpisodePayload:
         if but(job.attempt):
-            return replace(payload(EpisodeJob(job.seed, 0)), job=job)
-        return EpisodePayload(job, Outcome(False, cause, f"failed for the {job.attempt}th time"), {})
+            return replace(payload(EpisodeJob(job.seed, 0)), attempt=Attempt(job))
+        return EpisodePayload(Attempt(job), Outcome(False, cause, f"failed for the {job.attempt}th time"))
 
     return make
 
@@ -77,7 +78,7 @@ def test_resuming_what_cannot_work_is_refused_before_anything_is_made(recording:
 def test_where_a_start_is_better_it_goes_on(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
-    def answer(config: RecordConfig, locations: Locations, cause: Cause, first: int) -> bool:
+    def answer(session: Session, cause: Cause, first: int) -> bool:
         asked.append(first)
         return False
 
@@ -160,4 +161,4 @@ BOX = ("task", "sampling", "x")
 def test_starts_tell_whether_anything_is_in_reach(
     make_config: Make, locations: Locations, changes: dict[tuple[str, ...], object], cause: Cause, wanted: bool
 ) -> None:
-    assert hopeless(make_config(changes), locations, cause, 10) is wanted
+    assert hopeless(Session(make_config(changes), locations), cause, 10) is wanted

@@ -6,7 +6,7 @@ import functools
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -14,20 +14,20 @@ import pytest
 from tests.core.record.fake_episodes import Inline, Recording, tree
 from tests.stand_in_meshes import stand_ins
 from yamsim_cli.core.attempt.runner import EpisodeRunner
-from yamsim_cli.core.config.document import load_yaml
 from yamsim_cli.core.config.loader import parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import open_episodes
 from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.documents.document import load_yaml
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.record.executors import LocalProcesses
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.resources import Locations, Meshes
 from yamsim_cli.core.scene.build import noting_meshes
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.workers.inline import InlineExecutor
 
 Make = Callable[..., RecordConfig]
-Meshes = dict[str, Path | None]
 ARM, YCB, SMALL = "i2rt_yam_crank", "ycb", "ycb_small"
 
 
@@ -127,7 +127,8 @@ def test_of_another_configuration_its_keys_are_named_first(
 
 def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Recording, meshes: Meshes) -> None:
     """What it says of them was so for that dataset."""
-    recording.config = noting_meshes(recording.config, Locations.find({}), meshes)
+    there = replace(Locations.find({}), meshes=meshes)
+    recording.config = noting_meshes(Session(recording.config, there)).config
     recording.run()
     assert load_yaml(recording.path / "config.yaml").data["meshes"] == {ARM: "primitives", YCB: "primitives"}
 
@@ -147,7 +148,7 @@ class TestOfAnEarlierVersion:
     @pytest.fixture
     def old(self, recording: Recording, monkeypatch: pytest.MonkeyPatch) -> Recording:
         with monkeypatch.context() as patch:
-            patch.setattr("yamsim_cli.core.record.recorder.noting_meshes", lambda config, locations, meshes: config)
+            patch.setattr("yamsim_cli.core.record.recorder.noting_meshes", lambda session: session)
             recording.run()
         assert says_nothing(recording.path)
         return recording
@@ -181,8 +182,9 @@ class WithOther:
 
     meshes: Meshes
 
-    def open(self, config: RecordConfig, locations: Locations, meshes: object, workers: int) -> InlineExecutor:
-        factory = functools.partial(EpisodeRunner, config, locations, self.meshes, draw=True)
+    def open(self, session: Session, workers: int) -> InlineExecutor:
+        session = replace(session, locations=replace(session.locations, meshes=self.meshes))
+        factory = functools.partial(EpisodeRunner, session, render=True)
         return InlineExecutor(factory)
 
 
@@ -191,7 +193,7 @@ def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: R
     with pytest.raises(ResourceError) as caught:
         recording.run(WithOther(meshes | {YCB: None}))
     assert re.fullmatch(
-        r"a worker on \S+ would draw other meshes than the recorder: "
+        r"a worker on \S+ would show other meshes than the recorder: "
         rf"{YCB}: full \w{{12}} for the recorder, primitives there; "
         r"they changed meanwhile, or yamsim is another one there: mend that, and go on with --resume",
         str(caught.value),
@@ -204,8 +206,8 @@ def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: R
 def test_a_process_that_would_draw_otherwise_is_refused_at_the_start(
     config: RecordConfig, locations: Locations, meshes: Meshes
 ) -> None:
-    noted = noting_meshes(config, locations, meshes)
-    with LocalProcesses().open(noted, locations, {}, 1) as executor:
+    noted = noting_meshes(Session(config, replace(locations, meshes=meshes)))
+    with LocalProcesses().open(noted.without_meshes(), 1) as executor:
         executor.submit(EpisodeJob(0, 0))
-        with pytest.raises(ResourceError, match="would draw other meshes than the recorder"):
+        with pytest.raises(ResourceError, match="would show other meshes than the recorder"):
             executor.result()

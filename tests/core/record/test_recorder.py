@@ -15,7 +15,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writer import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.mounts import Mount
-from yamsim_cli.core.types import Cause, EpisodeJob, EpisodePayload, Outcome
+from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 from yamsim_cli.core.workers.stop import Stop
 
 Make = Callable[..., RecordConfig]
@@ -103,7 +103,7 @@ def test_an_episode_that_cannot_be_made_again_is_named(recording: Recording) -> 
     with pytest.raises(PartialJobError, match=r"ep_000001 cannot be made again: .* 4 of 5 episodes are whole"):
         recording.resume(Inline(lose={2}))
     with pytest.raises(DatasetError, match=r"attempt 2 gave ep_000001 once and fails now \(dropped\)"):
-        recording.resume(Inline(lambda job: EpisodePayload(job, Outcome(False, Cause.DROPPED), {})))
+        recording.resume(Inline(lambda job: EpisodePayload(Attempt(job), Outcome(False, Cause.DROPPED))))
 
 
 def test_a_damaged_episode_is_made_again_and_the_user_told(recording: Recording, undisturbed: dict[str, bytes]) -> None:
@@ -218,7 +218,7 @@ def test_an_attempt_that_must_have_succeeded_and_fails_now_is_named(recording: R
     shutil.rmtree(recording.path / "ep_000001")
     for _ in range(2):
         with pytest.raises(DatasetError, match=r"attempt 2 gave ep_000001 once and fails now \(dropped\)"):
-            recording.resume(Inline(lambda job: EpisodePayload(job, Outcome(False, Cause.DROPPED), {})))
+            recording.resume(Inline(lambda job: EpisodePayload(Attempt(job), Outcome(False, Cause.DROPPED))))
         with pytest.raises(PartialJobError, match="attempt 2 cannot be made again"):
             recording.resume(Inline(lose={2}))
 
@@ -275,7 +275,7 @@ def test_ctrl_c_ends_it_at_once_and_loses_nothing(recording: Recording, undistur
 
 def test_workers_that_draw_differently_are_mentioned(recording: Recording) -> None:
     recording.run(Inline(lambda job: replace(payload(job), renderer=f"driver {job.attempt % 2}")))
-    assert any("Workers draw with different OpenGL (driver" in warning for warning in recording.warnings)
+    assert any("Workers render with different OpenGL (driver" in warning for warning in recording.warnings)
 
 
 def test_a_disk_without_room_is_refused_before_anything_is_made(recording: Recording, monkeypatch: Any) -> None:

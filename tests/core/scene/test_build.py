@@ -6,29 +6,32 @@ import mujoco
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
+from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.build import SCENE_CAMERA, WELD, build_scene
+from yamsim_cli.core.scene.blueprint import task_blueprint
+from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.scene.compose import mesh_sets
-from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
+from yamsim_cli.core.scene.compose import WELD, mesh_sets
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.types import Layout
 
 
 @pytest.fixture(scope="module")
 def scene(make_config: Callable[..., RecordConfig], locations: Locations) -> CompiledScene:
-    return build_scene(make_config({("wrist",): True}), locations, {})
+    return build_scene(Session(make_config({("wrist",): True}), locations))
 
 
 def _layout(config: RecordConfig, seed: int) -> Layout:
-    layout = sample_layout(config.task, config.table, np.random.default_rng(seed))
+    layout = sample_layout(config, np.random.default_rng(seed))
     assert layout is not None
     return layout
 
 
 def _start(scene: CompiledScene, config: RecordConfig, seed: int) -> mujoco.MjData:
     data = mujoco.MjData(scene.model)
-    scene.start(data, _layout(config, seed), np.array(config.task.start_joints), OPEN)
+    scene.start(data, _layout(config, seed), start_stands(config))
     return data
 
 
@@ -60,7 +63,7 @@ def test_settles_without_moving(scene: CompiledScene, config: RecordConfig, seed
 def test_reset_leaves_no_trace_of_what_was_before(scene: CompiledScene, config: RecordConfig) -> None:
     fresh, used = _start(scene, config, 1), _start(scene, config, 2)
     mujoco.mj_step(scene.model, used, 300)
-    scene.start(used, _layout(config, 1), np.array(config.task.start_joints), OPEN)
+    scene.start(used, _layout(config, 1), start_stands(config))
     for data in (fresh, used):
         mujoco.mj_step(scene.model, data, 100)
     assert (fresh.qpos == used.qpos).all()
@@ -121,7 +124,7 @@ def test_wrist_camera_looks_along_the_fingers(scene: CompiledScene, config: Reco
 
 
 def test_mesh_sets_are_those_of_arm_and_objects(config: RecordConfig) -> None:
-    assert mesh_sets(config.rig, (config.task.object, config.task.target)) == ("i2rt_yam_crank", "ycb")
+    assert mesh_sets(task_blueprint(config)) == ("i2rt_yam_crank", "ycb")
 
 
 def test_names_are_unique_and_the_arm_keeps_its_own(scene: CompiledScene) -> None:

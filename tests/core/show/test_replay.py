@@ -14,14 +14,15 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
-from tests.core.undrawn import SIZE, change_frame, change_record, read_frame, write_dataset
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.unrendered import SIZE, change_frame, change_record, read_frame, write_dataset
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.show.replay import positions, repeat, scene_config
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.show.replay import positions, repeat, shown_again
 from yamsim_cli.core.viewers.player import EpisodePlayer
 
 av = pytest.importorskip("av", reason="yamsim[video] is not installed")
@@ -42,14 +43,14 @@ def dataset(original: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def runner(original: Path, locations: Locations) -> EpisodeRunner:
-    return EpisodeRunner(scene_config(dataset_config(original, locations)), locations, {}, draw=False)
+def simulator(original: Path, locations: Locations) -> Simulator:
+    return Simulator(shown_again(Session(dataset_config(original, locations), locations)))
 
 
 @pytest.fixture
-def player(original: Path, runner: EpisodeRunner) -> EpisodePlayer:
-    states = positions(open_episode(original / "ep_000001"), runner)
-    return EpisodePlayer("test", runner.scene.model, states, 0.064)
+def player(original: Path, simulator: Simulator) -> EpisodePlayer:
+    states = positions(open_episode(original / "ep_000001"), simulator)
+    return EpisodePlayer("test", simulator.scene.model, states, 0.064)
 
 
 def timestamps(path: Path) -> list[Fraction]:
@@ -165,19 +166,19 @@ def test_without_the_library_the_extra_is_named(original: Path, tmp_path: Path, 
 
 def test_actions_are_repeated_where_there_are_any(dataset: Path, locations: Locations) -> None:
     config = dataset_config(dataset, locations)
-    assert repeat(open_episode(dataset / "ep_000000"), config, locations).max_error == 0.0  # type: ignore[union-attr]
+    assert repeat(open_episode(dataset / "ep_000000"), Session(config, locations)).max_error == 0.0  # type: ignore[union-attr]
     for k in range(57):
         change_frame(dataset / "ep_000000", k, rehash=True, sim_qpos=None, sim_ctrl=None, sim_magnet=None)
-    assert repeat(open_episode(dataset / "ep_000000"), config, locations) is None
+    assert repeat(open_episode(dataset / "ep_000000"), Session(config, locations)) is None
 
 
-def test_states_of_another_scene_are_not_shown(dataset: Path, runner: EpisodeRunner) -> None:
+def test_states_of_another_scene_are_not_shown(dataset: Path, simulator: Simulator) -> None:
     change_frame(dataset / "ep_000001", 9, rehash=True, sim_qpos=np.zeros(5))
     with pytest.raises(DatasetError, match="frame 9 has 5 positions, and its scene 22"):
-        positions(open_episode(dataset / "ep_000001"), runner)
+        positions(open_episode(dataset / "ep_000001"), simulator)
     change_frame(dataset / "ep_000000", 9, rehash=True, sim_qpos=None, sim_ctrl=None, sim_magnet=None)
     with pytest.raises(DatasetError, match="holds no sim_qpos"):
-        positions(open_episode(dataset / "ep_000000"), runner)
+        positions(open_episode(dataset / "ep_000000"), simulator)
 
 
 def test_the_player_shows_each_frame_for_its_time_and_begins_again(player: EpisodePlayer, original: Path) -> None:

@@ -21,7 +21,8 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import quat_from_rotation
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.compose import Contents
+from yamsim_cli.core.scene.blueprint import Blueprint
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import PERIOD, LivePictures, live_rig, live_task
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
@@ -37,7 +38,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 def live(locations: Locations) -> LiveRig:
     rig = load_config(RigConfig, "rigs", "russet", locations)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
-    return live_rig(rig, scene, Contents(), locations, {"i2rt_yam_crank": None})
+    return live_rig(Blueprint(rig, scene), locations)
 
 
 @pytest.fixture
@@ -116,15 +117,15 @@ def test_the_first_view_holds_every_arm_and_board(name: str, locations: Location
     for k, arm in enumerate(rig.arms):
         base = rig.T_base_in_world(k)
         assert arm.board is not None
-        board = (base @ arm.board.T_board_in_arm)[:3, 3]
+        board = (base @ arm.T_board_in_base)[:3, 3]
         for point in (base[:3, 3], board, base[:3, 3] + (0.3, 0.0, 0.3)):
             ray = (point - view.position) / np.linalg.norm(point - view.position)
             assert np.degrees(np.arccos(ray @ sight)) < FOV_DEG / 2
 
 
 def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(live: LiveRig, free_port: int) -> None:
-    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
-    page = page_module.Page(live, frame_rig(live.rig), PageAddress(free_port))
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
+    page = page_module.RigPage(live, frame_rig(live.rig), PageAddress(free_port))
     try:
         assert page.url == f"http://127.0.0.1:{free_port}"
         with urllib.request.urlopen(page.url, timeout=10) as answer:
@@ -138,7 +139,7 @@ def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(live: L
         page.update()
         assert live.data.joint("joint1").qpos[0] == pytest.approx(0.4, abs=0.05)
         with pytest.raises(UsageError, match=rf"--port {free_port} cannot be used .*: give another, or 0"):
-            page_module.Page(live, frame_rig(live.rig), PageAddress(free_port))
+            page_module.RigPage(live, frame_rig(live.rig), PageAddress(free_port))
     finally:
         page.close()
     assert listeners(free_port) == []
@@ -159,9 +160,8 @@ def test_another_margin_moves_arms_and_boards_together(live: LiveRig) -> None:
 
 
 def test_a_task_stands_as_its_seed_says(config: RecordConfig, locations: Locations) -> None:
-    objects = (config.task.object, config.task.target)
-    live = live_task(config, Contents(objects=objects), locations, {"i2rt_yam_crank": None, "ycb": None})
-    layout = sample_layout(config.task, config.table, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    live = live_task(Session(config, locations))
+    layout = sample_layout(config, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
     assert layout
     positions, _ = live.body_poses()
     for name, T in layout.T_in_world.items():
@@ -170,8 +170,8 @@ def test_a_task_stands_as_its_seed_says(config: RecordConfig, locations: Locatio
 
 
 def test_the_page_shows_what_its_switches_say(live: LiveRig) -> None:
-    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
-    page = page_module.Page(live, frame_rig(live.rig), PageAddress(), boards=False)
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
+    page = page_module.RigPage(live, frame_rig(live.rig), PageAddress(), boards=False)
     try:
         board = live.model.body("arm2_base_board").id
         assert not page._bodies.frames[board].visible
@@ -184,9 +184,9 @@ def test_the_page_shows_what_its_switches_say(live: LiveRig) -> None:
 
 @pytest.mark.render
 def test_pictures_are_what_the_cameras_see_now(live: LiveRig) -> None:
-    page_module = pytest.importorskip("yamsim_cli.core.viewers.page", reason="yamsim[view] is not installed")
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
     pictures = LivePictures(live)
-    page = page_module.Page(live, frame_rig(live.rig), PageAddress(), pictures=pictures)
+    page = page_module.RigPage(live, frame_rig(live.rig), PageAddress(), pictures=pictures)
     try:
         panel = page._cameras
         page.update()

@@ -10,11 +10,13 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.attempts import planned
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.breakdown import breakdown, keep_warnings_quiet
-from yamsim_cli.core.types import Cause, EpisodeJob
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.types import Cause
 
 # Joints in degrees, past the check that refuses them: the arm starts many turns beyond its stops.
 ABSURD = """
@@ -22,13 +24,14 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
 where = Locations.find({})
 config = load_config(RecordConfig, "record", "default", where)
 task = config.task.model_copy(update={"start_joints": (0.0, 106.0, 109.0, -78.5, 0.0, 0.0)})
-with EpisodeRunner(config.model_copy(update={"task": task}), where, {}, draw=False) as runner:
-    causes = [runner.simulate(EpisodeJob(0, number))[1] for number in (1, 3)]
-for outcome in causes:
+with EpisodeRunner(Session(config, where).with_values(task=task), render=False) as runner:
+    outcomes = [runner.run(EpisodeJob(0, number)).outcome for number in (1, 3)]
+for outcome in outcomes:
     print(outcome.cause, "|", outcome.detail)
 """
 
@@ -49,11 +52,11 @@ def test_a_simulation_that_breaks_down_fails_for_that_and_writes_nothing(tmp_pat
 
 
 def test_an_attempt_that_holds_says_nothing_of_it(config: RecordConfig, locations: Locations) -> None:
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        _, outcome, rollout = runner.simulate(EpisodeJob(0, 0))
-    assert outcome.cause is not Cause.UNSTABLE
-    assert rollout
-    assert rollout.motion.breakdown is None
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, 0)
+    assert done.outcome.cause is not Cause.UNSTABLE
+    assert done.rollout
+    assert done.rollout.motion.breakdown is None
 
 
 @pytest.fixture

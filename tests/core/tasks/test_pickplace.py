@@ -14,7 +14,7 @@ from yamsim_cli.core.types import Cause, EpisodeJob, Layout, Margins, Motion, Ou
 
 
 def _layouts(config: RecordConfig, n: int) -> list[Layout]:
-    layouts = [sample_layout(config.task, config.table, generator(EpisodeJob(5, k), Stream.LAYOUT)) for k in range(n)]
+    layouts = [sample_layout(config, generator(EpisodeJob(5, k), Stream.LAYOUT)) for k in range(n)]
     assert all(layouts)
     return [layout for layout in layouts if layout]
 
@@ -44,7 +44,7 @@ def test_banana_positions_are_uniform(config: RecordConfig) -> None:
 
 def test_an_attempt_depends_on_its_own_numbers_alone(config: RecordConfig) -> None:
     def draw(seed: int, attempt: int) -> np.ndarray:
-        layout = sample_layout(config.task, config.table, generator(EpisodeJob(seed, attempt), Stream.LAYOUT))
+        layout = sample_layout(config, generator(EpisodeJob(seed, attempt), Stream.LAYOUT))
         assert layout is not None
         return layout.T_in_world["banana"]
 
@@ -55,7 +55,7 @@ def test_an_attempt_depends_on_its_own_numbers_alone(config: RecordConfig) -> No
 
 def test_a_box_too_small_for_both_gives_no_layout(make_config: Callable[..., RecordConfig]) -> None:
     config = make_config({("task", "sampling", "x"): [0.4, 0.45], ("task", "sampling", "y"): [0.0, 0.05]})
-    assert sample_layout(config.task, config.table, np.random.default_rng(0)) is None
+    assert sample_layout(config, np.random.default_rng(0)) is None
 
 
 def _motion(**changes: object) -> Motion:
@@ -69,7 +69,9 @@ def _poses(end: np.ndarray, target: np.ndarray, pushed: float = 0.0) -> Poses:
 
 
 def _judge(config: RecordConfig, grasp: GraspKind = "contact", motion: Motion | None = None, **poses: float) -> Outcome:
-    return judge(config.task, grasp, _poses(pose((0, 0, 0.02)), pose(), **poses), 0.0, motion or _motion(), 0.001, 0.2)
+    return judge(
+        config.task, grasp, _poses(pose((0, 0, 0.02)), pose(), **poses), 0.0, motion or _motion(), planned=True
+    )
 
 
 @pytest.mark.parametrize(
@@ -87,7 +89,7 @@ def _judge(config: RecordConfig, grasp: GraspKind = "contact", motion: Motion | 
 def test_judge(config: RecordConfig, offset: tuple[float, ...], speed: float, cause: Cause | None) -> None:
     T_plate = pose((0.4, 0.1, 0.0))
     poses = _poses(pose(T_plate[:3, 3] + offset), T_plate)
-    outcome = judge(config.task, "weld", poses, speed, _motion(), 0.0, 0.0)
+    outcome = judge(config.task, "weld", poses, speed, _motion(), planned=True)
     assert (outcome.success, outcome.cause) == (cause is None, cause)
     assert outcome.dxy == pytest.approx(np.hypot(*offset[:2]))
     assert outcome.dz == pytest.approx(offset[2])
@@ -114,7 +116,7 @@ def test_what_lies_under_what_carries_it_was_dropped(
     config = make_config({("task", "object"): "061_foam_brick", ("task", "target"): target})
     T_target = pose((0.4, 0.1, 0.0165))
     poses = _poses(pose(T_target[:3, 3] + (0.045, 0, height)), T_target)
-    assert judge(config.task, "weld", poses, 0.0, _motion(), 0.0, 0.0).cause is cause
+    assert judge(config.task, "weld", poses, 0.0, _motion(), planned=True).cause is cause
 
 
 def test_knocked(config: RecordConfig) -> None:
@@ -147,7 +149,7 @@ def test_a_bad_motion_fails_wherever_the_object_ends(
     assert (outcome.dxy, outcome.dz) == (0.0, 0.02)
     assert outcome.margins == motion.margins
     # Of a person or a policy only the object's end is asked.
-    free = judge(config.task, "contact", _poses(pose((0, 0, 0.02)), pose()), 0.0, motion, 0.0, 0.0, planned=False)
+    free = judge(config.task, "contact", _poses(pose((0, 0, 0.02)), pose()), 0.0, motion, planned=False)
     assert (free.cause, free.margins) == (None, motion.margins)
 
 
@@ -162,6 +164,6 @@ def test_layout_leaves_room_for_the_fingers(config: RecordConfig) -> None:
     assert grasp is not None
     for layout in _layouts(config, 300):
         T_banana, T_plate = layout.T_in_world["banana"], layout.T_in_world["plate"]
-        for x, y, radius in grasp.fingers(0.0375):
+        for x, y, radius in grasp.fingers(0.0375, 0.012):
             finger = (T_banana @ (x, y, 0, 1))[:2]
             assert np.linalg.norm(finger - T_plate[:2, 3]) - radius >= 0.1305 + config.task.sampling.clearance - 1e-9

@@ -16,7 +16,7 @@ BASE = pose((0.1, -0.2, 0.0), rotation_z(0.3))
 
 @pytest.fixture(scope="module")
 def layout(config: RecordConfig) -> Layout:
-    layout = sample_layout(config.task, config.table, np.random.default_rng(5))
+    layout = sample_layout(config, np.random.default_rng(5))
     assert layout is not None
     return layout
 
@@ -107,7 +107,7 @@ def test_phases_follow_from_the_config_alone(
 
 
 def test_without_a_plan_the_weld_tells_when_the_object_is_in_hand() -> None:
-    assert phases_of([False, False, True, True, False, True, False]) == (Phases(2, range(2, 6)),)
-    assert phases_of([False] * 5) == (Phases(5, range(0)),)
-    both = [(False, True), (True, True), (True, False), (False, False)]
+    assert phases_of(np.array([[False, False, True, True, False, True, False]]).T) == (Phases(2, range(2, 6)),)
+    assert phases_of(np.zeros((5, 1), bool)) == (Phases(5, range(0)),)
+    both = np.array([(False, True), (True, True), (True, False), (False, False)])
     assert phases_of(both) == (Phases(1, range(1, 3), 0), Phases(0, range(2), 1))

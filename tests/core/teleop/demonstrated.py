@@ -6,33 +6,32 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from tests.core.attempts import all_actions, planned
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.session import Session
 
 TICK = 0.032
 
 
 def planned_lines(config: RecordConfig, locations: Locations, attempt: int, began: float = 0.0) -> list[dict[str, Any]]:
     """One recorded attempt: the joints, grippers and magnets of the scripted plan, tick by tick, at half its speed."""
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        _, outcome, rollout = runner.simulate(EpisodeJob(config.seed, attempt))
-        assert outcome.success
-        assert rollout
-    joints = np.concatenate([state.actions.joints for state in rollout.states])
-    magnet = [holds for state in rollout.states for holds in state.actions.magnet]
+    with Simulator(Session(config, locations)) as simulator:
+        done = planned(simulator, config.seed, attempt)
+        assert done.outcome.success
+    actions = all_actions(done.states)
+    joints, magnet = actions.joints, actions.magnet.tolist()
     settle = config.task.timing.settle_ticks
     lines: list[dict[str, Any]] = [{"t": began, "event": "start"}]
     for k, (row, holds) in enumerate(zip(joints[:-settle], magnet[:-settle], strict=True)):
         t = round(began + 2 * k * TICK, 6)
-        if isinstance(holds, tuple):
-            lines.append({"t": t, "joints": row.tolist()})
+        if len(holds) > 1:
+            lines.append({"t": t, "joints": row.ravel().tolist()})
             lines += [{"t": t, "arm": side, "magnet": on} for side, on in zip(("left", "right"), holds, strict=True)]
         else:
-            lines.append({"t": t, "joints": row[:6].tolist(), "gripper": max(0.0, float(row[6])), "magnet": holds})
+            (*angles, opening), (on,) = row[0].tolist(), holds
+            lines.append({"t": t, "joints": angles, "gripper": max(0.0, opening), "magnet": on})
     lines.append({"t": round(began + (2 * len(joints[:-settle]) + 15) * TICK, 6), "event": "stop"})
     return lines
 

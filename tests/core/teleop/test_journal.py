@@ -18,13 +18,14 @@ from tests.core.teleop.demonstrated import planned_lines, write_stream
 from tests.core.teleop.test_teleop import Tray, play, run
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.teleop.driven_scene import DrivenScene
 from yamsim_cli.core.teleop.journal import Journal
-from yamsim_cli.core.teleop.session import TeleopSession
 
 
-def session_in(folder: Path, config: RecordConfig, locations: Locations, **more: float) -> tuple[TeleopSession, Tray]:
+def driven_in(folder: Path, config: RecordConfig, locations: Locations, **more: float) -> tuple[DrivenScene, Tray]:
     tray = Tray()
-    return TeleopSession(config, locations, {}, tray, Journal(folder), **more), tray
+    return DrivenScene(Session(config, locations), tray, Journal(folder), **more), tray
 
 
 @pytest.fixture
@@ -36,27 +37,27 @@ def lines(config: RecordConfig, locations: Locations) -> list[dict[str, object]]
 def test_what_was_driven_before_a_kill_is_handed_in_as_if_it_had_been_stopped(
     config: RecordConfig, locations: Locations, tmp_path: Path, lines: list[dict[str, object]]
 ) -> None:
-    killed, _ = session_in(tmp_path, config, locations)
+    killed, _ = driven_in(tmp_path, config, locations)
     play(killed, lines[:-1], tmp_path)
     # The same, stopped there, as a session that lives does it.
     (tmp_path / "other").mkdir()
-    living, tray = session_in(tmp_path / "other", config, locations)
+    living, tray = driven_in(tmp_path / "other", config, locations)
     play(living, lines[:-1], tmp_path)
     living.stop()
     living.settle()
 
     (left,) = Journal(tmp_path).unfinished()
     assert left.stopped is None
-    next_session, taken = session_in(tmp_path, config, locations)
-    next_session.take_up(left)
-    (stopped,), (found,) = tray.demonstrations, taken.demonstrations
-    assert found.job == stopped.job
-    assert found.layout == stopped.layout
-    assert np.array_equal(found.start, stopped.start)
+    following, taken = driven_in(tmp_path, config, locations)
+    following.take_up(left)
+    (stopped,), (found,) = tray.attempts, taken.attempts
+    assert found.attempt.job == stopped.attempt.job
+    assert found.attempt.places == stopped.attempt.places
+    assert np.array_equal(found.attempt.start, stopped.attempt.start)
     n = len(left.ticks)
     assert len(found.actions.ctrl) == len(stopped.actions.ctrl)
     assert np.array_equal(found.actions.ctrl[:n], stopped.actions.ctrl[:n])
-    assert found.actions.magnet == stopped.actions.magnet
+    assert np.array_equal(found.actions.magnet, stopped.actions.magnet)
     # Then the arm stands still, where the living one still slows down.
     assert np.allclose(found.actions.joints[n:], stopped.actions.joints[n:], atol=0.1)
 
@@ -64,30 +65,30 @@ def test_what_was_driven_before_a_kill_is_handed_in_as_if_it_had_been_stopped(
 def test_a_recording_killed_while_it_came_to_rest_rests_as_long(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
-    killed, _ = session_in(tmp_path, config, locations)
+    killed, _ = driven_in(tmp_path, config, locations)
     killed.start()
     run(killed, 1.0)
     killed.stop()
     run(killed, 0.32)
     (left,) = Journal(tmp_path).unfinished()
     assert (len(left.ticks), left.stopped) == (41, 31)
-    following, tray = session_in(tmp_path, config, locations)
+    following, tray = driven_in(tmp_path, config, locations)
     following.take_up(left)
-    assert len(tray.demonstrations[0].actions.ctrl) == 31 + config.task.timing.settle_ticks
+    assert len(tray.attempts[0].actions.ctrl) == 31 + config.task.timing.settle_ticks
 
 
 def test_the_file_goes_with_its_recording(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    session, _ = session_in(tmp_path, config, locations)
-    run(session, 0.1)
+    driven, _ = driven_in(tmp_path, config, locations)
+    run(driven, 0.1)
     assert Journal(tmp_path).unfinished() == []
-    session.start()
-    run(session, 0.1)
-    session.discard()
+    driven.start()
+    run(driven, 0.1)
+    driven.discard()
     assert list(tmp_path.iterdir()) == []
-    session.start()
-    run(session, 0.1)
-    session.stop()
-    session.settle()
+    driven.start()
+    run(driven, 0.1)
+    driven.stop()
+    driven.settle()
     # Handed in, and not yet in the dataset.
     journal = Journal(tmp_path)
     assert len(journal.unfinished()) == 1
@@ -99,9 +100,9 @@ def test_the_file_goes_with_its_recording(config: RecordConfig, locations: Locat
 def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(
     cut: int, ticks: int, config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
-    session, _ = session_in(tmp_path, config, locations)
-    session.start()
-    run(session, 0.32)
+    driven, _ = driven_in(tmp_path, config, locations)
+    driven.start()
+    run(driven, 0.32)
     (file,) = (tmp_path / ".recordings").iterdir()
     file.write_bytes(file.read_bytes()[:-cut])
     (left,) = Journal(tmp_path).unfinished()
@@ -116,31 +117,31 @@ def test_one_without_a_beginning_is_removed(tmp_path: Path) -> None:
 
 
 def test_a_recording_ends_at_its_limit(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    session, tray = session_in(tmp_path, config, locations, time_limit=1.0)
-    session.start()
-    run(session, 0.9)
-    assert session.recording
-    run(session, 0.2)
-    assert "stopped after 1 s" in session.status.message
-    session.settle()
-    assert len(tray.demonstrations[0].actions.ctrl) == 31 + config.task.timing.settle_ticks
-    assert not session.recording
+    driven, tray = driven_in(tmp_path, config, locations, time_limit=1.0)
+    driven.start()
+    run(driven, 0.9)
+    assert driven.recording
+    run(driven, 0.2)
+    assert "stopped after 1 s" in driven.status.message
+    driven.settle()
+    assert len(tray.attempts[0].actions.ctrl) == 31 + config.task.timing.settle_ticks
+    assert not driven.recording
 
 
 def test_who_leaves_a_recording_pauses_it(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    session, _ = session_in(tmp_path, config, locations)
-    session.leave()
-    assert not session.paused, "nothing is recorded that could go on unseen"
-    session.start()
-    run(session, 0.32)
-    session.leave()
-    before = session.status.seconds
-    run(session, 1.0)
-    assert session.status.seconds == before
-    assert "nobody was watching" in session.status.message
-    session.paused = False
-    run(session, 0.32)
-    assert session.status.seconds > before
+    driven, _ = driven_in(tmp_path, config, locations)
+    driven.leave()
+    assert not driven.paused, "nothing is recorded that could go on unseen"
+    driven.start()
+    run(driven, 0.32)
+    driven.leave()
+    before = driven.status.seconds
+    run(driven, 1.0)
+    assert driven.status.seconds == before
+    assert "nobody was watching" in driven.status.message
+    driven.paused = False
+    run(driven, 0.32)
+    assert driven.status.seconds > before
 
 
 @pytest.mark.render

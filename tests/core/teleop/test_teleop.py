@@ -22,7 +22,8 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.making import failed_attempt, made
 from tests.core.teleop.demonstrated import TICK, planned_lines, write_stream
-from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.attempt.physics import repeat
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.ledger import Ledger
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json
@@ -31,25 +32,26 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import noting_meshes
-from yamsim_cli.core.teleop.desk import Demonstration, DemonstrationRunner, Desk
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.teleop.desk import Desk, DrivenAttempt, DrivenRunner
+from yamsim_cli.core.teleop.driven_scene import DrivenScene
 from yamsim_cli.core.teleop.loop import Jitter, Pace, open_seat
-from yamsim_cli.core.teleop.session import TeleopSession
 from yamsim_cli.core.teleop.stream import Player, read_stream
-from yamsim_cli.core.types import Actions, Cause, EpisodeJob, EpisodePayload, Outcome
+from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 
 
 class Tray:
     """Takes what is handed in, and leaves it."""
 
     def __init__(self) -> None:
-        self.demonstrations: list[Demonstration] = []
+        self.attempts: list[DrivenAttempt] = []
 
     @property
     def next_attempt(self) -> int:
-        return len(self.demonstrations)
+        return len(self.attempts)
 
-    def hand_in(self, demonstration: Demonstration) -> None:
-        self.demonstrations.append(demonstration)
+    def hand_in(self, driven: DrivenAttempt) -> None:
+        self.attempts.append(driven)
 
 
 @pytest.fixture
@@ -58,160 +60,160 @@ def tray() -> Tray:
 
 
 @pytest.fixture
-def session(config: RecordConfig, locations: Locations, tray: Tray) -> TeleopSession:
-    return TeleopSession(config, locations, {}, tray)
+def driven(config: RecordConfig, locations: Locations, tray: Tray) -> DrivenScene:
+    return DrivenScene(Session(config, locations), tray)
 
 
-def pinch(session: TeleopSession) -> Array:
+def pinch(driven: DrivenScene) -> Array:
     """Where the hand is, as physics has it."""
-    site = session.data.site("pinch_site")
+    site = driven.data.site("pinch_site")
     return pose(site.xpos, site.xmat.reshape(3, 3))
 
 
-def run(session: TeleopSession, seconds: float) -> None:
-    for _ in range(round(seconds / session.tick_seconds)):
-        session.tick()
+def run(driven: DrivenScene, seconds: float) -> None:
+    for _ in range(round(seconds / driven.tick_seconds)):
+        driven.tick()
 
 
-def player_of(session: TeleopSession, lines: list[dict[str, Any]], folder: Path) -> Player:
+def player_of(driven: DrivenScene, lines: list[dict[str, Any]], folder: Path) -> Player:
     stream = write_stream(folder / "stream.jsonl", lines)
-    return Player(read_stream(stream, session._config, Locations.find({})))
+    return Player(read_stream(stream, driven._simulator.config))
 
 
-def play(session: TeleopSession, lines: list[dict[str, Any]], folder: Path) -> None:
-    player = player_of(session, lines, folder)
+def play(driven: DrivenScene, lines: list[dict[str, Any]], folder: Path) -> None:
+    player = player_of(driven, lines, folder)
     while not player.done:
-        player.act(session, session.time)
-        session.tick()
+        player.act(driven, driven.time)
+        driven.tick()
 
 
-def test_the_hand_goes_to_its_target(session: TeleopSession) -> None:
-    wanted = session.target
+def test_the_hand_goes_to_its_target(driven: DrivenScene) -> None:
+    wanted = driven.target
     wanted[:3, 3] += (0.08, 0.06, -0.05)
-    session.aim(wanted)
-    run(session, 2.0)
-    assert np.allclose(pinch(session)[:3, 3], wanted[:3, 3], atol=0.01)
-    assert np.allclose(pinch(session)[:3, :3], wanted[:3, :3], atol=0.05)
-    status = session.status
+    driven.aim(wanted)
+    run(driven, 2.0)
+    assert np.allclose(pinch(driven)[:3, 3], wanted[:3, 3], atol=0.01)
+    assert np.allclose(pinch(driven)[:3, :3], wanted[:3, :3], atol=0.05)
+    status = driven.status
     assert (status.free, status.apart, status.at_limit, status.blocked) == (True, 0.0, (), "")
 
 
-def test_no_joint_is_asked_to_move_faster_than_its_motor_can_follow(session: TeleopSession, tray: Tray) -> None:
-    session.start()
-    wanted = session.target
+def test_no_joint_is_asked_to_move_faster_than_its_motor_can_follow(driven: DrivenScene, tray: Tray) -> None:
+    driven.start()
+    wanted = driven.target
     wanted[:3, 3] += (0.1, 0.3, -0.1)
-    session.aim(wanted)
-    run(session, 2.0)
-    session.stop()
-    session.settle()
-    joints = tray.demonstrations[0].actions.joints[:, :6]
-    speed = np.abs(np.diff(joints, axis=0)).max(axis=0) / session.tick_seconds
+    driven.aim(wanted)
+    run(driven, 2.0)
+    driven.stop()
+    driven.settle()
+    joints = tray.attempts[0].actions.joints[:, 0, :6]
+    speed = np.abs(np.diff(joints, axis=0)).max(axis=0) / driven.tick_seconds
     motors = np.array([52.5] * 3 + [200] * 3) * 2 * np.pi / 60
     assert (speed <= 0.5 * motors + 1e-9).all()
     assert speed[0] > 1.0, "and it does not dawdle"
 
 
-def test_a_target_out_of_reach_is_told_with_its_distance(session: TeleopSession) -> None:
-    far = session.target
+def test_a_target_out_of_reach_is_told_with_its_distance(driven: DrivenScene) -> None:
+    far = driven.target
     far[:3, 3] = (1.2, 0.0, 0.2)
-    session.aim(far)
-    run(session, 3.0)
-    assert 0.2 < session.status.apart < 0.8
-    assert not session.status.free
-    assert np.isfinite(session.data.qpos).all()
+    driven.aim(far)
+    run(driven, 3.0)
+    assert 0.2 < driven.status.apart < 0.8
+    assert not driven.status.free
+    assert np.isfinite(driven.data.qpos).all()
 
 
-def test_a_joint_at_its_stop_is_named(session: TeleopSession) -> None:
-    session.aim_joints(np.array([0, 1.92, 2.22, -3.0, 0, 0]))
-    run(session, 2.0)
-    assert session.status.at_limit == ("joint4",)
+def test_a_joint_at_its_stop_is_named(driven: DrivenScene) -> None:
+    driven.aim_joints(np.array([0, 1.92, 2.22, -3.0, 0, 0]))
+    run(driven, 2.0)
+    assert driven.status.at_limit == ("joint4",)
 
 
-def test_a_target_in_the_table_is_lifted_out_of_it(session: TeleopSession, config: RecordConfig) -> None:
-    below = session.target
+def test_a_target_in_the_table_is_lifted_out_of_it(driven: DrivenScene, config: RecordConfig) -> None:
+    below = driven.target
     below[2, 3] = -0.2
-    session.aim(below)
-    assert session.target[2, 3] == pytest.approx(config.table.top + 0.012)
-    run(session, 3.0)
-    assert pinch(session)[2, 3] > config.table.top
+    driven.aim(below)
+    assert driven.target[2, 3] == pytest.approx(config.table.top + 0.012)
+    run(driven, 3.0)
+    assert pinch(driven)[2, 3] > config.table.top
 
 
-def test_the_arm_stops_before_the_table_and_says_so(session: TeleopSession, config: RecordConfig) -> None:
+def test_the_arm_stops_before_the_table_and_says_so(driven: DrivenScene, config: RecordConfig) -> None:
     # Forearm first: no target for the hand would do that.
-    session.aim_joints(np.array([0, 2.8, 0.8, 0.0, 0, 0]))
-    run(session, 3.0)
-    assert session.status.blocked == "table"
-    model, data = session.model, session.data
+    driven.aim_joints(np.array([0, 2.8, 0.8, 0.0, 0, 0]))
+    run(driven, 3.0)
+    assert driven.status.blocked == "table"
+    model, data = driven.model, driven.data
     table = model.geom("table").id
     deepest = min((contact.dist for contact in data.contact if table in contact.geom), default=0.0)
     assert deepest > -0.005
-    session.aim_joints(np.array(config.task.start_joints))
-    run(session, 3.0)
-    assert session.status.blocked == "", "it can go back"
+    driven.aim_joints(np.array(config.task.start_joints))
+    run(driven, 3.0)
+    assert driven.status.blocked == "", "it can go back"
     assert np.allclose(data.qpos[:6], config.task.start_joints, atol=0.05)
 
 
-def test_the_magnet_holds_only_what_the_hand_is_at(session: TeleopSession) -> None:
-    session.set_magnet(True)
-    run(session, 0.1)
-    assert not session.status.holds
-    assert not session.status.magnet
-    assert session.message == "the magnet found no banana within its reach"
+def test_the_magnet_holds_only_what_the_hand_is_at(driven: DrivenScene) -> None:
+    driven.set_magnet(True)
+    run(driven, 0.1)
+    assert not driven.status.holds
+    assert not driven.status.magnet
+    assert driven.message == "the magnet found no banana within its reach"
 
 
-def test_a_recording_begins_where_its_attempt_does_whatever_was_done_before(session: TeleopSession) -> None:
-    start = session.data.qpos.copy()
-    session.aim_joints(np.zeros(6))
-    run(session, 1.0)
-    assert not np.allclose(session.data.qpos, start, atol=0.1)
-    session.start()
-    assert np.array_equal(session.data.qpos, start)
-    assert session.recording
+def test_a_recording_begins_where_its_attempt_does_whatever_was_done_before(driven: DrivenScene) -> None:
+    start = driven.data.qpos.copy()
+    driven.aim_joints(np.zeros(6))
+    run(driven, 1.0)
+    assert not np.allclose(driven.data.qpos, start, atol=0.1)
+    driven.start()
+    assert np.array_equal(driven.data.qpos, start)
+    assert driven.recording
 
 
-def test_discarded_comes_again_and_stopped_comes_next(session: TeleopSession, tray: Tray) -> None:
+def test_discarded_comes_again_and_stopped_comes_next(driven: DrivenScene, tray: Tray) -> None:
     def banana() -> Array:
-        place: Array = session.data.body("banana").xpos.copy()
+        place: Array = driven.data.body("banana").xpos.copy()
         return place
 
     first = banana()
-    session.start()
-    run(session, 0.2)
-    session.discard()
-    assert (tray.demonstrations, session.recording, session.discarded) == ([], False, 1)
+    driven.start()
+    run(driven, 0.2)
+    driven.discard()
+    assert (tray.attempts, driven.recording, driven.discarded) == ([], False, 1)
     assert np.array_equal(banana(), first)
-    session.start()
-    run(session, 0.2)
-    session.stop()
-    session.settle()
-    assert [demonstration.job.attempt for demonstration in tray.demonstrations] == [0]
+    driven.start()
+    run(driven, 0.2)
+    driven.stop()
+    driven.settle()
+    assert [handed_in.attempt.job.attempt for handed_in in tray.attempts] == [0]
     assert not np.allclose(banana(), first)
-    session.stop()
-    assert len(tray.demonstrations) == 1
-    assert session.message == "nothing was being recorded"
+    driven.stop()
+    assert len(tray.attempts) == 1
+    assert driven.message == "nothing was being recorded"
 
 
 def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(
-    session: TeleopSession, tray: Tray, config: RecordConfig
+    driven: DrivenScene, tray: Tray, config: RecordConfig
 ) -> None:
-    session.start()
-    session.toggle_gripper()
-    run(session, 0.5)
-    session.stop()
+    driven.start()
+    driven.toggle_gripper()
+    run(driven, 0.5)
+    driven.stop()
     ticks = config.task.timing.settle_ticks
     for k in range(ticks):
-        assert session.recording, k
-        assert not tray.demonstrations
-        session.aim_joints(np.zeros(6))
-        session.toggle_gripper()
-        session.set_magnet(True)
-        session.tick()
-    assert not session.recording
-    actions = tray.demonstrations[0].actions
-    assert not any(actions.magnet)
+        assert driven.recording, k
+        assert not tray.attempts
+        driven.aim_joints(np.zeros(6))
+        driven.toggle_gripper()
+        driven.set_magnet(True)
+        driven.tick()
+    assert not driven.recording
+    actions = tray.attempts[0].actions
+    assert not actions.magnet.any()
     assert (actions.joints[-ticks:] == actions.joints[-1]).all()
-    assert actions.joints[-1, 6] == 0.0375
-    assert actions.joints[-ticks - 1, 6] == 0.0165
+    assert actions.joints[-1, 0, 6] == 0.0375
+    assert actions.joints[-ticks - 1, 0, 6] == 0.0165
 
 
 THINGS = ["007_tuna_fish_can", "008_pudding_box", "025_mug"]
@@ -226,16 +228,16 @@ def test_a_wider_gripper_opens_as_wide_as_it_goes(
     grasp = config.task.object.grasp
     assert grasp is not None
     assert grasp.opening > 0.0375 - 0.003
-    session = TeleopSession(config, locations, {}, tray)
-    session.set_gripper(0.0475)
-    run(session, 1.0)
-    fingers = session._scene.arm.gripper_qpos
-    assert np.abs(session.data.qpos[fingers]) == pytest.approx(0.0475, abs=0.001)
-    assert session.status.gripper_open
-    session.toggle_gripper()
-    assert (session._arm.opening, session.status.gripper_open) == (grasp.opening, False)
-    session.toggle_gripper()
-    assert (session._arm.opening, session.status.gripper_open) == (0.0475, True)
+    driven = DrivenScene(Session(config, locations), tray)
+    driven.set_gripper(0.0475)
+    run(driven, 1.0)
+    fingers = driven._scene.arm.fingers.qpos
+    assert np.abs(driven.data.qpos[fingers]) == pytest.approx(0.0475, abs=0.001)
+    assert driven.status.gripper_open
+    driven.toggle_gripper()
+    assert (driven._arm.opening, driven.status.gripper_open) == (grasp.opening, False)
+    driven.toggle_gripper()
+    assert (driven._arm.opening, driven.status.gripper_open) == (0.0475, True)
 
 
 @pytest.mark.parametrize("thing", THINGS)
@@ -243,12 +245,12 @@ def test_a_stream_takes_what_is_wide(
     thing: str, make_config: Callable[..., RecordConfig], locations: Locations, tray: Tray, tmp_path: Path
 ) -> None:
     config = make_config({("rig",): "single_linear", ("task", "object"): thing, ("seed",): 1})
-    session = TeleopSession(config, locations, {}, tray)
-    play(session, planned_lines(config, locations, 0), tmp_path)
-    session.settle()
-    (demonstration,) = tray.demonstrations
-    with DemonstrationRunner(config, locations, {}, draw=False) as runner:
-        outcome = runner.run(demonstration).outcome
+    driven = DrivenScene(Session(config, locations), tray)
+    play(driven, planned_lines(config, locations, 0), tmp_path)
+    driven.settle()
+    (handed_in,) = tray.attempts
+    with DrivenRunner(Session(config, locations), render=False) as runner:
+        outcome = runner.run(handed_in).outcome
     assert outcome.success, outcome.detail
 
 
@@ -260,25 +262,26 @@ def varied(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
     varied: RecordConfig, locations: Locations, tray: Tray, tmp_path: Path
 ) -> None:
-    session = TeleopSession(varied, locations, {}, tray)
-    others = [session.model.body(item.name).id for item in varied.randomization.extras]
-    wanted = session.target
+    driven = DrivenScene(Session(varied, locations), tray)
+    others = [driven.model.body(item.name).id for item in varied.randomization.extras]
+    wanted = driven.target
     wanted[:3, 3] += (0.08, 0.06, -0.05)
-    session.aim(wanted)
-    run(session, 2.0)
-    assert np.allclose(pinch(session)[:3, 3], wanted[:3, 3], atol=0.01), session.status.blocked
-    assert (session.data.xpos[others, 2] < -1).all()
+    driven.aim(wanted)
+    run(driven, 2.0)
+    assert np.allclose(pinch(driven)[:3, 3], wanted[:3, 3], atol=0.01), driven.status.blocked
+    assert (driven.data.xpos[others, 2] < -1).all()
 
-    play(session, planned_lines(varied, locations, 0, began=session.time), tmp_path)
-    session.settle()
-    (demonstration,) = tray.demonstrations
-    with DemonstrationRunner(varied, locations, {}, draw=False) as runner:
-        payload = runner.run(demonstration)
-        again = runner.run(demonstration)
+    play(driven, planned_lines(varied, locations, 0, began=driven.time), tmp_path)
+    driven.settle()
+    (handed_in,) = tray.attempts
+    with DrivenRunner(Session(varied, locations), render=False) as runner:
+        payload = runner.run(handed_in)
+        again = runner.run(handed_in)
     assert payload.outcome.success, payload.outcome.detail
-    assert payload.randomized == again.randomized
-    assert set(payload.randomized.mass) == {"banana", "plate"}
-    places = np.array(list(payload.randomized.distractors.values()))
+    variation = payload.attempt.variation
+    assert variation == again.attempt.variation
+    assert set(variation.mass) == {"banana", "plate"}
+    places = np.array(list(variation.distractors.values()))
     assert len(places) >= 2
     assert (np.linalg.norm(places[:, :2], axis=1) > 0.2).all(), "not where the arm stands"
 
@@ -287,60 +290,60 @@ def test_a_varied_demonstration_repeats_bit_for_bit(
     varied: RecordConfig, locations: Locations, tray: Tray, tmp_path: Path
 ) -> None:
     """What was driven had the masses and the friction that it is judged with."""
-    session = TeleopSession(varied, locations, {}, tray)
-    lines, driven = planned_lines(varied, locations, 0), list[Array]()
-    player = player_of(session, lines, tmp_path)
+    driven = DrivenScene(Session(varied, locations), tray)
+    lines, seen = planned_lines(varied, locations, 0), list[Array]()
+    player = player_of(driven, lines, tmp_path)
     while not player.done:
-        player.act(session, session.time)
-        driven.append(session.data.qpos.copy())
-        session.tick()
-    session.settle()
-    (demonstration,) = tray.demonstrations
-    with EpisodeRunner(varied, locations, {}, draw=False) as runner:
-        _, rollout = runner.demonstrate(demonstration.job, demonstration.start, demonstration.actions)
+        player.act(driven, driven.time)
+        seen.append(driven.data.qpos.copy())
+        driven.tick()
+    driven.settle()
+    (handed_in,) = tray.attempts
+    with Simulator(Session(varied, locations)) as simulator:
+        done = repeat(simulator, handed_in.attempt, handed_in.actions, planned=False)
     every = varied.task.timing.ticks_per_frame
-    for state, qpos in zip(rollout.states, driven[::every], strict=False):
+    for state, qpos in zip(done.states, seen[::every], strict=False):
         assert np.array_equal(state.qpos, qpos)
 
 
 def test_what_is_recorded_repeats_bit_for_bit(
-    session: TeleopSession, tray: Tray, config: RecordConfig, locations: Locations, tmp_path: Path
+    driven: DrivenScene, tray: Tray, config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
     """The demonstration is judged by its actions alone: they have to lead where the arm was driven."""
-    driven: list[Array] = []
+    seen: list[Array] = []
     lines = planned_lines(config, locations, 0)
-    player = player_of(session, lines[:-1], tmp_path)
+    player = player_of(driven, lines[:-1], tmp_path)
     while not player.done:
-        player.act(session, session.time)
-        driven.append(session.data.qpos.copy())
-        session.tick()
-    session.stop()
-    session.settle()
-    (demonstration,) = tray.demonstrations
-    with DemonstrationRunner(config, locations, {}, draw=False) as runner:
-        outcome, rollout = runner._runner.repeat(demonstration.start, demonstration.actions, 0.0, 0.0, planned=False)
-        payload = runner.run(demonstration)
-    assert outcome.success, outcome.detail
+        player.act(driven, driven.time)
+        seen.append(driven.data.qpos.copy())
+        driven.tick()
+    driven.stop()
+    driven.settle()
+    (handed_in,) = tray.attempts
+    with DrivenRunner(Session(config, locations), render=False) as runner:
+        done = repeat(runner._simulator, handed_in.attempt, handed_in.actions, planned=False)
+        payload = runner.run(handed_in)
+    assert done.outcome.success, done.outcome.detail
     assert (payload.outcome.success, payload.outcome.position_error, payload.outcome.tilt) == (True, None, None)
     every = config.task.timing.ticks_per_frame
-    for state, qpos in zip(rollout.states, driven[::every], strict=False):
+    for state, qpos in zip(done.states, seen[::every], strict=False):
         assert np.array_equal(state.qpos, qpos)
 
 
-def test_an_end_effector_stream_is_the_frames_own_ee_pose(session: TeleopSession, tmp_path: Path) -> None:
-    grasp = session.data.site("grasp_site")
+def test_an_end_effector_stream_is_the_frames_own_ee_pose(driven: DrivenScene, tmp_path: Path) -> None:
+    grasp = driven.data.site("grasp_site")
     T = pose(grasp.xpos, grasp.xmat.reshape(3, 3))
     T[:3, 3] += (0.05, -0.05, -0.03)
     as_quaternion = {"position": T[:3, 3].tolist(), "quaternion": quat_from_rotation(T[:3, :3]).tolist()}
     for k, ee in enumerate((T.tolist(), as_quaternion)):
-        session.reset()
-        began = session.time
-        play(session, [{"t": began, "ee": ee}, {"t": began + 2.0}], tmp_path)
-        assert np.allclose(grasp_place(session), T[:3, 3], atol=0.01), k
+        driven.reset()
+        began = driven.time
+        play(driven, [{"t": began, "ee": ee}, {"t": began + 2.0}], tmp_path)
+        assert np.allclose(grasp_place(driven), T[:3, 3], atol=0.01), k
 
 
-def grasp_place(session: TeleopSession) -> Array:
-    place: Array = session.data.site("grasp_site").xpos.copy()
+def grasp_place(driven: DrivenScene) -> Array:
+    place: Array = driven.data.site("grasp_site").xpos.copy()
     return place
 
 
@@ -355,8 +358,8 @@ def grasp_place(session: TeleopSession) -> Array:
         ([{"t": 0, "joints": [0] * 6, "ee": np.eye(4).tolist()}], "give joints or ee, not both"),
         ([{"t": 0, "ee": np.zeros((4, 4)).tolist()}], "no rotation"),
         ([{"t": 0, "joints": [float("nan")] * 6}], "stream.jsonl:1: joints"),
-        ([{"t": 0, "joints": [0] * 7}], "7 numbers; give six of one arm, or 14 of two"),
-        ([{"t": 0, "joints": [0] * 14}], "14 numbers are of two arms, and there is one"),
+        ([{"t": 0, "joints": [0] * 7}], "joints: 7 numbers; give 6 of the right arm$"),
+        ([{"t": 0, "joints": [0] * 14}], "joints: 14 numbers; give 6 of the right arm$"),
         ([{"t": 0, "arm": "left"}], "stream.jsonl:1: arm: there is only a right one"),
         (
             [{"t": 0}, {"t": 1, "joints": [0, 106, 109, -78, 0, 0]}],
@@ -376,14 +379,14 @@ def test_a_faulty_stream_is_named_by_line(
     lines: list[dict[str, Any]], message: str, tmp_path: Path, config: RecordConfig, locations: Locations
 ) -> None:
     with pytest.raises(ConfigError, match=message):
-        read_stream(write_stream(tmp_path / "stream.jsonl", lines), config, locations)
+        read_stream(write_stream(tmp_path / "stream.jsonl", lines), config)
 
 
 def test_a_leader_that_turns_a_little_farther_is_believed(
     tmp_path: Path, config: RecordConfig, locations: Locations
 ) -> None:
     lines = [{"t": 0, "joints": [0, -0.4, 1, 0, 0, 0]}]
-    assert read_stream(write_stream(tmp_path / "stream.jsonl", lines), config, locations)
+    assert read_stream(write_stream(tmp_path / "stream.jsonl", lines), config)
 
 
 def test_both_arms_of_a_row_are_looked_at(
@@ -398,7 +401,7 @@ def test_both_arms_of_a_row_are_looked_at(
     ):
         stream = write_stream(tmp_path / "stream.jsonl", [{"t": 0, "joints": list(map(float, row))}])
         with pytest.raises(ConfigError, match=fault):
-            read_stream(stream, russet, locations)
+            read_stream(stream, russet)
 
 
 def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
@@ -461,23 +464,23 @@ class Failing:
     """An executor whose jobs all fail."""
 
     def __init__(self) -> None:
-        self.jobs: list[Demonstration] = []
+        self.jobs: list[DrivenAttempt] = []
 
-    def submit(self, job: Demonstration) -> None:
+    def submit(self, job: DrivenAttempt) -> None:
         self.jobs.append(job)
 
-    def result(self, timeout: float | None = None) -> tuple[Demonstration, EpisodePayload]:
+    def result(self, timeout: float | None = None) -> tuple[DrivenAttempt, EpisodePayload]:
         job = self.jobs.pop()
-        return job, EpisodePayload(job.job, Outcome(False, Cause.OFF_TARGET), {})
+        return job, EpisodePayload(job.attempt, Outcome(False, Cause.OFF_TARGET))
 
 
 def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config: RecordConfig) -> None:
     sink = Refusing()
-    nothing = Actions(np.zeros((1, 7)), (False,), np.zeros((1, 7)))
+    nothing = Actions(np.zeros((1, 7)), np.zeros((1, 1), bool), np.zeros((1, 1, 7)))
     with Desk(config, sink, Failing()) as desk:  # type: ignore[arg-type]
         for number in range(2):
             assert desk.next_attempt == number
-            desk.hand_in(Demonstration(EpisodeJob(0, number), {}, np.zeros(1), nothing))
+            desk.hand_in(DrivenAttempt(Attempt(EpisodeJob(0, number)), nothing))
         wait(list(desk._futures))
         with pytest.raises(TimeoutError, match="does not answer"):
             desk.news()
@@ -490,14 +493,14 @@ def test_what_a_broken_line_said_is_lost_and_nothing_else(
 ) -> None:
     """A demonstration cannot be made again; its line says so from then on."""
     out = tmp_path / "out"
-    with DatasetWriter(out, noting_meshes(config, locations, {}).data_config(), OpenMode.NEW) as writer:
+    with DatasetWriter(out, noting_meshes(Session(config, locations)).config.data_config(), OpenMode.NEW) as writer:
         for k in range(3):
             writer.log(failed_attempt(k))
     lines = (out / "attempts.jsonl").read_bytes().splitlines(keepends=True)
     (out / "attempts.jsonl").write_bytes(b"{\n" + b"".join(lines[1:]) + to_json(made(0, 3).attempt))
     said: list[str] = []
     for _ in range(2):
-        with open_seat(config, locations, {}, out, OpenMode.RESUME, said.append) as seat:
+        with open_seat(Session(config, locations), out, OpenMode.RESUME, said.append) as seat:
             assert seat.desk.next_attempt == 4
     assert said[0].startswith("attempts.jsonl is damaged (line 1: ")
     assert said[1:] == [

@@ -14,14 +14,15 @@ from tests.core.teleop.demonstrated import planned_lines, write_stream
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.teleop.desk import Demonstration
-from yamsim_cli.core.teleop.session import TeleopSession
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.teleop.desk import DrivenAttempt
+from yamsim_cli.core.teleop.driven_scene import DrivenScene
 
 
 class Tray:
     next_attempt = 0
 
-    def hand_in(self, demonstration: Demonstration) -> None:
+    def hand_in(self, driven: DrivenAttempt) -> None:
         pass
 
 
@@ -31,54 +32,54 @@ def handover(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 
 @pytest.fixture
-def session(handover: RecordConfig, locations: Locations) -> TeleopSession:
-    return TeleopSession(handover, locations, {}, Tray())
+def driven(handover: RecordConfig, locations: Locations) -> DrivenScene:
+    return DrivenScene(Session(handover, locations), Tray())
 
 
-def hands(session: TeleopSession) -> Array:
+def hands(driven: DrivenScene) -> Array:
     """Where the left and the right hand are (2, 3)."""
-    return np.array([session.data.site(name).xpos for name in ("arm2_pinch_site", "pinch_site")])
+    return np.array([driven.data.site(name).xpos for name in ("arm2_pinch_site", "pinch_site")])
 
 
-def test_one_arm_is_driven_and_then_the_other(session: TeleopSession) -> None:
-    assert (session.sides, session.status.arm) == (("left", "right"), "right"), "the one that begins the task"
-    start = hands(session)
+def test_one_arm_is_driven_and_then_the_other(driven: DrivenScene) -> None:
+    assert (driven.sides, driven.status.arm) == (("left", "right"), "right"), "the one that begins the task"
+    start = hands(driven)
     for number in (1, 0):
-        wanted = session.target
+        wanted = driven.target
         np.testing.assert_allclose(wanted[:3, 3], start[number], atol=0.005)
         wanted[2, 3] += 0.06
-        session.aim(wanted)
-        session.set_magnet(False)
-        session.switch_arm()
+        driven.aim(wanted)
+        driven.set_magnet(False)
+        driven.switch_arm()
         # What it was told, it goes on to do.
         for _ in range(60):
-            session.tick()
-        moved = hands(session) - start
+            driven.tick()
+        moved = hands(driven) - start
         np.testing.assert_allclose(moved[number], (0, 0, 0.06), atol=0.008)
         assert np.abs(moved[1 - number]).max() < 0.005 or number == 0
-    assert session.status.arm == "right"
-    session.drive("left")
-    assert session.status.arm == "left"
+    assert driven.status.arm == "right"
+    driven.drive("left")
+    assert driven.status.arm == "left"
 
 
-def test_a_gripper_is_that_of_the_driven_arm(session: TeleopSession) -> None:
-    session.toggle_gripper()
-    assert not session.status.gripper_open
-    session.switch_arm()
-    assert session.status.gripper_open
+def test_a_gripper_is_that_of_the_driven_arm(driven: DrivenScene) -> None:
+    driven.toggle_gripper()
+    assert not driven.status.gripper_open
+    driven.switch_arm()
+    assert driven.status.gripper_open
 
 
-def test_an_arm_stops_before_the_other_one(session: TeleopSession) -> None:
+def test_an_arm_stops_before_the_other_one(driven: DrivenScene) -> None:
     """The left hand is sent to where the right one is."""
-    other = session.target
-    session.switch_arm()
-    session.aim(other)
+    other = driven.target
+    driven.switch_arm()
+    driven.aim(other)
     for _ in range(120):
-        session.tick()
-    apart = np.linalg.norm(np.subtract(*hands(session)))
-    assert session.status.blocked
+        driven.tick()
+    apart = np.linalg.norm(np.subtract(*hands(driven)))
+    assert driven.status.blocked
     assert 0.02 < apart < 0.2
-    assert not session.status.free
+    assert not driven.status.free
 
 
 @pytest.mark.render

@@ -7,12 +7,16 @@ from pathlib import Path
 import pytest
 
 from tests.core.things.test_fits import ball, block
+from yamsim_cli.core.assets import AssetStore, resolve_own
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.things import ObjectConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
-from yamsim_cli.core.import_thing import import_stl, import_ycb
-from yamsim_cli.core.resources import IMPORTED, Locations
+from yamsim_cli.core.import_thing.from_file import import_file
+from yamsim_cli.core.import_thing.ycb import import_ycb
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.thing_files.read import Told
+from yamsim_cli.core.things.wishes import Wishes
 
 
 def own(tmp_path: Path, locations: Locations) -> Locations:
@@ -24,27 +28,49 @@ def test_an_own_stl_becomes_an_object_by_name(
 ) -> None:
     where = own(tmp_path, locations)
     (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
-    made = import_stl(tmp_path / "drawn.stl", "brick", 120.0, where, None)
+    made = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, None)
     assert made.path == tmp_path / "configs/objects/brick.yaml"
-    assert (where.assets / IMPORTED / "brick.stl").read_bytes() == block((0.05, 0.02, 0.03))
     item = load_config(ObjectConfig, "objects", "brick", where)
+    assert item == made.config
+    folder = resolve_own(AssetStore(where.assets), item.mesh.set)
+    assert folder is not None and (folder / item.mesh.file).is_file()
     assert item.inertia.mass == pytest.approx(0.12)
+    a, b, c = 0.1, 0.04, 0.06
+    moments = sorted(0.12 / 12 * (x * x + y * y) for x, y in ((a, b), (a, c), (b, c)))
+    assert sorted(item.inertia.diagonal) == pytest.approx(moments, rel=1e-3)
+    assert [part.type for part in item.collision] == ["box"]
+    assert not item.needs_meshes
     config = make_config({("task", "object"): str(made.path)})
     assert config.task.object == item
     assert config.task.language_prompt == "pick up the brick and put it on the plate"
     with pytest.raises(UsageError, match="exists; move it away"):
-        import_stl(tmp_path / "drawn.stl", "brick", 120.0, where, None)
+        import_file(tmp_path / "drawn.stl", Told(), Wishes("brick"), where, None)
+
+
+def test_a_set_that_was_changed_is_not_used(tmp_path: Path, locations: Locations) -> None:
+    where = own(tmp_path, locations)
+    (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
+    made = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, None)
+    store = AssetStore(where.assets)
+    folder = resolve_own(store, made.config.mesh.set)
+    assert folder is not None
+    file = folder / made.config.mesh.file
+    file.write_bytes(file.read_bytes() + b"x")
+    assert resolve_own(store, made.config.mesh.set) is None
+    again = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, tmp_path / "b.yaml")
+    assert again.config == made.config
+    assert resolve_own(store, made.config.mesh.set) == folder
 
 
 def test_what_cannot_be_imported_is_told(tmp_path: Path, locations: Locations) -> None:
     where = own(tmp_path, locations)
     (tmp_path / "mm.stl").write_bytes(ball(30.0))
-    with pytest.raises(ResourceError, match=r"scale it by 0\.001"):
-        import_stl(tmp_path / "mm.stl", "ball", 10.0, where, None)
-    with pytest.raises(ResourceError, match=r"no\.stl cannot be read"):
-        import_stl(tmp_path / "no.stl", "ball", 10.0, where, None)
+    with pytest.raises(UsageError, match=r"mm\.stl: it would be 60 x 60 x 60 m large.*--unit mm makes it 0\.06 m long"):
+        import_file(tmp_path / "mm.stl", Told(), Wishes("ball"), where, None)
+    with pytest.raises(ResourceError, match=r"no\.stl: it cannot be read"):
+        import_file(tmp_path / "no.stl", Told(), Wishes("ball"), where, None)
     with pytest.raises(UsageError, match="'my ball' is not valid"):
-        import_stl(tmp_path / "mm.stl", "my ball", 10.0, where, None)
+        import_file(tmp_path / "mm.stl", Told(), Wishes("my ball"), where, None)
     with pytest.raises(UsageError, match="unknown YCB object '013_aple'; did you mean '013_apple'"):
         import_ycb("013_aple", where, None, None)
     with pytest.raises(UsageError, match=r"give --out FILE\.yaml"):

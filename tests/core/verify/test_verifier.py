@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from tests.cli.run_cli import Run, yamsim
-from tests.core.undrawn import SIZE, change_frame, change_record, read_frame, write_dataset
+from tests.core.unrendered import SIZE, change_frame, change_record, read_frame, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.dataset.selection import select_episodes
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits, Verdict
 
 EPISODES = 3
@@ -38,7 +39,7 @@ def dataset(original: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def verifier(original: Path, locations: Locations) -> EpisodeVerifier:
-    return EpisodeVerifier(dataset_config(original, locations), locations, {}, Limits(values=0.0, images=None))
+    return EpisodeVerifier(Session(dataset_config(original, locations), locations), Limits(values=0.0, images=None))
 
 
 @pytest.fixture
@@ -112,7 +113,7 @@ def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
 ) -> None:
     said = {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}
     config = dataset_config(dataset, locations).model_copy(update={"meshes": said})
-    with EpisodeVerifier(config, locations, {}, Limits(values=0.0, images=None)) as verifier:
+    with EpisodeVerifier(Session(config, locations), Limits(values=0.0, images=None)) as verifier:
         change_record(dataset / "ep_000001", meshes=said)
         assert verifier.run((1, dataset / "ep_000001")).agrees
         change_record(dataset / "ep_000001", meshes=said | {"i2rt_yam_crank": "primitives"})

@@ -17,8 +17,10 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.images.label_images import decode_labels, encode_labels
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.replica import Replica
-from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
+from yamsim_cli.core.tasks.pickplace import sample_layout
+from yamsim_cli.core.types import Stand
 from yamsim_cli.core.vision.frame_truth import FrameTruth, instance_boxes, is_seen, measure_frame
 from yamsim_cli.core.vision.labels import Keypoint, SceneLabels, scene_labels
 from yamsim_cli.core.vision.renderer import SceneRenderer
@@ -41,9 +43,9 @@ class Stage:
     config: RecordConfig
 
     def pose(self, joints: list[float]) -> None:
-        layout = sample_layout(self.config.task, self.config.table, np.random.default_rng(0))
+        layout = sample_layout(self.config, np.random.default_rng(0))
         assert layout is not None
-        self.replica.show(self.replica.scene.start_qpos(layout, np.array(joints), OPEN))
+        self.replica.show(self.replica.scene.start_qpos(layout, [Stand(np.array(joints), 0.0375)]))
 
     def truth(self, camera: str = CAMERA) -> FrameTruth:
         scene = self.replica.scene
@@ -75,7 +77,7 @@ class Stage:
 @pytest.fixture(scope="module")
 def stage(make_config: Callable[..., RecordConfig], locations: Locations) -> Iterator[Stage]:
     config = make_config({("wrist",): True, ("boards",): True, ("image", "size_px"): SIZE, ("render",): "fast"})
-    scene = build_scene(config, locations, {})
+    scene = build_scene(Session(config, locations))
     labels = scene_labels(scene.model, config.rig, ("banana", "plate"), boards=True)
     with SceneRenderer(scene.model, SIZE) as renderer:
         stage = Stage(Replica(scene), renderer, labels, config)
@@ -138,7 +140,7 @@ def test_depth_of_the_board_lies_on_its_plane(stage: Stage) -> None:
     assert len(rows) > 300
     board = stage.config.rig.arms[0].board
     assert board is not None
-    T = stage.config.rig.T_base_in_world(0) @ board.T_board_in_arm
+    T = stage.config.rig.T_base_in_world(0) @ stage.config.rig.arms[0].T_board_in_base
     points = stage.points_in_world(truth, np.column_stack([columns, rows]))
     in_board = (points - T[:3, 3]) @ T[:3, :3]
     assert np.abs(in_board[:, 2]).max() < 0.001
@@ -278,7 +280,7 @@ def test_what_is_not_seen_has_an_empty_box() -> None:
 def test_truth_lies_on_the_picture(stage: Stage) -> None:
     """The banana is the only yellow thing: its mask in the picture is that of the segmentation, but for its edge."""
     stage.pose(POSES[0])
-    image = stage.renderer.draw(stage.replica.data, CAMERA).astype(int)
+    image = stage.renderer.render(stage.replica.data, CAMERA).astype(int)
     yellow = (image[..., 0] > image[..., 2] + 60) & (image[..., 1] > image[..., 2] + 35)
     mask = stage.truth().labels == stage.number("banana")
     both, either = (yellow & mask).sum(), (yellow | mask).sum()

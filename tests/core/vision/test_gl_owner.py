@@ -23,7 +23,7 @@ mujoco.mj_forward(model, data)
 
 def draw(renderer=None):
     try:
-        return f"drew {(renderer or SceneRenderer(model, (32, 24))).draw(data, 'c').std() > 5}"
+        return f"drew {(renderer or SceneRenderer(model, (32, 24))).render(data, 'c').std() > 5}"
     except ResourceError as error:
         return f"refused: {error}"
 

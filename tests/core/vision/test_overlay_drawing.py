@@ -9,7 +9,7 @@ from tests.board_photos import facing
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import pose
-from yamsim_cli.core.vision.overlay import ARM_COLOURS, blend, draw_board, write_lines
+from yamsim_cli.core.vision.picture_overlay import ARM_COLOURS, blend, draw_board, write_lines
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 LENGTH = 0.02923077

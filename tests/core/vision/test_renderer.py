@@ -3,6 +3,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,11 +17,13 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
+from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.replica import Replica
-from yamsim_cli.core.tasks.pickplace import OPEN, sample_layout
+from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.vision.renderer import SceneRenderer
 
 pytestmark = pytest.mark.render
@@ -30,7 +33,7 @@ SIZE = (640, 480)
 @pytest.fixture(scope="module")
 def scene(make_config: Callable[..., RecordConfig], locations: Locations) -> CompiledScene:
     # Round enough for the middle of what is drawn to be that of a ball.
-    return build_scene(make_config({("wrist",): True, ("render", "slices"): 32}), locations, {})
+    return build_scene(Session(make_config({("wrist",): True, ("render", "slices"): 32}), locations))
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +49,10 @@ def replica(scene: CompiledScene, config: RecordConfig) -> Replica:
 
 def replica_of(scene: CompiledScene, config: RecordConfig) -> Replica:
     """The scene with objects where a seed puts them, ready to be drawn."""
-    layout = sample_layout(config.task, config.table, np.random.default_rng(0))
+    layout = sample_layout(config, np.random.default_rng(0))
     assert layout is not None
     data = mujoco.MjData(scene.model)
-    scene.start(data, layout, np.array(config.task.start_joints), OPEN)
+    scene.start(data, layout, start_stands(config))
     replica = Replica(scene)
     replica.show(data.qpos)
     return replica
@@ -57,16 +60,16 @@ def replica_of(scene: CompiledScene, config: RecordConfig) -> Replica:
 
 def test_images_have_the_size_asked_for(renderer: SceneRenderer, replica: Replica, scene: CompiledScene) -> None:
     for camera in scene.cameras:
-        image = renderer.draw(replica.data, camera)
+        image = renderer.render(replica.data, camera)
         assert image.shape == (480, 640, 3)
         assert image.dtype == np.uint8
         assert image.std() > 20
 
 
 def test_drawing_again_gives_the_same_bytes(renderer: SceneRenderer, replica: Replica) -> None:
-    first = renderer.draw(replica.data, "scene_camera").copy()
-    renderer.draw(replica.data, "right_wrist_camera")
-    assert (renderer.draw(replica.data, "scene_camera") == first).all()
+    first = renderer.render(replica.data, "scene_camera").copy()
+    renderer.render(replica.data, "right_wrist_camera")
+    assert (renderer.render(replica.data, "scene_camera") == first).all()
 
 
 def test_cameras_are_where_the_record_says(renderer: SceneRenderer, replica: Replica, scene: CompiledScene) -> None:
@@ -165,12 +168,12 @@ def test_a_fine_picture_shows_the_same_at_the_same_place(
     """Averaged from one half again as large, which for odd sizes has to be rounded."""
     changes = {("image", "size_px"): list(size), ("render", "supersampling"): 1.5}
     config = make_config(changes)
-    scene = build_scene(config, locations, {})
+    scene = build_scene(Session(config, locations))
     replica = replica_of(scene, config)
     pictures, ids, depths = [], [], []
     for fine in (None, config.render.fine_size(size)):
         with SceneRenderer(scene.model, size, fine) as renderer:
-            pictures.append(renderer.draw(replica.data, "scene_camera").astype(float))
+            pictures.append(renderer.render(replica.data, "scene_camera").astype(float))
             ids.append(renderer.segment(replica.data, "scene_camera"))
             depths.append(renderer.depth(replica.data, "scene_camera"))
     plain, averaged = pictures
@@ -188,8 +191,8 @@ def test_a_fine_picture_shows_the_same_at_the_same_place(
 
 def test_an_image_is_written_where_it_is_wanted(renderer: SceneRenderer, replica: Replica) -> None:
     image = np.zeros((480, 640, 3), np.uint8)
-    assert renderer.draw(replica.data, "scene_camera", image) is image
-    assert (image == renderer.draw(replica.data, "scene_camera")).all()
+    assert renderer.render(replica.data, "scene_camera", image) is image
+    assert (image == renderer.render(replica.data, "scene_camera")).all()
 
 
 def test_depth_is_that_of_the_table(renderer: SceneRenderer, replica: Replica, config: RecordConfig) -> None:
@@ -225,12 +228,13 @@ def shadows_on(
     pictures = []
     for shadow_map in (config.render.shadow_map_px, 0):
         render = config.render.model_copy(update={"shadow_map_px": shadow_map})
-        scene = build_scene(config.model_copy(update={"render": render}), locations, meshes or {})
+        where = replace(locations, meshes=meshes or {})
+        scene = build_scene(Session(config.model_copy(update={"render": render}), where))
         if all_cast:
             scene.model.geom_castshadow[:] = 1
         replica = replica_of(scene, config)
         with SceneRenderer(scene.model, SIZE, render.fine_size(SIZE)) as renderer:
-            pictures.append(renderer.draw(replica.data, "scene_camera").astype(int))
+            pictures.append(renderer.render(replica.data, "scene_camera").astype(int))
             ids = renderer.segment(replica.data, "scene_camera")
     geoms = [scene.model.geom(name).id for name in names]
     dark = ((pictures[1] - pictures[0]).mean(axis=2) > 10) & np.isin(ids, geoms)
@@ -280,7 +284,7 @@ def test_the_plate_does_not_speckle_itself(
 
 def test_shadows_reach_as_far_as_a_quality_says(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     far, near = (
-        build_scene(make_config({("render", "shadow_reach_m"): reach}), locations, {}).model.vis.map.shadowclip
+        build_scene(Session(make_config({("render", "shadow_reach_m"): reach}), locations)).model.vis.map.shadowclip
         for reach in (0.8, 0.65)
     )
     assert (far, near) == pytest.approx((0.8, 0.65))

@@ -89,7 +89,7 @@ class TestOnACluster:
         with RayCluster(cluster[0].address).open(noted, locations, {}, 1) as executor:
             executor.submit(EpisodeJob(0, 0))
             with pytest.raises(
-                ResourceError, match=r"^a worker on \S+ would draw other meshes .*: i2rt_yam_crank: full 0"
+                ResourceError, match=r"^a worker on \S+ would show other meshes .*: i2rt_yam_crank: full 0"
             ):
                 executor.result()
 

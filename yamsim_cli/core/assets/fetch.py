@@ -1,4 +1,4 @@
-"""Bring missing sets into the store: ask each source in turn, verify, publish."""
+"""Brings missing sets into the store: each source is asked in turn, and what it gives is verified and published."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from pathlib import Path
 from ..errors import ResourceError
 from .archives import PinnedArchives
 from .lock import AssetLock, AssetSet
+from .made import MadeHere
 from .menagerie import Menagerie
-from .sources import AssetSource, Progress, SourceError, no_progress
+from .sources import AssetSource, FetchProgress, SourceError, no_progress
 from .store import AssetStore, MismatchError
 
-#: What a report calls a set that was already there.
+# A report's source of a set that was already there.
 STORE = "store"
 
 
 @dataclass(frozen=True)
 class FetchedSet:
-    """A set that is now in the store: its name, the source it came from (`"store"`: it was there), and its folder."""
+    """A set that is now in the store: its name, the source it came from (`"store"` if it was there), and its folder."""
 
     name: str
     source: str
@@ -37,7 +38,7 @@ class FetchReport:
 
 def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
     """The sources beyond the store itself, the most official first."""
-    return Menagerie(), PinnedArchives(lock.archives)
+    return MadeHere(lock.made), Menagerie(), PinnedArchives(lock.archives)
 
 
 def fetch(
@@ -45,17 +46,19 @@ def fetch(
     names: Iterable[str],
     store: AssetStore,
     sources: Sequence[AssetSource],
-    progress: Progress = no_progress,
+    progress: FetchProgress = no_progress,
 ) -> FetchReport:
-    """Make sure the named sets (all of them when no name is given) are in the store.
+    """Where each of the named sets is in the store, after those that are missing were fetched.
 
-    Sets that are there and verify are left alone, without the network. Two processes may fetch at once: one does the
+    Without names, these are all sets that are not on demand.
+
+    Sets that are there and verify are left alone, and take no network. Two processes may fetch at once: one does the
     work, the other waits and finds it done. A set is published whole or not at all.
 
     Args:
-        lock: what to fetch.
-        names: names of sets in `lock`.
-        store: where to.
+        lock: the sets that there are.
+        names: names of sets in `lock`; all of them if empty.
+        store: where the sets go.
         sources: asked in this order, for each set, until one gives it.
         progress: told of bytes as they arrive.
 
@@ -95,9 +98,9 @@ def _obtain(
     store: AssetStore,
     sources: Sequence[AssetSource],
     staging: Path,
-    progress: Progress,
+    progress: FetchProgress,
 ) -> FetchedSet:
-    """Get one set from the first source that has it right; the caller holds the store for writing."""
+    """One set, published from the first source that gives the locked files; the caller holds the store for writing."""
     if (present := store.resolve(assets)) is not None:
         # Another process fetched it while we waited for the store.
         return FetchedSet(assets.name, STORE, present)
@@ -115,8 +118,8 @@ def _obtain(
     raise SourceError("; ".join(reasons) or "no source offers it")
 
 
-def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: Progress) -> dict[str, bytes]:
-    """Ask one source, in a folder that is gone afterwards; its trouble with files is its failure, not the store's."""
+def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+    """The files that one source gives. Its scratch folder is removed, and an OSError counts as the source's failure."""
     try:
         scratch.mkdir()
         return source.read(assets, scratch, progress)

@@ -38,7 +38,7 @@ def _member(path: str) -> str:
 
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
-# One plain name: no folder, no leading dot, nothing that means something to a shell or to pip.
+# One plain name: no folder, no leading dot, and no character that a shell or pip would interpret.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
 Member = Annotated[str, AfterValidator(_member)]
 
@@ -48,17 +48,18 @@ class _Frozen(BaseModel):
 
 
 class Reduction(_Frozen):
-    """How a mesh can be had with fewer faces: how many, and what clearing its slivers first may move, mm."""
+    """How a mesh is reduced: to how many faces, and how far clearing its slivers first may move the surface, mm."""
 
     faces: PositiveInt
     slivers_mm: float = Field(default=0.1, ge=0, le=0.5)
 
 
 class LockedFile(_Frozen):
-    """One mesh file: what its bytes must be (size in bytes), and its path inside the set's archive.
+    """One mesh file: the SHA-256 and size (bytes) that it must have, and its path inside the set's archive.
 
     Attributes:
-        reduction: what was found by trying (tests/bench/reduction.py); it does not change what is fetched.
+        reduction: the best reduction that was found by trying (tests/bench/reduction.py). It does not change what is
+            fetched.
     """
 
     sha256: Sha256
@@ -86,12 +87,13 @@ class AssetSet(_Frozen):
     """Files that are fetched, verified and published together.
 
     Attributes:
-        name: what models and commands call the set.
+        name: the set's name in models and commands.
         license: SPDX identifier.
         attribution: one line that credits the authors.
         notice: the text file kept beside the meshes, one of the lock's notices.
-        archive: the name of the pinned archive that holds the files.
+        archive: the name of the pinned archive that holds the files; None where they are made here.
         menagerie: the MuJoCo Menagerie model that holds them too, if any.
+        on_demand: it is fetched only where it is named, since few need it.
         files: file name -> what it must be.
     """
 
@@ -99,29 +101,36 @@ class AssetSet(_Frozen):
     license: str
     attribution: str
     notice: Name
-    archive: Name
+    archive: Name | None
     menagerie: Name | None
+    on_demand: bool = False
     files: Mapping[Name, LockedFile]
 
     @property
     def directory_name(self) -> str:
-        """The set's folder in a store; it changes with the locked contents, so that old and new files never mix."""
+        """The set's folder in a store. It changes with the locked contents, so that old and new files never mix."""
         digest = sha256_bytes("".join(f"{name} {self.files[name].sha256}\n" for name in sorted(self.files)).encode())
         return f"{self.name}-{digest[:12]}"
 
     @property
     def size(self) -> int:
-        """All files together, in bytes."""
+        """Bytes of all files together."""
         return sum(file.size for file in self.files.values())
 
 
 class AssetLock(_Frozen):
-    """The whole lock, with the notices it names: notice file name -> text."""
+    """The whole lock.
+
+    Attributes:
+        notices: notice file name -> text, for all that the sets name.
+        made: set -> file -> bytes, for sets that are made from figures and not fetched, see `made`.
+    """
 
     version: Literal[1]
     archives: Mapping[Name, Archive]
     sets: Mapping[Name, AssetSet]
     notices: Mapping[Name, str]
+    made: Mapping[Name, Mapping[Name, bytes]] = Field(default_factory=dict, repr=False)
 
     @model_validator(mode="after")
     def _refers_to_what_exists(self) -> Self:
@@ -132,7 +141,7 @@ class AssetLock(_Frozen):
         for name, assets in self.sets.items():
             if assets.archive not in self.archives:
                 raise ValueError(
-                    f"{name}: unknown archive {assets.archive!r}; {suggest(assets.archive, self.archives)}"
+                    f"{name}: unknown archive {assets.archive!r}; {suggest(assets.archive or '', self.archives)}"
                 )
             if assets.notice not in self.notices:
                 raise ValueError(f"{name}: unknown notice {assets.notice!r}; {suggest(assets.notice, self.notices)}")
@@ -141,7 +150,7 @@ class AssetLock(_Frozen):
         return self
 
     def select(self, names: Iterable[str]) -> tuple[AssetSet, ...]:
-        """The named sets in the lock's order, each once; all of them when no name is given.
+        """The named sets in the lock's order, each once; all that are not `on_demand` when no name is given.
 
         Raises:
             UsageError: a name is not in the lock.
@@ -150,11 +159,11 @@ class AssetLock(_Frozen):
         for name in sorted(wanted):
             if name not in self.sets:
                 raise UsageError(f"unknown asset set {name!r}; {suggest(name, self.sets)}")
-        return tuple(assets for name, assets in self.sets.items() if not wanted or name in wanted)
+        return tuple(a for name, a in self.sets.items() if name in wanted or not (wanted or a.on_demand))
 
 
-def load_lock(locations: Locations) -> AssetLock:
-    """Read `assets/assets.lock.json` and the notices it names from the first data root that has them.
+def read_lock(locations: Locations) -> AssetLock:
+    """The lock in `assets/assets.lock.json` and the notices that it names, from the first data root that has them.
 
     Raises:
         ResourceError: the lock or one of its notices is not there.
@@ -170,7 +179,7 @@ def load_lock(locations: Locations) -> AssetLock:
         names = {assets["notice"] for assets in sets}
     except (AttributeError, KeyError, TypeError) as error:
         raise ConfigError(f"{path}: 'sets' must map names to asset sets that each name a notice") from error
-    # A notice name that leaves the folder is reported by the model below, not opened here.
+    # A notice whose name leads out of the folder is not opened here; the model below reports it.
     texts = {
         name: locations.file(f"{NOTICES}/{name}").read_text(encoding="utf-8")
         for name in sorted(names, key=str)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from .child import run_child
 from .lock import AssetSet
-from .sources import Progress, SourceError
+from .sources import FetchProgress, SourceError
 from .store import FileStatus, check_file
 
 
@@ -20,11 +20,11 @@ from .store import FileStatus, check_file
 class Menagerie:
     """The optional package `mujoco-menagerie`, used through its public API only.
 
-    Its own settings hold: a `MENAGERIE_ROOT` checkout or an already cached model is read without any network.
+    The package's own settings apply: a `MENAGERIE_ROOT` checkout or a model in its cache is read without any network.
 
     Attributes:
-        probe_s: how long its host may take to accept a connection before it counts as out of reach.
-        limit_s: how long its download may take; it retries for minutes on a network that swallows packets.
+        probe_s: longest time for its host to accept a connection; after it, the host counts as out of reach.
+        limit_s: longest time for its download. It would retry for minutes on a network that swallows packets.
     """
 
     probe_s: float = 2.0
@@ -32,15 +32,15 @@ class Menagerie:
 
     @property
     def name(self) -> str:
-        """How reports and errors call it."""
+        """The source's name in reports and errors."""
         return "mujoco-menagerie"
 
     def offers(self, assets: AssetSet) -> bool:
         """Whether Menagerie has the model these meshes belong to."""
         return assets.menagerie is not None
 
-    def read(self, assets: AssetSet, scratch: Path, progress: Progress) -> dict[str, bytes]:
-        """Have the package resolve the model, then pick the locked files out of it.
+    def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+        """File name -> content of the locked files, picked out of the model that the package gives.
 
         Raises:
             SourceError: the package is not installed, its host is out of reach, or its model has other files.
@@ -54,8 +54,8 @@ class Menagerie:
             raise SourceError(f"{host[0]} does not answer within {self.probe_s:g} s")
         label = f"{assets.name}: {self.name}"
         progress(label, 0, assets.size)
-        # Its command line rather than a call: a child can be ended when the limit is reached, a thread cannot. -P keeps
-        # whatever lies in the current folder from being imported.
+        # Its command line rather than a call: a process can be ended when the limit is reached, a thread cannot. -P
+        # keeps files in the current folder from being imported.
         command = [sys.executable, "-P", "-m", "mujoco_menagerie", "path", assets.menagerie]
         result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.limit_s)
         if result.returncode != 0:
@@ -84,7 +84,7 @@ def _host_needed(model: str) -> tuple[str, int] | None:
 def _answers(host: tuple[str, int], timeout_s: float) -> bool:
     """Whether `host` accepts a TCP connection in time.
 
-    Behind a proxy it will not, and the source is passed over: the next one goes through the proxy by itself.
+    Behind a proxy it does not, and this source is skipped. The next one goes through the proxy by itself.
     """
     connected = threading.Event()
 
@@ -95,7 +95,7 @@ def _answers(host: tuple[str, int], timeout_s: float) -> bool:
             return
         connected.set()
 
-    # A thread, because the timeout of a socket does not cover the name lookup.
+    # In a thread, because a socket's timeout does not cover the name lookup.
     thread = threading.Thread(target=connect, daemon=True)
     thread.start()
     thread.join(timeout_s)
@@ -103,7 +103,7 @@ def _answers(host: tuple[str, int], timeout_s: float) -> bool:
 
 
 def _pick(assets: AssetSet, tree: Path) -> dict[str, bytes]:
-    """The locked files, found by content: Menagerie may lay out its folders and name its files as it likes."""
+    """The locked files, found by content, so that Menagerie may rename its files and folders."""
     by_size: dict[int, list[Path]] = {}
     for path in sorted(tree.rglob("*")):
         if path.is_file():

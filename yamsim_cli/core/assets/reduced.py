@@ -16,13 +16,13 @@ from .store import AssetStore
 
 REPORT = "reduction.json"
 
-# Told of files done and files in all.
+# Called with the number of files done, and of all files.
 FilesDone = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class ReducedSet:
-    """A set's reduced meshes: their folder, and how many faces the source has and they have."""
+    """A set's reduced meshes: their folder, and how many faces the source and the reduced meshes have."""
 
     directory: Path
     source_faces: int
@@ -30,7 +30,7 @@ class ReducedSet:
 
 
 def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
-    """The set's reduced meshes, each verified by SHA-256; None when they are not there, or not made by this recipe.
+    """The set's reduced meshes, each verified by SHA-256; None if they are not there or were made by another recipe.
 
     Raises:
         ResourceError: a library that they are made with is not installed.
@@ -49,9 +49,9 @@ def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
 def make_reduced(
     store: AssetStore, assets: AssetSet, source: Path, notice: str, progress: FilesDone = lambda done, total: None
 ) -> ReducedSet:
-    """Find a set's reduced meshes, or make and publish them; all at once, as `AssetStore.publish` does.
+    """The set's reduced meshes, which are made and published in one step if they are not there.
 
-    Two processes may do so at once: one does the work, the other waits and finds it done.
+    Two processes may call this at once: one does the work, the other waits and finds it done.
 
     Args:
         source: the folder with the set's own files, as `AssetStore.resolve` gives it.
@@ -83,7 +83,7 @@ def make_reduced(
 def _reduce_all(
     assets: AssetSet, source: Path, progress: FilesDone
 ) -> tuple[dict[str, bytes], dict[str, dict[str, Any]]]:
-    """File name -> reduced mesh, and file name -> what is reported of it."""
+    """File name -> reduced mesh, and file name -> its entry in the report."""
     files, report = {}, {}
     for number, (name, locked) in enumerate(assets.files.items(), start=1):
         data = (source / name).read_bytes()
@@ -110,7 +110,7 @@ def _reduced_set(folder: Path, files: dict[str, dict[str, Any]]) -> ReducedSet:
 
 
 def _folder_name(assets: AssetSet) -> str:
-    """A name that changes with the source's content, and with everything that decides what is made of it."""
+    """The folder's name. It changes with the source's content, and with all that decides the reduced files' bytes."""
     try:
         how = [recipe()] + [f"{name} {locked.reduction}" for name, locked in sorted(assets.files.items())]
     except ImportError as error:

@@ -1,8 +1,7 @@
-"""Meshes with fewer faces, for drawing alone: what CAD and scanners deliver is finer than any camera here can see.
+"""Meshes with fewer faces, for pictures alone: CAD and scans are finer than any camera here can see.
 
-Two steps, since neither does it alone: a CAD mesh is full of slivers, on which quadric collapse stalls, so those are
-cleared first; what is left is collapsed to as many faces as the lock says. The result is measured, and one that strays
-too far is not used.
+It takes two steps. A CAD mesh is full of slivers, on which quadric collapse stalls, so slivers are cleared first. What
+is left is collapsed to as many faces as the lock says. The result is measured, and not used if it strays too far.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ from ..geometry.se3 import Array
 from ..geometry.stl import Faces, read_stl, stl_bytes
 from .lock import Reduction
 
-# The most that a reduced mesh may lie apart from its source, in either direction, mm.
+# Largest distance of a reduced mesh from its source, or of the source from it, mm.
 LIMIT_MM = 0.5
 
-# What clearing slivers may move where nobody has tried how few faces are enough, mm.
+# How far clearing slivers may move the surface of a mesh for which the lock has no `Reduction`, mm.
 _ALONE_MM = 0.2
-# How boldly the collapse goes about it, 0 to 10. Below 5 it stalls on CAD meshes, above 7 it tears them.
+# Aggressiveness of the collapse, 0 to 10. Below 5 it stalls on CAD meshes, above 7 it tears them.
 _BOLDNESS = 6.0
-# Points a surface that are measured here; the tests measure twenty times as many.
+# Points that are measured on each surface; the tests measure twenty times as many.
 _SAMPLES = 1000
 # STL files hold metres.
 _MM = 1000.0
@@ -32,7 +31,7 @@ Surface = tuple[Array, Faces]
 
 
 def recipe() -> str:
-    """Everything but the source and its `Reduction` that decides a reduced mesh's bytes.
+    """A text of everything that decides a reduced mesh's bytes, except the source and its `Reduction`.
 
     Raises:
         ImportError: a library for it is not installed.
@@ -60,7 +59,7 @@ def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
 
 
 def collapsed(source: Surface, reduction: Reduction) -> Surface:
-    """The surface with about as many triangles as asked for, slivers cleared first; lengths in mm."""
+    """The surface with about as many triangles as asked for. Slivers are cleared first. Lengths in mm."""
     import fast_simplification
 
     vertices, triangles = cleared(source, reduction.slivers_mm)
@@ -71,13 +70,13 @@ def collapsed(source: Surface, reduction: Reduction) -> Surface:
 
 
 def _without_slits(vertices: Array, triangles: Faces) -> Faces:
-    """The triangles that still have an area with the precision of an STL file."""
+    """The triangles that still have an area when rounded to the precision of an STL file."""
     a, b, c = np.moveaxis(vertices.astype(np.float32).astype(np.float64)[triangles], 1, 0)
     return triangles[np.cross(b - a, c - a).any(axis=1)]
 
 
 def cleared(source: Surface, tolerance: float) -> Surface:
-    """The surface without slivers, moved by about `tolerance`; as it is where it encloses no body. Lengths in mm."""
+    """The surface without slivers, moved by at most about `tolerance`; unchanged if it encloses no body. In mm."""
     import manifold3d
 
     if not tolerance:

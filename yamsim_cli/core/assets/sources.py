@@ -1,4 +1,4 @@
-"""What a source of meshes is."""
+"""The protocol of a source of meshes, and its errors and progress."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class SourceError(Exception):
     """Why one source could not give a set, in a few words; `fetch` collects these and tries the next source."""
 
 
-class Progress(Protocol):
-    """Told how far a download is, in bytes and in the thread that called `fetch`; the total is the lock's."""
+class FetchProgress(Protocol):
+    """Called with how far a download is, in bytes, from the thread that called `fetch`; the lock gives the total."""
 
     def __call__(self, label: str, done_bytes: int, total_bytes: int) -> None:
         """Take note; must return quickly."""
@@ -24,17 +24,17 @@ def no_progress(label: str, done_bytes: int, total_bytes: int) -> None:
 
 
 class AssetSource(Protocol):
-    """One place meshes can come from. What it returns is not trusted: the store verifies every byte."""
+    """A place that meshes can come from. It is not trusted: the store verifies every byte."""
 
     @property
     def name(self) -> str:
-        """How reports and errors call it."""
+        """The source's name in reports and errors."""
 
     def offers(self, assets: AssetSet) -> bool:
-        """Whether asking for this set makes sense; no I/O."""
+        """Whether the source may have this set; without I/O."""
 
-    def read(self, assets: AssetSet, scratch: Path, progress: Progress) -> dict[str, bytes]:
-        """Get the set's files.
+    def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+        """The set's files.
 
         Args:
             assets: the set to get.

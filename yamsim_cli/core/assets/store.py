@@ -1,4 +1,4 @@
-"""Where fetched meshes are kept, and the proof that they are the locked ones."""
+"""The folder of fetched meshes, which are verified against the lock whenever they are used."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class MismatchError(ResourceError):
 
 
 class FileStatus(StrEnum):
-    """What a locked file turned out to be on disk."""
+    """The state of a locked file on the disk."""
 
     OK = "ok"
     MISSING = "missing"
@@ -29,7 +29,7 @@ class FileStatus(StrEnum):
 
 @dataclass(frozen=True)
 class FileState:
-    """One locked file on disk; a missing one carries the path under which it is looked for."""
+    """One locked file on the disk; for a missing one, the path is where it should be."""
 
     name: str
     path: Path
@@ -37,15 +37,15 @@ class FileState:
 
 
 def check_file(path: Path, locked: LockedFile) -> FileStatus:
-    """Compare a file with its lock entry; what is not a regular file of the locked size is never opened."""
+    """A file's state, compared with its lock entry. Only a regular file of the locked size is ever opened."""
     try:
         if not path.is_file():
             return FileStatus.CHANGED if path.exists() else FileStatus.MISSING
-        # Size first: it settles most cases without reading, and keeps a huge impostor from being hashed.
+        # The size is compared first: that settles most cases without reading, and no huge wrong file is hashed.
         same = path.stat().st_size == locked.size and sha256_file(path) == locked.sha256
-    except FileNotFoundError:  # deleted while we looked
+    except FileNotFoundError:  # deleted meanwhile
         return FileStatus.MISSING
-    except OSError:  # what cannot be read cannot be shown to be right
+    except OSError:  # a file that cannot be read cannot be verified
         return FileStatus.CHANGED
     return FileStatus.OK if same else FileStatus.CHANGED
 
@@ -78,19 +78,19 @@ class AssetStore:
             tuple(FileState(name, folder / name, check_file(folder / name, locked)) for name, locked in files)
             for folder in self._folders(assets)
         ]
-        # A changed file says more than a missing one; `max` keeps the first folder among equals.
+        # A folder with changed files is likelier to be meant than one without any; among equals, `max` takes the first.
         return max(states, key=lambda files: (_count(files, FileStatus.OK), _count(files, FileStatus.CHANGED)))
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[Path]:
-        """Hold the store for writing, waiting for another process to finish; gives a scratch folder inside it.
+        """A scratch folder inside the store, which is held for writing in the block; another process waits for it.
 
         Raises:
             OSError: the store cannot be written to.
         """
         self.root.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(self.root / ".lock"):
-            # We are the only writer, so whatever lies here was left by one that was killed.
+            # This process is the only writer now, so whatever lies here was left by one that was killed.
             shutil.rmtree(self._staging, ignore_errors=True)
             self._staging.mkdir()
             try:
@@ -99,10 +99,7 @@ class AssetStore:
                 shutil.rmtree(self._staging, ignore_errors=True)
 
     def publish(self, assets: AssetSet, files: Mapping[str, bytes], notice: str) -> Path:
-        """Make a set appear in one step, its notice beside it; call it within `writing`.
-
-        Returns:
-            The set's folder.
+        """The set's folder, made in one step with the set's notice in it; to be called within `writing`.
 
         Raises:
             MismatchError: a file is missing or is not the locked one; nothing was published.

@@ -1,7 +1,7 @@
-"""How a board's printed page is laid out: what is drawn where, for a PDF and for a PNG alike.
+"""The layout of a board's printed page, for PDF and PNG alike.
 
-Lengths here are millimetres on the page, x right and y down from its top left corner: paper is measured so, and a
-`Board`'s metres are converted once, in `board_sheet`.
+Lengths are millimetres on the page, x right and y down from its top left corner. A `Board`'s metres are converted once,
+in `board_sheet`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from ..geometry.board import Board
-from .image import marker_cells
+from .board_image import marker_cells
 
 
 @dataclass(frozen=True)
 class Paper:
-    """A size of paper, upright."""
+    """A size of paper in portrait orientation, mm."""
 
     name: str
     width: float
@@ -35,7 +35,7 @@ PAPERS: Mapping[str, Paper] = {
 
 @dataclass(frozen=True)
 class PrintedMarker:
-    """Square cells from the top left corner (x, y), each `cell` wide: `black` (k, k) says which are printed."""
+    """A marker of square cells from its top left corner (x, y), each `cell` wide; `black` (k, k) are printed."""
 
     x: float
     y: float
@@ -65,7 +65,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Text:
-    """A line of ASCII text; (x, y) is the end of its baseline that `align` names."""
+    """A line of ASCII text. (x, y) is the point of its baseline that `align` names."""
 
     x: float
     y: float
@@ -82,14 +82,14 @@ LINE_WIDTH = 0.15
 
 @dataclass(frozen=True)
 class Sheet:
-    """A page and what is drawn on it."""
+    """A page and the marks on it."""
 
     paper: Paper
     title: str
     marks: tuple[Mark, ...]
 
 
-# What printers leave white anyway.
+# The page's margin, where most printers cannot print.
 _MARGIN = 12.0
 _TITLE_SIZE = 6.0
 _LINE_STEP = 5.2
@@ -102,14 +102,13 @@ _CROP_MARK = 6.0
 
 
 def board_sheet(board: Board, owner: str, paper: Paper) -> Sheet:
-    """A page with the board at true size, what it is, and two bars to check the printer's scale by.
+    """A page with the board at true size, its description, and two rulers to check the printer's scale.
 
-    Nothing is printed within a marker cell of the board, nor within 5 mm. Marks outside that zone show where to cut, so
-    that part of the white stays on: a detector needs it.
+    A zone around the board stays white: 5 mm, or a marker's cell if that is wider. Marks outside it show where to cut,
+    so that part of the white stays on, which detectors need.
 
     Args:
-        board: what to print.
-        owner: the arm it belongs to.
+        owner: name of the arm that the board belongs to.
         paper: one of `PAPERS`.
 
     Raises:
@@ -169,7 +168,7 @@ def _markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) ->
 
 
 def _crop_marks(left: float, top: float, width: float, height: float, quiet: float) -> Iterator[Mark]:
-    border = 0.6 * quiet  # With 5 mm of quiet zone, 3 mm: the piece then fits the lab's 100 mm plate.
+    border = 0.6 * quiet  # 3 mm for a white zone of 5 mm: the piece then fits the lab's 100 mm plate.
     far = quiet + _CROP_MARK
     for x in (left - border, left + width + border):
         yield Line(x, top - quiet, x, top - far)

@@ -1,4 +1,4 @@
-"""What is known of a calibrated camera; `camera_files` has the formats it is read from."""
+"""A calibrated camera as a config; `camera_files` has the formats that it is read from."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 from pydantic import Field, field_validator, model_validator
 
+from ..documents.base import Config
+from ..documents.document import Document
 from ..geometry.camera import CameraModel
-from .base import Config
 from .camera_files import camera_parts, read_camera
-from .document import Document
 
 Row = tuple[float, float, float]
 
@@ -23,9 +23,9 @@ class CameraConfig(Config):
 
     Attributes:
         K: the camera matrix (3, 3), px; pixel centres at whole numbers.
-        distortion: in OpenCV's order, 0, 4, 5, 8, 12 or 14 numbers.
-        width, height: of the images it was calibrated with, px.
-        focal_sigma: standard deviation of the focal length as a share of it.
+        distortion: 0, 4, 5, 8, 12 or 14 coefficients in OpenCV's order.
+        width, height: size of the images that it was calibrated with, px.
+        focal_sigma: standard deviation of the focal length, as a share of the focal length.
     """
 
     width: int = Field(ge=16, le=16384)
@@ -52,12 +52,12 @@ class CameraConfig(Config):
     @model_validator(mode="after")
     def _plausible(self) -> CameraConfig:
         (fx, skew, cx), (left, fy, cy), last = self.K
-        # A skew, which other models have, OpenCV's passes over in silence.
+        # OpenCV would ignore a skew without a word.
         if last != (0.0, 0.0, 1.0) or left != 0.0 or skew != 0.0:
             raise ValueError("K must have the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
         if fx <= 0 or fy <= 0:
             raise ValueError(f"the focal lengths {fx:g} and {fy:g} must be above 0 px")
-        # A phone's zoom or a fisheye lie within; a K of another image size or in millimetres does not.
+        # These bounds admit a phone's zoom and a fisheye, and refuse a K of another image size or in millimetres.
         longer = max(self.width, self.height)
         if not 0.2 * longer < min(fx, fy) <= max(fx, fy) < 20 * longer:
             raise ValueError(f"K does not fit images of {self.width} x {self.height}: its focal length is {fx:g} px")
@@ -77,10 +77,10 @@ class CameraConfig(Config):
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """A camera of a file, anybody's. Raises as `read_camera`."""
+        """The camera in a file of any known program. Raises as `read_camera`."""
         return read_camera(path)
 
     @classmethod
     def within(cls, path: Path) -> tuple[Path, ...]:
-        """`FILE:CAMERA` of each camera in a file of several, else the path itself. Raises as `read_camera`."""
+        """`FILE:CAMERA` for each camera if the file holds several, else the path itself. Raises as `read_camera`."""
         return camera_parts(path)

@@ -1,7 +1,7 @@
-"""Camera files of all programs that are known, under our own keys: `K`, `distortion`, `width` and `height`.
+"""Camera files of yamsim and of other programs, read under yamsim's own keys: `K`, `distortion`, `width`, `height`.
 
-One camera a file: ours, what OpenCV's FileStorage writes (YAML, JSON, XML), ROS's camera_info. Several, each with a
-name: Kalibr's camchain and raiden's calibration_results.json.
+Files of one camera: yamsim's own, those of OpenCV's FileStorage (YAML, JSON, XML), and ROS's camera_info. Files of
+several cameras with names: Kalibr's camchain and raiden's calibration_results.json.
 
 Sources: Kalibr, kalibr_common/ConfigReader.py; raiden, raiden/calibration/runner.py; `ros2 topic echo`,
 rosidl_runtime_py/convert.py.
@@ -13,9 +13,9 @@ import re
 from pathlib import Path
 from typing import Any
 
+from ..documents.document import Document, KeyPath, load_yaml, read_config
 from ..errors import ConfigError, suggest
 from ..resources import camera_file
-from .document import Document, KeyPath, load_yaml, read_config
 from .file_storage import parse_json, parse_xml
 
 # The names under which calibration programs save one camera's values.
@@ -35,26 +35,26 @@ _ALIASES = {
     "width": ("image_width", "image_Width", "imageWidth"),
     "height": ("image_height", "image_Height", "imageHeight"),
 }
-# Where a camera stands in a file.
+# The keys that lead to a camera in its file.
 Keys = tuple[str, ...]
 
 _SIGMA = "focal_sigma"
 
-# What each program calls OpenCV's own models of lenses.
+# The programs' names for the models of lenses and cameras that OpenCV has too.
 _ROS_MODELS = ("plumb_bob", "rational_polynomial")
 _KALIBR_LENSES = ("radtan", "none")
 _KALIBR_MODELS = ("pinhole",)
 
 
 def read_camera(path: Path) -> Document:
-    """One camera of a file, under our own keys.
+    """One camera of a file, under yamsim's own keys.
 
     Args:
-        path: the file; `FILE:CAMERA` where it holds several, each with a name.
+        path: the file, or `FILE:CAMERA` where it holds several cameras with names.
 
     Raises:
-        ConfigError: unreadable, not of the format that its name says, a camera that is not in it, none named where
-            there are several, or a camera whose model is not OpenCV's pinhole.
+        ConfigError: the file is unreadable or not of the format that its name says; the named camera is not in it, or
+            none is named where there are several; or the camera is not an OpenCV pinhole.
     """
     file, name, document = _open(path)
     named = _named(document)
@@ -72,10 +72,10 @@ def read_camera(path: Path) -> Document:
 
 
 def camera_parts(path: Path) -> tuple[Path, ...]:
-    """`FILE:CAMERA` of each camera in a file of named ones; the path itself for any other, or if it names one.
+    """`FILE:CAMERA` for each camera if the file holds named ones and `path` names none; else the path itself.
 
     Raises:
-        ConfigError: unreadable, or not of the format that its name says.
+        ConfigError: the file is unreadable, or not of the format that its name says.
     """
     file, name, document = _open(path)
     named = _named(document)
@@ -89,7 +89,7 @@ def _open(path: Path) -> tuple[Path, str, Document]:
 
 
 def _named(document: Document) -> dict[str, Keys]:
-    """Name of each camera -> where it stands, in Kalibr's and raiden's files; none in others."""
+    """Camera's name -> the keys that lead to it, for Kalibr's and raiden's files; empty for others."""
     data = document.data
     if isinstance(cameras := data.get("cameras"), dict) and cameras:
         return {name: ("cameras", name) for name in cameras}
@@ -97,7 +97,7 @@ def _named(document: Document) -> dict[str, Keys]:
 
 
 class _Camera:
-    """A camera's values under our own keys, each with the place it was written at."""
+    """A camera's values, collected under yamsim's own keys, each with the place where it was written."""
 
     def __init__(self, document: Document, at: Keys) -> None:
         self._document, self._at = document, at
@@ -111,7 +111,7 @@ class _Camera:
         return isinstance(self._values, dict) and key in self._values
 
     def get(self, key: str, count: int = 0) -> Any:
-        """A value that has to be there; a list of so many, if a count is given."""
+        """A value that must be there; with a count, it must be a list of so many."""
         if not self.has(key):
             raise ConfigError(f"{self._document.place(self._at)}: {'.'.join((*self._at, key))}: missing; add it")
         value = self._values[key]
@@ -133,19 +133,19 @@ class _Camera:
         raise ConfigError(f"{place}: {path}: {self._values.get(key) if value is None else value!r} is not valid: {why}")
 
     def document(self) -> Document:
-        """What was put, and the focal length's uncertainty if the file has it."""
+        """The values that were put, and the focal length's uncertainty if the file has it."""
         if self.has(_SIGMA):
             self.put(_SIGMA, _SIGMA, self._values[_SIGMA])
         return Document(self._ours, self._document.source, self._places)
 
 
 def _one(document: Document) -> Document:
-    """The camera of a file that holds one; ours comes back as it is."""
+    """The camera of a file that holds one; a file of yamsim's own keys comes back as it is."""
     data = document.data
     if not any(alias in data for names in _ALIASES.values() for alias in names):
         return document
     camera = _Camera(document, ())
-    # OpenCV's own calibration program marks its other model so.
+    # OpenCV's calibration program marks its fisheye model by this key.
     model = "fisheye" if data.get("fisheye_model") else data.get("distortion_model", _ROS_MODELS[0])
     camera.expect("distortion_model", model, _ROS_MODELS)
     for key, aliases in _ALIASES.items():
@@ -178,7 +178,7 @@ def _raiden(document: Document, at: Keys) -> Document:
 
 
 def _put_size(camera: _Camera, key: str) -> None:
-    """Width and height, in this order in both programs' files."""
+    """Take width and height from a list; both programs write them in this order."""
     width, height = camera.get(key, 2)
     camera.put("width", key, width)
     camera.put("height", key, height)

@@ -1,4 +1,4 @@
-"""What OpenCV's FileStorage writes as XML and JSON, as documents. Its YAML is YAML."""
+"""Documents from the XML and JSON that OpenCV's FileStorage writes. `document` reads its YAML."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import re
 from typing import Any
 from xml.parsers import expat
 
+from ..documents.document import Document, KeyPath, number_or_text, parse_yaml
 from ..errors import ConfigError
-from .document import Document, KeyPath, number_or_text, parse_yaml
 
 _ROOT = "opencv_storage"
 
-# How deep a calibration's values lie: 3. Deeper ones would be an attack on the reader.
+# Deepest nesting that is read. A calibration's values lie 3 deep; much deeper ones are an attack on the reader.
 _DEPTH = 50
 
-# FileStorage writes a comment as lines of their own. No text goes on over a line's end, so nothing else starts so.
+# FileStorage writes comments as lines of their own. No text runs over a line's end, so no other line begins like that.
 _JSON_COMMENT = re.compile(rb"^[ \t]*//.*$", re.MULTILINE)
 
 _WORDS = re.compile(r'"([^"]*)"|(\S+)')
 
 
 def parse_json(raw: bytes, source: str) -> Document:
-    """Read JSON, also with the comments and numbers of OpenCV's. Raises as `load_yaml`."""
-    # YAML allows no tab where JSON does; inside its texts JSON allows none.
+    """The content of JSON text, also with OpenCV's comments and numbers. Raises as `load_yaml`."""
+    # JSON allows tabs where YAML does not, and none inside its strings.
     return parse_yaml(_JSON_COMMENT.sub(b"", raw).replace(b"\t", b" "), source, "JSON")
 
 
@@ -34,13 +34,14 @@ class _Element:
 
 
 def parse_xml(raw: bytes, source: str) -> Document:
-    """Read FileStorage's XML.
+    """The content of FileStorage's XML.
 
-    A file of anybody's is safe to read: one that declares a document type, without which no entity can be defined, is
-    refused before it does, and nothing is ever fetched.
+    Any file is safe to read. Entities need a document type, and a file that declares one is refused before they can be
+    defined. Nothing is ever fetched.
 
     Raises:
-        ConfigError: not XML, not FileStorage's, a document type, a duplicate key, or nested too deeply.
+        ConfigError: it is no XML, or not FileStorage's, declares a document type, has a duplicate key, or is nested too
+            deeply.
     """
     root = _tree(raw, source)
     if root.name != _ROOT:
@@ -48,7 +49,7 @@ def parse_xml(raw: bytes, source: str) -> Document:
     document = Document({}, source)
     try:
         data = _value(root, (), document)
-    # An integer of thousands of digits.
+    # Python refuses integers of thousands of digits.
     except ValueError as error:
         raise ConfigError(f"{source}: not valid: {error}") from error
     if not isinstance(data, dict):
@@ -92,7 +93,7 @@ def _tree(raw: bytes, source: str) -> _Element:
 
 
 def _value(element: _Element, path: KeyPath, document: Document) -> Any:
-    """A mapping, a list, or what the words in an element stand for."""
+    """The element's value: a mapping, a list, or the numbers and texts that its words stand for."""
     document.places[path] = f"{document.source}:{element.line}"
     if element.inside and all(inner.name == "_" for inner in element.inside):
         return [_value(inner, (*path, k), document) for k, inner in enumerate(element.inside)]

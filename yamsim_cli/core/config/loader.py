@@ -1,4 +1,4 @@
-"""From a config's name or file to a checked model, with errors that name file, key, value and what would be valid."""
+"""Loads a config by name or file into a checked model. Errors name the file, the key, the value and what is valid."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from ..documents.base import Config, Reference
+from ..documents.document import Document, KeyPath, is_setting, parse_yaml
+from ..documents.explain import dotted, explain, kind_instead, models_in
+from ..documents.units import AS_RECORDED
 from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
-from .base import Config, Reference
+from ..robots.models import ArmModel, Gripper
+from . import robot_names
 from .camera import CameraConfig
-from .document import Document, KeyPath, is_setting, parse_yaml
-from .explain import dotted, explain, kind_instead, models_in
 from .randomization import RandomizationConfig
 from .recording import RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import SceneConfig
 from .task import TaskConfig
 from .things import ObjectConfig
-from .units import AS_RECORDED
 
 KINDS: Mapping[str, type[Config]] = {
     "rigs": RigConfig,
@@ -31,7 +33,13 @@ KINDS: Mapping[str, type[Config]] = {
     "quality": RenderConfig,
     "randomization": RandomizationConfig,
     "record": RecordConfig,
+    "robots": ArmModel,
+    "grippers": Gripper,
 }
+
+# The key by which an override asks for another revision of a rig's robots; between a robot's name and its gripper's.
+REVISION = "revision"
+_JOINED = "+"
 
 C = TypeVar("C", bound=Config)
 
@@ -54,46 +62,82 @@ def load_config(
     locations: Locations,
     overrides: Mapping[KeyPath, tuple[str, Any]] | None = None,
 ) -> C:
-    """Load, complete and check one config.
+    """One config, loaded, with its references filled in, and checked.
 
     Args:
-        model: what it must be.
+        model: the model it must fit.
         kind: folder under `configs/`.
         name: a config's name, or the path of a file, see `Locations.config_file`.
         overrides: key path -> (what set it, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
 
     Raises:
-        ConfigError: with file, line, key path, value and what would be valid.
-        UsageError: the value at fault came by an override whose place begins with `--`.
+        ConfigError: it is not valid; the message has file, line, key path, value and what would be valid.
+        UsageError: the same, where the value at fault came by a flag or keyword in `overrides`.
     """
-    document = _read(model, locations.config_file(kind, name))
+    document = _named(model, kind, name, locations)
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
     # References are resolved between the two passes, so that a flag may reach inside a config named by another flag.
     changes = overrides or {}
     for path, (place, value) in changes.items():
-        if len(path) == 1:
+        if len(path) == 1 and path[-1] != REVISION:
             document.set(path, value, place)
     _resolve_references(model, document, (), locations)
     for path, (place, value) in changes.items():
-        if len(path) > 1:
+        if path[-1] == REVISION:
+            _revise(document, path[:-1], value, place, locations)
+        elif len(path) > 1:
             document.set(path, value, place)
     flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
     return _check(model, document, locations, flags)
 
 
 def validate_file(model: type[C], path: Path, locations: Locations, *, as_recorded: bool = False) -> C:
-    """Check a file against a model; for `as_recorded` see `parse_config`. Raises as `load_config`."""
+    """A file's config, checked against a model; for `as_recorded` see `parse_config`. Raises as `load_config`."""
     return _check(model, _read(model, path), locations, as_recorded=as_recorded)
 
 
 def parse_config(model: type[C], text: str, source: str, locations: Locations, *, as_recorded: bool = False) -> C:
-    """Check YAML text against a model. Raises as `load_config`.
+    """The config in YAML text, checked against a model. Raises as `load_config`.
 
     Args:
-        as_recorded: it is a dataset's own, whose values may be implausible: it was recorded with them.
+        as_recorded: the config is a dataset's own. Its values may be implausible, since it was recorded with them.
     """
     return _check(model, parse_yaml(text, source), locations, as_recorded=as_recorded)
+
+
+def _named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
+    """The document that a name means. Raises as `Locations.config_file`."""
+    if kind == "rigs" and _JOINED in name and not name.endswith((".yaml", ".yml")):
+        return _joined(name)
+    if kind == robot_names.ARMS:
+        name = robot_names.model_named(name, locations)
+    return _read(model, locations.config_file(kind, name))
+
+
+def _joined(name: str) -> Document:
+    """A rig of one arm by the names of its robot and its gripper: `yam_pro+linear_4310`."""
+    robot, _, gripper = name.partition(_JOINED)
+    document = parse_yaml("{}", f"rig {name}")
+    arm = {"name": "arm1", "side": "right", "model": robot, "gripper": gripper}
+    document.data.update({"name": f"{robot}_{gripper}", "arms": [arm]})
+    return document
+
+
+def _revise(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
+    """Put another revision of its family in for each arm of the rig at `path`."""
+    rig: Any = document.data
+    for key in path:
+        rig = rig[key]
+    arms = rig.get("arms") if isinstance(rig, dict) else None
+    for k, arm in enumerate(arms if isinstance(arms, list) else ()):
+        model = arm.get("model") if isinstance(arm, dict) else None
+        if isinstance(model, dict) and isinstance(model.get("name"), str):
+            try:
+                name = robot_names.revised(model["name"], str(revision), locations)
+            except ConfigError as error:
+                raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
+            document.set((*path, "arms", k, "model"), name, place)
 
 
 def _read(model: type[Config], path: Path) -> Document:
@@ -104,7 +148,7 @@ def _read(model: type[Config], path: Path) -> Document:
 
 
 def _other_kind(model: type[Config], document: Document) -> str | None:
-    """What to tell of a file that is of another kind of config, going by its keys; None if it is none."""
+    """An error message if, judging by its keys, the file holds another kind of config; else None."""
     kind = next((kind for kind, known in KINDS.items() if known is model), None)
     if kind is None or (instead := kind_instead(KINDS, kind, document.data)) is None:
         return None
@@ -153,10 +197,14 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
             if isinstance(value, str | dict):
                 _resolve_references(target, document, inner, locations)
     for name, info in model.model_fields.items():
-        if not any(isinstance(mark, Reference) for mark in info.metadata) and isinstance(here.get(name), dict):
-            for part in models_in(info.annotation):
+        if any(isinstance(mark, Reference) for mark in info.metadata):
+            continue
+        value = here.get(name)
+        inside = {(*path, name, k): item for k, item in enumerate(value)} if isinstance(value, list) else {}
+        for inner, item in (inside or {(*path, name): value}).items():
+            for part in models_in(info.annotation) if isinstance(item, dict) else ():
                 if issubclass(part, Config):
-                    _resolve_references(part, document, (*path, name), locations)
+                    _resolve_references(part, document, inner, locations)
 
 
 def _put_in(
@@ -164,10 +212,9 @@ def _put_in(
 ) -> None:
     """Replace the name of a config at `path` by its content."""
     try:
-        file = locations.config_file(kind, name)
+        other = _named(target, kind, name, locations)
     except ConfigError as error:
         raise ConfigError(f"{document.place(path)}: {dotted(path)}: {error}") from error
-    other = _read(target, file)
     if instead := _other_kind(target, other):
         raise ConfigError(f"{document.place(path)}: {dotted(path)}: {instead}")
     document.graft(path, other)

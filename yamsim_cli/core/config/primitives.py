@@ -1,4 +1,4 @@
-"""Simple shapes, in the frame of what they belong to."""
+"""Simple shapes, in the frame of the object that they belong to."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .base import Config, Positive, Rgba, Vector
+from ..documents.base import Config, Positive, Rgba, Vector
 
 
 class Capsule(Config):
@@ -40,7 +40,7 @@ class Sphere(Config):
 
 
 class Box(Config):
-    """A block that stands upright: centre, half its size along its own axes, and how far these are turned about z."""
+    """An upright block: centre, half its size along its own axes, and how far these are turned about z."""
 
     type: Literal["box"]
     centre: Vector
@@ -50,7 +50,7 @@ class Box(Config):
 
     @property
     def discs(self) -> tuple[tuple[float, float, float], ...]:
-        """Discs (x, y, radius) that cover it seen from above, m: as many as it takes squares to cover it."""
+        """Discs (x, y, radius), m, that together cover the block seen from above: one for each square along it."""
         long = self.half_size[0] >= self.half_size[1]
         length, width = (self.half_size[0], self.half_size[1]) if long else (self.half_size[1], self.half_size[0])
         angle = math.radians(self.yaw_deg) + (0 if long else math.pi / 2)
@@ -66,8 +66,8 @@ class Ring(Config):
 
     Attributes:
         inner, outer: radius and height (m) of the rim's upper surface at its inner and outer edge.
-        thickness: of the boxes, below that surface.
-        segments: how many boxes go round.
+        thickness: how thick the boxes are below that surface, m.
+        segments: how many boxes make the ring.
     """
 
     type: Literal["ring"]
@@ -78,4 +78,47 @@ class Ring(Config):
     rgba: Rgba | None = None
 
 
+class HullPart(Config):
+    """A convex body: the hull of a mesh file, which lies in the set of the thing's mesh and in its part's frame.
+
+    Attributes:
+        low, high: corners of the block around it, m: what has to know its size need not read the file.
+    """
+
+    type: Literal["hull"]
+    file: str
+    low: Vector
+    high: Vector
+
+    @property
+    def around(self) -> Box:
+        """The block around it."""
+        return _around(self.low, self.high)
+
+
+class SdfPart(Config):
+    """A body of any form by the distance to its surface, hollows and holes included; otherwise as `HullPart`.
+
+    Exact, and slow: MuJoCo looks for contacts by descending along the distance.
+    """
+
+    type: Literal["sdf"]
+    file: str
+    low: Vector
+    high: Vector
+
+    @property
+    def around(self) -> Box:
+        """The block around it."""
+        return _around(self.low, self.high)
+
+
+def _around(low: tuple[float, float, float], high: tuple[float, float, float]) -> Box:
+    centre = tuple((a + b) / 2 for a, b in zip(low, high, strict=True))
+    half = tuple(max((b - a) / 2, 1e-5) for a, b in zip(low, high, strict=True))
+    return Box(type="box", centre=centre, half_size=half)  # type: ignore[arg-type]
+
+
 Primitive = Annotated[Sphere | Capsule | Cylinder | Box | Ring, Field(discriminator="type")]
+MeshPart = HullPart | SdfPart
+CollisionPart = Annotated[Sphere | Capsule | Cylinder | Box | Ring | HullPart | SdfPart, Field(discriminator="type")]

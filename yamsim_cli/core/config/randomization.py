@@ -1,4 +1,4 @@
-"""Domain randomization: what may differ from one episode to the next, and by how much."""
+"""Domain randomization: what may vary from one attempt to the next, and by how much."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat
 
-from .base import Config, Name, Positive, Range, Reference, ordered
+from ..documents.base import Config, Name, Positive, Range, Reference, ordered
+from ..documents.units import ReachRange, Within
 from .things import ObjectConfig
-from .units import ReachRange, Within
 
 
 def _positive(value: tuple[float, float]) -> tuple[float, float]:
@@ -32,12 +32,12 @@ Texture = Literal["plain", "checker", "gradient", "noise"]
 
 
 class LightRanges(Config):
-    """The scene's lights, each drawn on its own.
+    """The scene's lights, each sampled independently.
 
     Attributes:
-        intensity: by which a light's colour is multiplied.
-        tint: by how much each of red, green and blue may differ from that, as a share.
-        tilt_deg: by how much a light's direction may turn, degrees; where it shines from turns with it.
+        intensity: range of the factor on a light's colour.
+        tint: by what share each of red, green and blue may differ from that factor.
+        tilt_deg: by how much a light's direction may turn, degrees; its position turns with it.
     """
 
     intensity: Factor
@@ -46,14 +46,14 @@ class LightRanges(Config):
 
 
 class HeadlightRanges(Config):
-    """What the camera itself sheds, and what comes from everywhere, as factors."""
+    """Ranges of the factors on the light that the camera itself sheds, and on the light from all around."""
 
     diffuse: Factor
     ambient: Factor
 
 
 class CameraRanges(Config):
-    """Where the scene camera stands: it may be off by so much along each axis (m), and turned about each (degrees)."""
+    """The scene camera's pose: how far it may be off along each axis (m), and turned about each axis (degrees)."""
 
     position: Annotated[FiniteFloat, Within("m", 0, 1)]
     rotation_deg: float = Field(ge=0, le=20)
@@ -63,10 +63,10 @@ class SurfaceRanges(Config):
     """The looks of the table or the floor.
 
     Attributes:
-        saturation, value: of its colours; their hue is any.
-        contrast: how much lighter or darker the second colour of a pattern is, in `value`.
-        textures: how likely each is, in any unit. A checkered floor is its tiles and costs nothing. Other patterns are
-            textures, and a look-up for every pixel: see docs/recording.md for its cost.
+        saturation, value: ranges of its colours' saturation and value; the hue may be any.
+        contrast: by how much a pattern's second colour is lighter or darker than the first, in `value`.
+        textures: texture -> its weight: how likely it is beside the others. A checkered floor is made of tiles and
+            costs nothing. Other patterns are looked up for every pixel, see docs/recording.md for the cost.
     """
 
     saturation: Share
@@ -79,9 +79,9 @@ class LookRanges(Config):
     """The objects' looks.
 
     Attributes:
-        hue_deg: by which a colour's hue may turn either way, degrees.
-        saturation, value: by which a colour's saturation and value are multiplied.
-        specular, shininess: of their surface.
+        hue_deg: by how much a colour's hue may turn either way, degrees.
+        saturation, value: ranges of the factors on a colour's saturation and value.
+        specular, shininess: ranges of these properties of an object's surface.
     """
 
     hue_deg: float = Field(ge=0, le=180)
@@ -92,13 +92,13 @@ class LookRanges(Config):
 
 
 class Distractors(Config):
-    """Objects that stand about and have nothing to do with the task. They stand fixed, and nothing ever touches them.
+    """Objects that stand on the table and have no part in the task. They do not move, and nothing ever touches them.
 
     Attributes:
-        objects: of which some are drawn, each at most once.
-        count: how many, at least and at most; fewer where no free place is found.
-        x, y: where on the table, m.
-        clearance: least distance (m) to everything that moves, during the whole episode, and to each other.
+        objects: the objects to choose from; each is chosen at most once.
+        count: how many stand there at least and at most. There are fewer where no free place is found.
+        x, y: where on the table they may stand, m.
+        clearance: smallest distance (m) to everything that moves, during the whole episode, and to each other.
     """
 
     objects: Annotated[tuple[ObjectConfig, ...], Reference("objects")] = Field(min_length=1, max_length=20)
@@ -112,10 +112,10 @@ class PictureRanges(Config):
     """What a camera and its cable do to a picture.
 
     Attributes:
-        brightness: added, as a share of the largest value; drawn for each picture.
-        contrast: factor about the middle; drawn for each picture.
-        noise: standard deviation of Gaussian noise, of 255; drawn for each episode.
-        salt_pepper: share of pixels that are white or black; drawn for each episode.
+        brightness: what is added to every pixel, as a share of the largest value; sampled for each picture.
+        contrast: factor on the difference from mid grey; sampled for each picture.
+        noise: standard deviation of Gaussian noise, of 255; sampled for each attempt.
+        salt_pepper: share of pixels that turn white or black; sampled for each attempt.
     """
 
     brightness: Annotated[tuple[_Brightness, _Brightness], AfterValidator(ordered)] = (0.0, 0.0)
@@ -125,11 +125,15 @@ class PictureRanges(Config):
 
 
 class RandomizationConfig(Config):
-    """What is randomized. Each part draws from a stream of its own: leaving one out changes none of the others' draws.
+    """What varies between attempts, and by how much; a part that is left out does not vary.
+
+    Each part samples from a random stream of its own, so that leaving one out does not change the others.
 
     Attributes:
-        mass, friction: factors for each object, and for friction the table; alone among all parts they act in physics.
-        lens_deg: added to the scene camera's field of view, degrees.
+        mass: range of the factor on each object's mass.
+        friction: range of the factor on the friction of each object and of the table. Of all parts only mass and
+            friction act in physics.
+        lens_deg: range of what is added to the scene camera's field of view, degrees.
     """
 
     name: Name = "none"
@@ -147,10 +151,10 @@ class RandomizationConfig(Config):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of the parts that are randomized."""
+        """Names of the parts that vary."""
         return tuple(key for key in type(self).model_fields if key != "name" and getattr(self, key) is not None)
 
     @property
     def extras(self) -> tuple[ObjectConfig, ...]:
-        """The objects that may stand about."""
+        """The distractors to choose from."""
         return self.distractors.objects if self.distractors else ()

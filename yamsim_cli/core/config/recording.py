@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, FiniteFloat, model_validator
+import numpy as np
+from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
+from ..documents.base import Config, ConflictError, Name, Reference
+from ..documents.units import Within, as_recorded
+from ..robots.models import Fingers
+from ..robots.stops import beyond_stops
 from ..shown_meshes import PATTERN
-from .base import Config, ConflictError, Name, Reference
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
 from .task import Sampling, TaskConfig
-from .units import Within
 
 
 class ImageConfig(Config):
@@ -32,16 +35,16 @@ class RenderConfig(Config):
 
     Attributes:
         multisamples: samples a pixel, which smooth edges on a GPU; 0 for none.
-        supersampling: pictures are drawn this many times as wide and high, and averaged. That smooths the edges of
+        supersampling: pictures are rendered this many times as wide and high, and averaged. That smooths the edges of
             shadows too, and costs less without a GPU than 4 samples a pixel do.
         shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
-        shadow_lights: how many of the scene's lights cast shadows, the first ones first. Each draws everything twice
+        shadow_lights: how many of the scene's lights cast shadows, the first ones first. Each renders everything twice
             more.
         shadow_reach_m: how far from the middle of an arm's base and table shadows reach: the nearer, the finer they are
-            drawn, and what stands farther off casts none.
-        reduced_meshes: draw meshes with fewer faces where they are to be had, see `core.assets.reduction`.
-        reflections: let what reflects reflect: it draws everything once more.
-        slices: faces around what is round, where it is drawn as a primitive.
+            rendered, and what stands farther off casts none.
+        reduced_meshes: show meshes with fewer faces where they are to be had, see `core.assets.reduction`.
+        reflections: let what reflects reflect: it renders everything once more.
+        slices: faces around what is round, where it is shown as a primitive.
     """
 
     name: Name = "custom"
@@ -58,35 +61,42 @@ class RenderConfig(Config):
     slices: int = Field(ge=8, le=128, multiple_of=4)
 
     def fine_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """Width and height (px) in which pictures of a size are drawn."""
+        """Width and height (px) in which pictures of a size are rendered."""
         return round(size[0] * self.supersampling), round(size[1] * self.supersampling)
 
+
+# What recordings call the camera of their scene.
+SCENE_CAMERA = "scene_camera"
 
 GraspKind = Literal["weld", "contact"]
 Side = Literal["left", "right"]
 
-# Grippers whose fingers can hold an object by friction.
-_PADS = ("linear_4310",)
 
-# How far each finger opens, m. Source: MuJoCo Menagerie i2rt_yam, the ranges of the fingers' joints.
-_OPENS: Mapping[str, float] = {"crank": 0.0375, "linear_4310": 0.0475}
+def _other(side: Side) -> Side:
+    return "left" if side == "right" else "right"
+
+
+# Rigs whose grippers have pads, to name where a rig's have none: of one arm, and of two.
+_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")
 
 
 class RecordConfig(Config):
     """What `yamsim record` and `yamsim pickplace batch` run.
 
     Attributes:
-        arm: which of two arms does the task; a rig's only arm does it in any case.
+        arm: which of two arms does the task, or begins it; a rig's only arm does it in any case.
         grasp: "weld" holds the object by a constraint switched on at the grasp, as the lab's magnet does; "contact" by
             friction between a gripper's pads alone.
         episodes: how many successful episodes to record, or trials to run.
         workers: how many processes; it never changes the data.
         seed: with an attempt's number, decides everything random in it.
         wrist: also record the wrist camera.
+        cameras: which cameras to record, in order. Left out: those of the station, and of the wrists, where the rig has
+            cameras of its own; else the scene's, and with `wrist` those of the arms that act.
         boards: also show the base boards and their mounts, as they are on a real arm.
         randomization: what differs between episodes beside where things start.
         truth: also record ground truth for every image, see `core.dataset.truth_files`.
-        meshes: asset set -> what is drawn of it, see `core.shown_meshes`. The recorder notes it, whatever a file says;
+        meshes: asset set -> what is shown of it, see `core.shown_meshes`. The recorder notes it, whatever a file says;
             None in datasets from before it did.
     """
 
@@ -100,6 +110,7 @@ class RecordConfig(Config):
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
     wrist: bool
+    cameras: Annotated[tuple[Name, ...] | None, Field(min_length=1, exclude_if=lambda cameras: cameras is None)] = None
     boards: bool = False
     truth: bool = False
     image: ImageConfig
@@ -118,7 +129,7 @@ class RecordConfig(Config):
                     ("scene",),
                     ("task",),
                 )
-        names = [self.task.object.name, self.task.target.name, *(item.name for item in self.randomization.extras)]
+        names = [item.name for item in (*self.task.things, *self.randomization.extras)]
         if len(set(names)) < len(names):
             raise ConflictError(
                 f"distractors and the task's objects must all differ: {', '.join(names)}",
@@ -127,6 +138,20 @@ class RecordConfig(Config):
                 ("task", "target"),
                 ("task",),
             )
+        return self
+
+    @model_validator(mode="after")
+    def _has_the_cameras(self) -> RecordConfig:
+        there = (SCENE_CAMERA, *self.rig.camera_names)
+        for name in self.cameras or ():
+            if name not in there:
+                raise ConflictError(
+                    f"rig {self.rig.name!r} has no camera {name!r}; its cameras: {', '.join(there)}",
+                    ("cameras",),
+                    ("rig",),
+                )
+        if self.cameras and len(set(self.cameras)) < len(self.cameras):
+            raise ConflictError(f"a camera is named twice: {', '.join(self.cameras)}", ("cameras",))
         return self
 
     @model_validator(mode="after")
@@ -149,24 +174,28 @@ class RecordConfig(Config):
                 ("rig",),
                 ("task",),
             )
-        if self.arm != "right" or self.grasp != "weld":
-            raise ConflictError(
-                f"task {self.task.name!r}: the right arm gives to the left one and both hold by the weld; leave out "
-                f"arm {self.arm!r} and grasp {self.grasp!r}",
-                ("arm",) if self.arm != "right" else ("grasp",),
-                ("task",),
-            )
-        return self
+        prompt = self.task.language_prompt
+        for word, side in (("giving", self.arm), ("taking", _other(self.arm))):
+            prompt = prompt.replace(f"{{{word}}}", side)
+        return self.model_copy(update={"task": self.task.model_copy(update={"language_prompt": prompt})})
 
     @model_validator(mode="after")
     def _fits_between_the_fingers(self) -> RecordConfig:
         item = self.task.object
         assert item.grasp is not None  # checked by the task
         for arm in self.acting_arms:
-            if item.grasp.opening > _OPENS[arm.gripper]:
+            fingers = arm.gripper.fingers
+            if fingers is None:
+                raise ConflictError(
+                    f"{arm.name} of rig {self.rig.name!r} has the gripper {arm.gripper.name}, which has no fingers to "
+                    "pick anything up with; use another gripper, or another arm",
+                    ("rig",),
+                    ("arm",),
+                )
+            if item.grasp.opening > fingers.full_opening:
                 raise ConflictError(
                     f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
-                    f"gripper {arm.gripper} of rig {self.rig.name!r} opens {2000 * _OPENS[arm.gripper]:.0f} mm; "
+                    f"gripper {arm.gripper.name} of rig {self.rig.name!r} opens {2000 * fingers.full_opening:.0f} mm; "
                     "it can still be a target or a distractor",
                     ("task", "object"),
                     ("rig",),
@@ -179,10 +208,10 @@ class RecordConfig(Config):
         if self.grasp != "contact":
             return self
         for arm in self.acting_arms:
-            if arm.gripper not in _PADS:
+            if arm.gripper.fingers is None or not arm.gripper.fingers.pads:
                 raise ConflictError(
-                    f"grasp 'contact' needs a gripper with pads ({', '.join(_PADS)}), and {arm.name} of rig "
-                    f"{self.rig.name!r} has {arm.gripper}; use --rig single_linear, or grasp: weld",
+                    f"grasp 'contact' needs a gripper with pads, and {arm.name} of rig {self.rig.name!r} has "
+                    f"{arm.gripper.name}; use --rig {_WITH_PADS[len(self.rig.arms) > 1]}, or grasp: weld",
                     ("grasp",),
                     ("rig",),
                 )
@@ -196,6 +225,52 @@ class RecordConfig(Config):
                 ("task",),
             )
         return self
+
+    @model_validator(mode="after")
+    def _starts(self, info: ValidationInfo) -> RecordConfig:
+        robots = [arm.robot for arm in self.acting_arms]
+        given = self.task.start_joints
+        if given is None:
+            starts = {robot.start for robot in robots}
+            if len(starts) > 1:
+                raise ConflictError(
+                    f"task {self.task.name!r} has no start_joints, and its arms {', '.join(r.model for r in robots)} "
+                    "would start differently; give start_joints that suit both",
+                    ("task", "start_joints"),
+                    ("task",),
+                    ("rig",),
+                )
+            # So that a recording says where its arms started.
+            return self.model_copy(update={"task": self.task.model_copy(update={"start_joints": starts.pop()})})
+        for arm, robot in zip(self.acting_arms, robots, strict=True):
+            if len(given) != robot.dof:
+                raise ConflictError(
+                    f"task {self.task.name!r} has {len(given)} start_joints, and {arm.name} of rig {self.rig.name!r} "
+                    f"({robot.model}) has {robot.dof} joints; give one for each of {', '.join(robot.joint_names)}, or "
+                    "leave start_joints out",
+                    ("task", "start_joints"),
+                    ("task",),
+                    ("rig",),
+                )
+            fault = beyond_stops(arm.name, robot, np.array(given), 0.0)
+            if fault and not as_recorded(info):
+                raise ConflictError(
+                    f"task {self.task.name!r}: start_joints: {fault}", ("task", "start_joints"), ("task",), ("rig",)
+                )
+        return self
+
+    @property
+    def start_joints(self) -> tuple[float, ...]:
+        """Joints of the arms that do the task when it starts, rad."""
+        assert self.task.start_joints is not None  # completed when the config was loaded
+        return self.task.start_joints
+
+    @property
+    def picking_fingers(self) -> Fingers:
+        """The fingers that pick the object up."""
+        fingers = self.acting_arms[0].robot.fingers
+        assert fingers is not None  # checked when the config was loaded
+        return fingers
 
     @property
     def table(self) -> Table:
@@ -214,7 +289,7 @@ class RecordConfig(Config):
         """Numbers, in the rig, of the arms that do the task: the one that picks first, the one that places last."""
         by_side = {arm.side: k for k, arm in enumerate(self.rig.arms)}
         if self.task.exchange is not None:
-            return by_side["right"], by_side["left"]
+            return by_side[self.arm], by_side[_other(self.arm)]
         return (by_side.get(self.arm, 0),)
 
     @property
@@ -228,9 +303,20 @@ class RecordConfig(Config):
         return tuple(self.rig.recorded.index(k) for k in self.acting)
 
     @property
+    def recorded_cameras(self) -> tuple[str, ...]:
+        """Names of the cameras that are recorded, in order."""
+        if self.cameras is not None:
+            return self.cameras
+        if self.rig.cameras:
+            return self.rig.camera_names
+        acting = (self.rig.arms[k] for k in self.rig.recorded if k in self.acting)
+        return (SCENE_CAMERA, *(arm.wrist_camera_name for arm in acting if self.wrist))
+
+    @property
     def wrist_arms(self) -> tuple[ArmConfig, ...]:
-        """The arms whose wrist cameras are recorded: those that act, if any are."""
-        return tuple(self.rig.arms[k] for k in self.rig.recorded if k in self.acting) if self.wrist else ()
+        """The arms whose wrist cameras are recorded, the left one first."""
+        arms = (self.rig.arms[k] for k in self.rig.recorded)
+        return tuple(arm for arm in arms if arm.wrist_camera_name in self.recorded_cameras)
 
     @property
     def object_box(self) -> Sampling:

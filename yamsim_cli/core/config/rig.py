@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, StringConstraints, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    FiniteFloat,
+    PlainSerializer,
+    StringConstraints,
+    ValidationInfo,
+    WithJsonSchema,
+    model_validator,
+)
 
+from ..documents.base import Config, ConflictError, Name, Quaternion, Reference
+from ..documents.units import Heading, PlacePoint, Within, as_recorded
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
-from .base import Config, ConflictError, Name, Quaternion, Vector
-from .units import FieldOfView, Heading, OffsetPoint, PlacePoint, Within, as_recorded
-
-# The base mesh's frame in body `arm`. Board and mount positions are given in it. Source: MuJoCo Menagerie i2rt_yam.
-T_BASE_MESH_IN_ARM = pose_from_quat((0.0, 0.0, -0.0006), (1.0, 0.0, 0.0, 1.0))
-
+from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_of
+from ..robots.robot import Robot, assemble
 
 # On a printed mount, in the base mesh's frame. So near to that frame's origin is the arm: less was given in metres.
 _OnMount = Annotated[FiniteFloat, Within("mm", -2000, 2000)]
@@ -54,15 +61,6 @@ class BasePose(Config):
         return pose(self.position, rotation_z(math.radians(self.yaw_deg)))
 
 
-class WristCamera(Config):
-    """A camera on `link_6`: its position (m) and the axes of its OpenCV frame (x right, y down, z forward) there."""
-
-    position: OffsetPoint
-    x_axis: Vector
-    y_axis: Vector
-    fovy_deg: Annotated[FieldOfView, Field(gt=1, lt=179)]
-
-
 class BoardConfig(Config):
     """A fiducial board beside an arm's base.
 
@@ -96,19 +94,9 @@ class BoardConfig(Config):
         )
 
     @property
-    def T_board_in_arm(self) -> Array:
-        """Pose (4, 4) of the `board` frame in body `arm`."""
-        return T_BASE_MESH_IN_ARM @ pose_from_quat(np.asarray(self.position_mm) / 1000, self.quat)
-
-    @model_validator(mode="after")
-    def _flat(self) -> BoardConfig:
-        normal = self.T_board_in_arm[:3, 2]
-        if normal[2] < 1 - 1e-6:
-            shown = ", ".join(f"{part:.3g}" for part in normal)
-            raise ValueError(
-                f"board {self.name!r} does not lie flat on its base: its normal is ({shown}), not (0, 0, 1); mend quat"
-            )
-        return self
+    def T_in_base_mesh(self) -> Array:
+        """Pose (4, 4) of the `board` frame in the base mesh's frame."""
+        return pose_from_quat(np.asarray(self.position_mm) / 1000, self.quat)
 
 
 class MountConfig(Config):
@@ -127,6 +115,13 @@ class MountConfig(Config):
     z_mm: _Side
 
 
+# Robots are written down by their names alone: whoever reads them looks them up.
+_BY_NAME = (
+    PlainSerializer(lambda robot: robot.name, return_type=str, when_used="json"),
+    WithJsonSchema({"type": "string"}),
+)
+
+
 class ArmConfig(Config):
     """One arm of a rig.
 
@@ -134,16 +129,18 @@ class ArmConfig(Config):
         name: unique in the rig.
         side: which hand it is; names its wrist camera.
         prefix: put before every name of the arm's in a scene, such as `arm2_`; unique in the rig.
-        model, gripper: the MJCF `robot_models/<model>/yam_<gripper>.xml`.
-        grasp_offset: height of `grasp_site` over `link_6` along the gripper in metres; None keeps the model's 0.1347.
+        model: a folder of `robot_models/`.
+        gripper: a folder of `robot_models/grippers/`, one that fits the model.
+        grasp_offset: height of `grasp_site` over the flange along the gripper in metres; None keeps the gripper's.
         base: where the base stands, from its place in the rig.
+        wrist_camera: the gripper's own, if it has one and the rig says none.
     """
 
     name: Name
     side: Literal["left", "right"]
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
-    model: Literal["i2rt_yam"] = "i2rt_yam"
-    gripper: Literal["crank", "linear_4310"] = "crank"
+    model: Annotated[ArmModel, Reference("robots"), *_BY_NAME]
+    gripper: Annotated[Gripper, Reference("grippers"), *_BY_NAME]
     base: BasePose = BasePose()
     grasp_offset: Annotated[FiniteFloat, Within("m", 0.01, 0.5)] | None = None
     wrist_camera: WristCamera
@@ -151,9 +148,70 @@ class ArmConfig(Config):
     mount: MountConfig | None = None
 
     @property
+    def robot(self) -> Robot:
+        """The arm with its gripper."""
+        return assemble(self.model, self.gripper)
+
+    @property
+    def T_board_in_base(self) -> Array:
+        """Pose (4, 4) of the `board` frame in the base frame, of an arm that has a board."""
+        assert self.board is not None
+        return self.robot.T_base_mesh @ self.board.T_in_base_mesh
+
+    @model_validator(mode="before")
+    @classmethod
+    def _grippers_camera(cls, data: Any) -> Any:
+        gripper = data.get("gripper") if isinstance(data, dict) else None
+        if isinstance(gripper, dict) and data.get("wrist_camera") is None and gripper.get("wrist_camera") is not None:
+            return {**data, "wrist_camera": gripper["wrist_camera"]}
+        return data
+
+    @model_validator(mode="after")
+    def _fits(self) -> ArmConfig:
+        try:
+            T_base_mesh = self.robot.T_base_mesh
+        except ValueError as error:
+            raise ConflictError(str(error), ("gripper",), ("model",)) from None
+        if self.board is not None and (T := T_base_mesh @ self.board.T_in_base_mesh)[2, 2] < 1 - 1e-6:
+            shown = ", ".join(f"{part:.3g}" for part in T[:3, 2])
+            raise ConflictError(
+                f"board {self.board.name!r} does not lie flat on its base: its normal is ({shown}), not (0, 0, 1); "
+                "mend quat",
+                ("board", "quat"),
+            )
+        return self
+
+    @property
     def wrist_camera_name(self) -> str:
         """The name its wrist camera's images are recorded under."""
-        return f"{self.side}_wrist_camera"
+        return self.wrist_camera.name or f"{self.side}_wrist_camera"
+
+
+class RigCamera(Config):
+    """A camera that stands still beside a rig's arms.
+
+    Attributes:
+        name: under which its images are recorded.
+        arm: name of the arm in whose base it is given; left out, in `world`.
+        position, quat: of its OpenCV frame (x right, y down, z forward), m.
+        fovy_deg: vertical field of view.
+        modes: image sizes for which that is another.
+        housing: what is drawn of it, `robot_models/cameras/<housing>.xml`, in that frame.
+        mesh_sets: the asset sets that the housing takes meshes from.
+    """
+
+    name: Name
+    arm: Name | None = None
+    position: PlacePoint
+    quat: Quaternion
+    fovy_deg: Fovy
+    modes: Modes = ()
+    housing: Name | None = None
+    mesh_sets: tuple[Name, ...] = ()
+
+    def fovy(self, size: tuple[int, int]) -> float:
+        """Vertical field of view of images of a size (width, height), degrees."""
+        return fovy_of(size, self.fovy_deg, self.modes)
 
 
 class RigConfig(Config):
@@ -162,11 +220,25 @@ class RigConfig(Config):
     Attributes:
         margin: distance between the places of neighbouring arms along world y, m. The places are centred on the world's
             origin, the first arm the rightmost.
+        cameras: those of the station itself. With any, recordings have them and every wrist camera, and not the
+            scene's.
     """
 
     name: Name
     margin: Annotated[FiniteFloat, Within("m", 0, 3)] = 0.0
     arms: tuple[ArmConfig, ...] = Field(min_length=1, max_length=2)
+    cameras: Annotated[tuple[RigCamera, ...], Field(exclude_if=lambda cameras: not cameras)] = ()
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the station's cameras, then of the wrist cameras, the left one's first."""
+        return (*(camera.name for camera in self.cameras), *(self.arms[k].wrist_camera_name for k in self.recorded))
+
+    def T_cam_in_world(self, camera: RigCamera) -> Array:
+        """Pose (4, 4) of a station's camera, in OpenCV's convention."""
+        T = pose_from_quat(camera.position, camera.quat)
+        bases = {arm.name: self.T_base_in_world(k) for k, arm in enumerate(self.arms)}
+        return T if camera.arm is None else bases[camera.arm] @ T
 
     @property
     def span(self) -> float:
@@ -177,6 +249,11 @@ class RigConfig(Config):
     def recorded(self) -> tuple[int, ...]:
         """Numbers of the arms in the order in which recordings hold them: the left one first."""
         return tuple(sorted(range(len(self.arms)), key=lambda k: self.arms[k].side))
+
+    @property
+    def drives(self) -> int:
+        """How many drives each arm has: one for each joint, and its gripper's if it has fingers."""
+        return len(self.arms[0].robot.drives)
 
     def place_y(self, arm: int) -> float:
         """Where an arm's place is along world y, m."""
@@ -197,6 +274,23 @@ class RigConfig(Config):
                     f"boards {one.board.name!r} and {other.board.name!r} share the marker ids "
                     f"{min(shared)}..{max(shared)}; give each board ids of its own"
                 )
+        kinds = {(arm.robot.dof, arm.robot.fingers is None) for arm in self.arms}
+        if len(kinds) > 1:
+            listed = ", ".join(
+                f"{arm.name} ({arm.model.name} with {arm.gripper.name}) has {arm.robot.dof} joints and "
+                f"{'fingers' if arm.robot.fingers else 'no fingers'}"
+                for arm in self.arms
+            )
+            raise ConflictError(
+                f"{listed}: arms of one rig need as many joints, and all of them fingers or none; choose other models "
+                "or grippers",
+                ("arms",),
+            )
+        if len(set(self.camera_names)) < len(self.camera_names):
+            raise ConflictError(f"two cameras have the same name: {', '.join(self.camera_names)}", ("cameras",))
+        for camera in self.cameras:
+            if camera.arm is not None and camera.arm not in (names := [arm.name for arm in self.arms]):
+                raise ConflictError(f"camera {camera.name!r}: no arm {camera.arm!r}; {', '.join(names)}", ("cameras",))
         if len(self.arms) > 1 and self.margin <= 0:
             raise ConflictError(
                 f"margin {self.margin} is not valid: {len(self.arms)} arms need a distance above 0 m", ("margin",)

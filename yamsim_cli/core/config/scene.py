@@ -7,13 +7,13 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from .base import Config, ConflictError, Name, Rgb, Rgba, Vector
+from ..documents.base import Config, ConflictError, Name, Rgb, Rgba, Vector
+from ..documents.units import FieldOfView, Place, PlacePoint, Size
 from .things import Contact
-from .units import FieldOfView, Place, PlacePoint, Size
 
 
 class Table(Config):
-    """The work surface, a box: centre and half-size in metres, and how much of what stands on it it reflects."""
+    """The work surface, a box: its centre and half-size (m), and what share of the light it mirrors."""
 
     position: PlacePoint
     half_size: tuple[Size, Size, Size]
@@ -27,16 +27,17 @@ class Table(Config):
         return self.position[2] + self.half_size[2]
 
     def widened(self, by: float) -> Table:
-        """The same table, wider along world y by so many metres."""
+        """The same table, wider along world y by `by` metres."""
         x, y, z = self.half_size
         return self.model_copy(update={"half_size": (x, y + by / 2, z)})
 
 
 class Light(Config):
-    """A directional light: where it shines towards, and its colour.
+    """A directional light: the direction in which it shines, and its colour.
 
     Attributes:
-        castshadow: whether it casts shadows in what other programs draw; here, a quality says how many lights do.
+        castshadow: whether it casts shadows in pictures of other programs. In yamsim's own pictures the quality decides
+            how many lights do.
     """
 
     direction: Vector
@@ -45,7 +46,7 @@ class Light(Config):
     castshadow: bool = False
 
 
-# How far a camera steps back for each metre that the scene grows wider.
+# Metres that the scene camera moves back for each metre that the scene gets wider.
 _STEP_BACK = 0.5
 
 
@@ -63,7 +64,7 @@ class FixedCamera(Config):
         return self
 
     def stepped_back(self, by: float) -> FixedCamera:
-        """The same camera, so many metres farther from what it looks at."""
+        """The same camera, `by` metres farther from the point that it looks at."""
         away = 1 + by / math.dist(self.position, self.look_at)
         x, y, z = (at + away * (p - at) for p, at in zip(self.position, self.look_at, strict=True))
         return self.model_copy(update={"position": (x, y, z)})
@@ -74,8 +75,9 @@ class SceneConfig(Config):
 
     Attributes:
         table: the work surface; without one, a rig stands on the floor.
-        safety_plane: height in `world` of the floor, which catches what falls, m.
-        floor_rgba, sky: what is seen around the table.
+        safety_plane: height of the floor in `world`, m; it catches what falls.
+        floor_rgba: the two colours of the floor's tiles.
+        sky: the two colours between which the sky changes.
         scene_camera: the camera that recordings are made with.
     """
 
@@ -99,8 +101,8 @@ class SceneConfig(Config):
         return self
 
     def for_span(self, span: float) -> SceneConfig:
-        """The surroundings, given for one arm, of arms whose places lie `span` metres apart: a wider table, and the
-        scene camera farther back, so that it sees all of it.
+        """These surroundings of one arm, fitted to arms `span` metres apart: a wider table, and a scene camera so far
+        back that it sees all of it.
         """
         if not span:
             return self

@@ -6,20 +6,20 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from .base import Config, ConflictError, Name, Reference
+from ..documents.base import Config, ConflictError, Name, Reference
+from ..documents.units import Distance, HeadingRange, JointAngle, ReachRange, Within
 from .things import GraspPoint, ObjectConfig
-from .units import Distance, HeadingRange, JointAngle, ReachRange, Within
 
-# A height or a distance that cannot be nothing, m.
+# A height or a distance that cannot be zero, m.
 _Height = Annotated[FiniteFloat, Within("m", 1e-3, 1)]
 
 
 class Sampling(Config):
-    """The box in `world` from which both objects' positions are drawn (m), and their headings (degrees).
+    """The box in `world` from which both objects' positions are sampled (m), and their headings' ranges (degrees).
 
     Attributes:
-        min_separation: least distance between the two origins, m.
-        clearance: least gap between their outlines seen from above, m.
+        min_separation: smallest distance between the two origins, m.
+        clearance: smallest gap between their outlines seen from above, m.
     """
 
     x: ReachRange
@@ -30,12 +30,12 @@ class Sampling(Config):
     clearance: Distance
 
     def moved(self, y: float) -> Sampling:
-        """The same box, shifted along world y by so many metres."""
+        """The same box, shifted along world y by `y` metres."""
         return self.model_copy(update={"y": (self.y[0] + y, self.y[1] + y)})
 
 
 class Heights(Config):
-    """Heights in metres of the carried object's origin over where it lies or will lie."""
+    """Heights (m) of the carried object's origin above where it lies before, or will lie after."""
 
     approach: _Height
     lift: _Height
@@ -48,11 +48,12 @@ class Timing(Config):
 
     Attributes:
         ticks_per_waypoint: control ticks from one waypoint to the next.
-        grip_ticks: control ticks in which the hand stands still for the fingers to close, or to open, where friction is
-            to hold the object.
+        grip_ticks: control ticks in which the hand stands still while the fingers close or open, where friction holds
+            the object.
         settle_ticks: control ticks after the last waypoint, in which the arm goes back to where it started.
-        physics_steps_per_tick, timestep: so a tick lasts 16 x 2 ms = 32 ms.
-        ticks_per_frame: every how many ticks a frame is recorded.
+        physics_steps_per_tick, timestep: steps of physics in a control tick, and the length of a step, s. 16 steps of
+            2 ms make a tick of 32 ms.
+        ticks_per_frame: control ticks from one recorded frame to the next.
     """
 
     ticks_per_waypoint: int = Field(ge=2, le=1000)
@@ -74,7 +75,7 @@ class Success(Config):
     Attributes:
         threshold: largest horizontal distance between the two origins, m.
         max_height: largest height of the object's origin over the target's, m.
-        max_speed: a faster object has not come to rest, m/s.
+        max_speed: largest speed at which the object counts as at rest, m/s.
     """
 
     threshold: Annotated[FiniteFloat, Field(gt=0), Within("m", 1e-5, 1)]
@@ -86,11 +87,11 @@ class Exchange(Config):
     """How one hand gives the object to another, in the air between two arms.
 
     Attributes:
-        object: name of the one that `points` are given for.
-        x: of the place in `world`, m; it lies in the middle between the arms.
-        height: of the object's origin over where it lies on the table, m.
-        points: where the two hands may hold the object: either hand at either one, the other at the other.
-        clear: how far, along the object, the taking hand comes from and the giving hand goes to, m.
+        object: name of the object that `points` are given for.
+        x: where the exchange takes place along world x, m. Along y it is in the middle between the arms.
+        height: height of the object's origin above where it lies on the table, m.
+        points: the two places where hands may hold the object; either hand takes either one.
+        clear: distance along the object from which the taking hand comes, and to which the giving hand goes, m.
         carry_ticks: control ticks from the lift to the exchange, and from the exchange to the place.
         take_ticks: control ticks in which the taking hand moves in and closes.
         both_ticks: control ticks in which both hold, and the giving hand opens.
@@ -107,15 +108,17 @@ class Exchange(Config):
 
 
 class TaskConfig(Config):
-    """Something to demonstrate with `object` and `target`.
+    """A task with an `object` and a `target`.
 
     Attributes:
-        kind: what is done with them, one of `core.tasks.kinds`: pickplace picks `object` up and puts it onto `target`,
-            handover does so with two arms, which hand it over on the way.
-        language_task, language_prompt: how the task is called and told in the data; {object}, {target} and the target's
-            {preposition} are filled in.
-        sampling: for an arm at the origin; of two arms, it is moved to the one that picks and the one that places.
-        exchange: of a task in which the right arm hands the object to the left one; no other has any.
+        kind: what is done with them, one of `core.tasks.kinds`. `pickplace` picks `object` up and puts it onto
+            `target`. `handover` does the same with two arms, one of which hands it to the other.
+        language_task, language_prompt: the task's name and its description in the data. {object}, {target} and the
+            target's {preposition} are filled in.
+        sampling: where the objects may start, for an arm at the origin. For other arms the box is moved: the object's
+            to the arm that picks, the target's to the arm that places.
+        start_joints: of the arms that do the task when it starts, rad; if left out, those of their robot model.
+        exchange: how the right arm hands the object to the left one; only in tasks of the kind `handover`.
     """
 
     name: Name
@@ -125,21 +128,26 @@ class TaskConfig(Config):
     language_task: str
     language_prompt: str
     sampling: Sampling
-    start_joints: tuple[JointAngle, JointAngle, JointAngle, JointAngle, JointAngle, JointAngle]
+    start_joints: tuple[JointAngle, ...] | None = None
     heights: Heights
     timing: Timing
     success: Success
     exchange: Annotated[Exchange | None, Field(exclude_if=lambda exchange: exchange is None)] = None
+
+    @property
+    def things(self) -> tuple[ObjectConfig, ...]:
+        """All that is moved, or has something put onto it, in the order in which records name it."""
+        return self.object, self.target
 
     @field_validator("language_task", "language_prompt")
     @classmethod
     def _filled_in(cls, text: str, info: ValidationInfo) -> str:
         item, target = (info.data.get(key) for key in ("object", "target"))
         if item is None or target is None:
-            return text  # Their own faults are told.
+            return text  # They are not valid themselves, and are reported.
         words = {"object": item.name, "target": target.name, "preposition": target.preposition}
         for key, word in words.items():
-            # A task's name is one word; what is said of it has several.
+            # A task's name is one word, while its description may have several.
             said = word.replace("_", " ") if info.field_name == "language_prompt" else word
             text = text.replace(f"{{{key}}}", said)
         return text

@@ -3,61 +3,25 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
+from ..documents.base import Config, ConflictError, Name
+from ..documents.document import Document
+from ..documents.units import Distance, Heading, OffsetPoint, Within
 from ..geometry.se3 import Array, pose, rotation_z
-from .base import Config, ConflictError, Name, NonNegative, Quaternion, Rgba
-from .primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
-from .units import Distance, Heading, OffsetPoint, PlacePoint, Within
+from .articulation import Handle, Link
+from .made import MADE, made_from
+from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
+from .shapes import Shape
+from .thing_parts import Contact as Contact
+from .thing_parts import Inertia as Inertia
+from .thing_parts import ObjectMesh as ObjectMesh
 
-_Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
-_Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 100)]
 # Of its parts; fits, which look for them, try larger ones on their way.
 _PART = Within("m", -1, 1)
-
-
-class Contact(Config):
-    """Surface in MuJoCo's terms: sliding, torsional (m) and rolling (m) friction, and the contact dimension."""
-
-    friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
-    condim: Literal[1, 3, 4, 6] = 3
-
-
-class ObjectMesh(Config):
-    """The scan that is seen: asset set and file, and the scan's point that becomes the object's origin.
-
-    Attributes:
-        castshadow: whether the scan casts a shadow. A shallow one speckles itself where light grazes it: then let
-            primitives of `look` just under its surface cast the shadow instead.
-    """
-
-    set: str
-    file: str
-    origin: PlacePoint
-    rgba: Rgba
-    specular: float = Field(default=0.2, ge=0, le=1)
-    shininess: float = Field(default=0.3, ge=0, le=1)
-    castshadow: Annotated[bool, Field(exclude_if=lambda cast: cast)] = True
-
-
-class Inertia(Config):
-    """Mass in grams, centre of mass (m) in the object's frame, principal moments (kg m2) and the frame they hold in."""
-
-    mass_g: Annotated[FiniteFloat, Within("g", 0.5, 50_000)]
-    centre: OffsetPoint = (0.0, 0.0, 0.0)
-    diagonal: tuple[_Moment, _Moment, _Moment]
-    quat: Quaternion
-
-    @property
-    def mass(self) -> float:
-        """Mass in kilograms."""
-        return self.mass_g / 1000.0
-
-
-# Half the width of a crank finger near its tip. Source: the finger meshes of MuJoCo Menagerie i2rt_yam.
-_FINGER_RADIUS = 0.012
 
 
 class GraspPoint(Config):
@@ -103,43 +67,83 @@ class Grasp(GraspPoint):
     clearance: Annotated[FiniteFloat, Within("m", 1e-4, 0.1)] = 0.010
     friction: FrictionGrasp | None = None
 
-    def fingers(self, open_by: float) -> tuple[tuple[float, float, float], ...]:
-        """Discs (x, y, radius) in the object's frame where the tips of the open fingers come down around it, m."""
+    def fingers(self, open_by: float, radius: float) -> tuple[tuple[float, float, float], ...]:
+        """Discs (x, y, radius) in the object's frame where the tips of the open fingers come down around it, m.
+
+        Args:
+            open_by: by how much each finger is open, m.
+            radius: half of a finger's width, m.
+        """
         angle = math.radians(self.axis_deg)
-        reach = open_by + _FINGER_RADIUS / 2
+        reach = open_by + radius / 2
         x, y, _ = self.position
         return tuple(
-            (x + side * reach * math.cos(angle), y + side * reach * math.sin(angle), _FINGER_RADIUS) for side in (-1, 1)
+            (x + side * reach * math.cos(angle), y + side * reach * math.sin(angle), radius) for side in (-1, 1)
         )
 
 
+# Left out where there are none, so that what was written before there could be any stays as it is.
+_UNLESS_EMPTY = Field(exclude_if=lambda parts: not parts)
+
+
 class ObjectConfig(Config):
-    """A thing that can be moved: primitives to collide, a scan to see.
+    """A thing that can be moved: primitives or convex parts to collide, meshes to see, and parts that move on it.
+
+    Where it has such parts, what stands here is its base.
 
     Attributes:
+        shape: the sizes that it is made from, if it is. Whatever else a file leaves out follows from them when it is
+            read; what a dataset holds says it all, and only what is seen is made from the sizes again.
+        mesh, meshes: what is seen, each with its own material.
         rest_height: of the origin over the surface it lies on, m.
+        support: height over the origin of the surface on which something put into its middle comes to lie, m; without,
+            its primitives tell.
         preposition: how things are put there: "on" a plate, "in" a bowl.
         look: extra primitives that are only seen, such as a banana's brown ends.
+        base: "free" to be moved; "fixed" stays where an attempt puts it, whatever pulls.
+        links: the parts that move on the base and on each other, parents before children.
+        handles: where a hand takes hold of the base.
     """
 
     name: Name
+    shape: Annotated[Shape | None, Field(exclude_if=lambda shape: shape is None)] = None
     mesh: ObjectMesh
+    meshes: Annotated[tuple[ObjectMesh, ...], _UNLESS_EMPTY] = ()
     inertia: Inertia
     contact: Contact = Contact()
-    collision: tuple[Primitive, ...] = Field(min_length=1)
+    collision: tuple[CollisionPart, ...] = Field(min_length=1)
     look: tuple[Primitive, ...] = ()
     rest_height: Distance
+    support: Annotated[Distance | None, Field(exclude_if=lambda height: height is None)] = None
     preposition: Literal["on", "in"] = "on"
     grasp: Grasp | None = None
+    base: Annotated[Literal["free", "fixed"], Field(exclude_if=lambda base: base == "free")] = "free"
+    links: Annotated[tuple[Link, ...], _UNLESS_EMPTY] = ()
+    handles: Annotated[tuple[Handle, ...], _UNLESS_EMPTY] = ()
+
+    @classmethod
+    def read(cls, path: Path) -> Document:
+        """A file of an object, completed from its sizes where it gives any. Raises as `load_yaml`."""
+        document = super().read(path)
+        document.data.setdefault("name", path.stem)
+        for key, value in made_from(document.data).items():
+            if key not in document.data:
+                document.set((key,), value, document.place(("shape",)))
+        return document
 
     @model_validator(mode="after")
     def _of_a_things_size(self, info: ValidationInfo) -> ObjectConfig:
         for path, part in (
             *((("collision", k), part) for k, part in enumerate(self.collision)),
             *((("look", k), part) for k, part in enumerate(self.look)),
+            *(
+                (("links", k, "collision", i), part)
+                for k, link in enumerate(self.links)
+                for i, part in enumerate(link.collision)
+            ),
         ):
             for name, value in part:
-                if name in ("type", "yaw_deg", "segments", "rgba"):
+                if name in ("type", "yaw_deg", "segments", "rgba", "file"):
                     continue
                 for number in value if isinstance(value, tuple) else (value,):
                     try:
@@ -147,6 +151,40 @@ class ObjectConfig(Config):
                     except ValueError as error:
                         raise ConflictError(f"{number:g} is not valid: {error}", (*path, name)) from None
         return self
+
+    @model_validator(mode="after")
+    def _hangs_together(self) -> ObjectConfig:
+        known: set[str] = set()
+        for k, link in enumerate(self.links):
+            if link.name in known:
+                raise ConflictError(f"two links are called {link.name!r}", ("links", k, "name"))
+            if link.parent is not None and link.parent not in known:
+                raise ConflictError(
+                    f"parent {link.parent!r} of link {link.name!r} is no link before it; "
+                    f"leave it out for the base, or name one of: {', '.join(sorted(known)) or '(none)'}",
+                    ("links", k, "parent"),
+                )
+            known.add(link.name)
+        return self
+
+    @property
+    def all_meshes(self) -> tuple[ObjectMesh, ...]:
+        """Every mesh that is seen of it, its links' included."""
+        return (self.mesh, *self.meshes, *(mesh for link in self.links for mesh in link.meshes))
+
+    @property
+    def mesh_sets(self) -> tuple[str, ...]:
+        """The asset sets that its files lie in, sorted; what is made from sizes needs none.
+
+        Its collision meshes lie in the set of `mesh`.
+        """
+        return tuple(sorted({mesh.set for mesh in self.all_meshes} - {MADE}))
+
+    @property
+    def needs_meshes(self) -> bool:
+        """Whether it collides by mesh files, so that primitives cannot stand in for them."""
+        parts = (*self.collision, *(part for link in self.links for part in link.collision))
+        return any(isinstance(part, HullPart | SdfPart) for part in parts)
 
     @property
     def footprint(self) -> tuple[tuple[float, float, float], ...]:
@@ -162,22 +200,26 @@ class ObjectConfig(Config):
                     discs.append((part.centre[0], part.centre[1], part.radius))
                 case Box():
                     discs.extend(part.discs)
+                case HullPart() | SdfPart():
+                    discs.extend(part.around.discs)
                 case Ring():
-                    discs.append((0.0, 0.0, part.outer[0]))
+                    discs.append((0.0, 0.0, max(part.inner[0], part.outer[0])))
         return tuple(discs)
 
     @property
     def support_height(self) -> float:
         """Height over the origin of the surface on which something put into the middle comes to lie, m."""
+        if self.support is not None:
+            return self.support
         return max((top for part in self.collision if (top := _flat_top(part)) is not None), default=0.0)
 
     @property
     def carries(self) -> bool:
         """Whether something can be put onto it, or into it: it has a flat top, or a floor."""
-        return any(_flat_top(part) is not None for part in self.collision)
+        return self.support is not None or any(_flat_top(part) is not None for part in self.collision)
 
 
-def _flat_top(part: Primitive) -> float | None:
+def _flat_top(part: CollisionPart) -> float | None:
     """Height of a primitive's flat upper face over the object's origin, m; None if it has none."""
     match part:
         case Cylinder():

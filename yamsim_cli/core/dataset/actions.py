@@ -1,4 +1,4 @@
-"""What acted in a recorded episode, put together from its frames."""
+"""The actions of a recorded episode, put together from its frames."""
 
 from __future__ import annotations
 
@@ -6,27 +6,26 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import DatasetError
 from ..geometry.se3 import Array
-from ..types import Actions, Holds
+from ..types import Actions
 from .lowdim import has_simulation
 
 
 def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> tuple[Array, Actions] | None:
-    """Where an episode began and what acted in it, exactly as it did.
+    """The exact start of an episode and its actions.
 
     Args:
-        frames: the episode's, each without faults, see `checks.lowdim.frame_faults`.
+        frames: the episode's frames, each without faults, see `checks.lowdim.frame_faults`.
         nq, nu: how many positions and drives the scene has.
 
     Returns:
-        MuJoCo's positions (nq,) at the first frame, and the actions; None where any frame holds no simulation data, as
-        in a recording of real arms.
+        MuJoCo's positions (nq,) at the first frame, and the actions. None if any frame lacks simulation data, as in a
+        recording of real arms.
 
     Raises:
-        DatasetError: the episode is of another scene.
+        DatasetError: the episode was recorded in another scene.
     """
     if not frames or not all(map(has_simulation, frames)):
         return None
@@ -38,14 +37,15 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
                 "the episode was made with another robot model or scene than its dataset says"
             )
     counts = [len(frame["sim_ctrl"]) for frame in frames]
-    actions = Actions(
-        ctrl=np.concatenate([frame["sim_ctrl"] for frame in frames]),
-        magnet=tuple(_holds(row) for frame in frames for row in frame["sim_magnet"]),
-        joints=np.repeat([np.asarray(frame["action_joints"], dtype=float) for frame in frames], counts, axis=0),
-    )
+    magnet = np.concatenate([frame["sim_magnet"] for frame in frames])
+    # A lone arm has no axis in a frame.
+    magnet = magnet.reshape(len(magnet), -1)
+    asked = np.array([asked_joints(frame, magnet.shape[1]) for frame in frames])
+    actions = Actions(np.concatenate([frame["sim_ctrl"] for frame in frames]), magnet, np.repeat(asked, counts, axis=0))
     return frames[0]["sim_qpos"], actions
 
 
-def _holds(row: NDArray[np.bool_]) -> Holds:
-    """One tick's entry of `sim_magnet`."""
-    return tuple(map(bool, row)) if row.ndim else bool(row)
+def asked_joints(frame: Mapping[str, Any], arms: int) -> Array:
+    """What a frame's plan asked of each arm: joints in rad and the opening of one finger in m, (arms, drives)."""
+    joints: Array = np.asarray(frame["action_joints"], dtype=float).reshape(arms, -1)
+    return joints

@@ -1,4 +1,4 @@
-"""How far two sets of frames lie apart, and where they first do: numbers only, whatever made them."""
+"""How much two episodes' frames differ, and where they first do."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Difference:
-    """One value that is not what it was.
+    """One value that differs from the stored one.
 
     Attributes:
-        frame: number of the frame; None for what an episode has once.
+        frame: number of the frame; None for a value that an episode has once.
         time_s: simulated time of the frame, s.
-        quantity: which value, such as `joints[2]` or `banana_pose[0, 3]`.
+        quantity: name of the value, such as `joints[2]` or `banana_pose[0, 3]`.
         stored, got: both values; numbers in the unit of the quantity, else text.
-        difference: see `Comparison.largest`; None where the values are no finite numbers of the same shape.
+        difference: by how much they differ, see `Comparison.largest`; None where the values are not both finite numbers
+            of the same shape.
     """
 
     frame: int | None
@@ -32,12 +33,13 @@ class Difference:
 
 @dataclass
 class Comparison:
-    """What comparing two episodes gave.
+    """The result of comparing two episodes.
 
     Attributes:
-        largest: quantity -> largest difference: that of two numbers, over the stored one where that is above 1. So it
-            is in rad or m, and for large numbers such as a focal length in px relative.
-        first: the first difference beyond the tolerance; the largest one, where a frame has several.
+        largest: quantity -> its largest difference. The difference of two numbers is divided by the stored number if
+            that is above 1. So it is absolute for angles and positions (rad, m), and relative for large numbers, such
+            as a focal length in px.
+        first: the first difference beyond the tolerance. If a frame has several, it is the largest of them.
     """
 
     largest: dict[str, float] = field(default_factory=dict)
@@ -52,10 +54,10 @@ class Comparison:
 def compare_frames(
     stored: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], tolerance: float
 ) -> Comparison:
-    """Compare two episodes' low-dimensional data, frame by frame and value by value.
+    """How two episodes' low-dimensional data differ, frame by frame and value by value.
 
     Args:
-        tolerance: a number may differ by that much, see `Comparison.largest`; everything else has to be equal.
+        tolerance: how much a number may differ, see `Comparison.largest`; everything else has to be equal.
     """
     result = Comparison()
     for k, (old, new) in enumerate(zip(stored, made, strict=False)):
@@ -67,7 +69,7 @@ def compare_frames(
 
 
 def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> Comparison:
-    """Compare what an episode has once, such as its outcome."""
+    """How values that an episode has once, such as its outcome, differ."""
     result = Comparison()
     _compare(result, stored, made, tolerance, None, None)
     return result
@@ -81,7 +83,7 @@ def _compare(
     frame: int | None,
     time: float | None,
 ) -> None:
-    """Compare one frame, and put what was found into `result`."""
+    """Compare one frame, and put the differences into `result`."""
     worst: Difference | None = None
     for quantity, old, new in _leaves(stored, made):
         index, apart = _apart(old, new)

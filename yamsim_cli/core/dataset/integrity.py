@@ -1,4 +1,4 @@
-"""Whether the episodes on the disk are what was written, by their hashes alone; and moving those that are not."""
+"""Checks by hashes that episodes on the disk are what was written, and moves away those that are not."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..files import sha256_bytes
 from .layout import DAMAGED, EPISODE, episode_directories
 from .records import EpisodeRecord, from_json
 
-# Reading waits for the disk or the network, and hashing does not hold the interpreter.
+# Threads that read: each waits for the disk or the network, and hashing leaves the interpreter free.
 _READERS = 32
 
 
@@ -21,8 +21,8 @@ class Found:
 
     Attributes:
         record: its `episode.json`; None if that cannot be read.
-        text: of `episode.json`.
-        size: of all files named in the record, bytes.
+        text: the bytes of its `episode.json`.
+        size: bytes of all files that the record names.
         fault: what is wrong with it; None if it is whole.
     """
 
@@ -45,12 +45,12 @@ def find_episodes(dataset: Path) -> list[Found]:
 
 
 def set_aside(episode: Path) -> Path:
-    """Move a damaged episode out of the way, into its dataset's directory for such, and say where it is."""
+    """The new place of a damaged episode, which is moved into its dataset's directory for damaged parts."""
     return episode.rename(place_for_damaged(episode))
 
 
 def place_for_damaged(path: Path) -> Path:
-    """A free name for a damaged part of a dataset, in the directory for such, which is made."""
+    """A free path for a damaged part of a dataset, in the directory for damaged parts, which is made if missing."""
     folder = path.parent / DAMAGED
     folder.mkdir(exist_ok=True)
     number = 1

@@ -1,15 +1,15 @@
-"""Where everything lies in a dataset directory. The one place that knows the names.
+"""Names and places of everything in a dataset's directory. No other module knows them.
 
 <dataset>/config.yaml            the resolved configuration
-attempts.jsonl         one line an attempt, successes and failures, in order
-manifest.json          what is published; derived, can be rebuilt
+attempts.jsonl         one line per attempt, successes and failures, in order
+manifest.json          the published episodes; made from them, and can be made again
 ep_000000/episode.json seed, outcome, versions, sha256 of every file
 rgb/<camera>/000000.jpg
 lowdim/000000.pkl
 depth/<camera>/000000.npz, segmentation/<camera>/000000.png, truth/<camera>.npz, truth/labels.json
 .staging/              episodes being written; never read
-.lock                  who records into it now; gone when nobody does
-.damaged/              episodes that were not what was recorded, and damaged ledgers, out of the way; never read
+.lock                  who records into it now; removed afterwards
+.damaged/              damaged episodes and ledgers that were moved away; never read
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ ATTEMPTS = "attempts.jsonl"
 MANIFEST = "manifest.json"
 EPISODE = "episode.json"
 TRUTH_LABELS = "truth/labels.json"
-# Below which ground truth lies.
+# The folders with ground truth.
 TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")
 STAGING = ".staging"
-# Recordings by hand that are going on, or that a killed session left.
+# Recordings by teleoperation that are going on, or that a killed session left.
 RECORDINGS = ".recordings"
 LOCK = ".lock"
 DAMAGED = ".damaged"
@@ -34,7 +34,7 @@ EPISODE_FORMAT = "yamsim-episode"
 DATASET_FORMAT = "yamsim-dataset"
 FORMAT_VERSION = 1
 
-# What a crash may leave beside the final names: see `files.write_file`.
+# Names of files that a crash may leave beside the final ones, see `files.write_file`.
 _PART_NAME = re.compile(rf"^\.({re.escape(CONFIG)}|{re.escape(ATTEMPTS)}|{re.escape(MANIFEST)})\.[0-9a-f]{{32}}\.part$")
 _EPISODE_NAME = re.compile(r"^ep_(\d{6,})$")
 
@@ -70,12 +70,12 @@ def truth_name(camera: str) -> str:
 
 
 def is_litter(name: str) -> bool:
-    """Whether an entry of a dataset's directory is only left over from writing, and means nothing."""
+    """Whether an entry of a dataset's directory is only a remainder of writing, and holds no data."""
     return name in (STAGING, LOCK) or _PART_NAME.match(name) is not None
 
 
 def episode_directories(dataset: Path) -> list[tuple[int, Path]]:
-    """Number and directory of every published episode, in order; the staging directory is not looked into."""
+    """Number and directory of every published episode, in order; those in the staging directory are not published."""
     found = [
         (int(match.group(1)), path)
         for path in dataset.iterdir()

@@ -1,6 +1,6 @@
-"""The ledger of attempts, read line by line: what is whole counts, and what is lost is found in the episodes.
+"""The ledger of attempts, read line by line. Whole lines count, and lost ones are restored from the episodes.
 
-Lines are kept as the bytes they are, so that a ledger that is written anew differs only where it was damaged.
+Lines keep their bytes, so that a ledger that is written anew differs only where it was damaged.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from .integrity import place_for_damaged
 from .layout import ATTEMPTS, episode_name
 from .records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
 
-# Stands for an attempt that cannot be made again and whose line is lost.
+# The outcome of an attempt whose line is lost and that is not made again.
 LINE_LOST = OutcomeRecord(
     success=False,
     cause="line_lost",
@@ -28,15 +28,15 @@ LINE_LOST = OutcomeRecord(
 
 
 class Ledger:
-    """What a dataset's `attempts.jsonl` holds.
+    """The content of a dataset's `attempts.jsonl`.
 
     Attributes:
-        known: attempt -> its record, of the lines that are whole; in order.
-        fault: the first thing wrong with the file; None if nothing is but, perhaps, a cut-off end.
+        known: attempt -> its record, from the lines that are whole; in order.
+        fault: the first fault of the file; None if it has none. A cut-off last line is no fault.
     """
 
     def __init__(self, dataset: Path) -> None:
-        """Read it. One that is not there knows of no attempt; a last line that a power cut broke off is left out."""
+        """Read the file. A missing one holds no attempts, and a last line that a power cut broke off is left out."""
         self._file = dataset / ATTEMPTS
         self.known: dict[int, AttemptRecord] = {}
         self.fault: str | None = None
@@ -60,7 +60,7 @@ class Ledger:
         if attempt.attempt in self.known:
             self.fault = self.fault or f"line {number}: attempt {attempt.attempt} is there twice"
             if attempt.attempt != number - 1:
-                # In its place is the other one.
+                # The earlier line stands in its right place, and this one does not.
                 return
         self._put(attempt, line + b"\n")
 
@@ -74,10 +74,10 @@ class Ledger:
         return set(range(max(self.known, default=-1))) - self.known.keys()
 
     def adopt(self, episodes: Sequence[EpisodeRecord]) -> None:
-        """Fill in from the dataset's whole episodes what their lines said, and leave out what nothing vouches for.
+        """Restore lost lines from the dataset's whole episodes, and leave out lines that contradict them.
 
         Raises:
-            DatasetError: an episode and the ledger cannot both be right.
+            DatasetError: an episode and the ledger contradict each other, and nothing says which is right.
         """
         made = {record.episode: record for record in episodes}
         for attempt in list(self.known.values()):
@@ -108,7 +108,7 @@ class Ledger:
             )
 
     def _drop_end(self) -> None:
-        """Leave out failures after a gap that no episode follows: they are made again, if they are needed at all."""
+        """Leave out failures after a gap, if no episode follows them: they are made again if they are needed."""
         last = max((number for number, attempt in self.known.items() if attempt.episode is not None), default=-1)
         while last + 1 in self.known:
             last += 1
@@ -120,16 +120,19 @@ class Ledger:
         """Put an attempt whose line was lost into its place.
 
         Raises:
-            OSError: the file is as it was.
+            OSError: it could not be written; the file is unchanged.
         """
         self._put(attempt, to_json(attempt))
         self._write()
 
     def mend(self) -> Path | None:
-        """Write the file anew if it says anything else than what is known, and say where a damaged one is kept.
+        """Write the file anew if it differs from what is known.
+
+        Returns:
+            The place of a copy of the damaged file; None if there was no damage.
 
         Raises:
-            OSError: the file is as it was.
+            OSError: it could not be written; the file is unchanged.
         """
         if self._read == self._text():
             return None
@@ -149,10 +152,10 @@ class Ledger:
 
 
 def vacant_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:
-    """The number of the episode that an attempt gave, if it gave one: numbers follow the order of attempts.
+    """The number of the episode that an attempt must have given if it succeeded; numbers follow the attempts' order.
 
     Returns:
-        None where the episodes around it leave none out, so that it failed.
+        None if the episodes before and after it leave no number out: then it failed.
     """
     before = [record.episode for record in attempts[:attempt] if record.episode is not None]
     after = [record.episode for record in attempts[attempt:] if record.episode is not None]
@@ -161,7 +164,7 @@ def vacant_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | Non
 
 
 def lost_line(attempt: int, seed: int) -> AttemptRecord:
-    """What is known of an attempt whose line is lost."""
+    """The record of an attempt whose line is lost."""
     return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LINE_LOST, layout={})
 
 

@@ -1,4 +1,4 @@
-"""The low-dimensional data of one frame: what it holds, and how it is written and safely read."""
+"""The low-dimensional data of one frame: its content, and how it is written and safely read."""
 
 from __future__ import annotations
 
@@ -13,33 +13,35 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import DatasetError
+from ..geometry.se3 import Array
 from ..types import Holds
 from .unpickle import read_pickle
 
-# Fixed, so that the bytes do not change with Python's default.
+# The version of pickle's format, fixed so that bytes do not change with Python's default.
 _PROTOCOL = 4
 
-# Six joints and a gripper.
-_PER_ARM = 7
-
-# Where the right arm stands, in the left one's base; only of two arms.
+# Key of the right arm's base in the left one's, which only frames of two arms have.
 BETWEEN_BASES = "T_right_base_in_left_base"
 
-# Dtype and number of dimensions of the keys that simulation alone has: a frame has all of them or none. Each entry of
-# `sim_magnet` is as `magnet` is.
+# Key -> dtype and number of dimensions, for the keys that only simulated frames have. A frame has all of them or none.
+# Each entry of `sim_magnet` has the shape of `magnet`.
 SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_qpos": (np.float64, 1),
     "sim_ctrl": (np.float64, 2),
     "sim_magnet": (np.bool_, 1),
 }
 
-# Nothing on a table is farther away, m or rad; a simulation that starts with larger numbers blows up.
+# Positions and drives beyond this (m or rad) are refused: a simulation that starts with them breaks down.
 _FARTHEST = 1e3
 
 
-def shapes(arms: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays every frame has of so many arms; `<object>_pose` and per-camera entries come on top."""
-    common: dict[str, tuple[int, ...]] = dict.fromkeys(("joints", "ctrl", "action_joints"), (_PER_ARM * arms,))
+def shapes(arms: int, drives: int) -> dict[str, tuple[int, ...]]:
+    """Key -> shape of the arrays that every frame has of so many arms; those of objects and cameras come on top.
+
+    Args:
+        drives: how many each arm has: one for each joint, and its gripper's if it has fingers.
+    """
+    common: dict[str, tuple[int, ...]] = dict.fromkeys(("joints", "ctrl", "action_joints"), (drives * arms,))
     if arms == 1:
         return common | {"ee_pose": (4, 4)}
     return common | {"ee_pose": (arms, 4, 4), BETWEEN_BASES: (4, 4)}
@@ -47,30 +49,30 @@ def shapes(arms: int) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True)
 class SimulationData:
-    """A frame as the simulator has it, in its own precision: rounded to float32, a replay would drift off.
+    """The simulator's own numbers at a frame, in full precision: from float32 a replay would drift.
 
     Attributes:
         qpos: MuJoCo's positions (nq,) at the frame, objects in `world`.
         ctrl: what the drives are told on each control tick until the next frame, (ticks, nu), rad and m, in MuJoCo's
-            own order: of two arms that need not be the one of recordings.
-        magnet: whether the weld holds on each of those ticks, (ticks,); of two arms (ticks, 2), the left one first.
+            order. With two arms that need not be the order of `joints`.
+        magnet: whether each arm's weld holds on each of those ticks (ticks, arms).
     """
 
     qpos: ArrayLike
     ctrl: ArrayLike
-    magnet: ArrayLike
+    magnet: Holds
 
 
 def frame_data(
     *,
-    joints: ArrayLike,
+    joints: Array,
     timestamp: float,
     intrinsics: Mapping[str, ArrayLike],
     extrinsics: Mapping[str, ArrayLike],
     object_poses: Mapping[str, ArrayLike],
-    ee_pose: ArrayLike,
-    ctrl: ArrayLike,
-    action_joints: ArrayLike,
+    ee_pose: Array,
+    ctrl: Array,
+    action_joints: Array,
     magnet: Holds,
     language_task: str,
     language_prompt: str,
@@ -80,34 +82,36 @@ def frame_data(
 ) -> dict[str, Any]:
     """One frame's dictionary, its keys always in the same order.
 
-    What is there for each arm has the left arm's first; poses are in the base of the only arm, or of the left one.
+    Arguments have an axis of arms, the left arm first. Only here does a lone arm lose it, and come the numbers of two
+    arms one after the other's. Poses are in the base of the only arm, or of the left one.
 
     Args:
-        joints: six joints in rad and the opening of one finger in m, (7,) or (14,).
+        joints: each arm's joints in rad and the opening of one finger in m, (arms, drives).
         timestamp: simulated time, s.
         intrinsics: camera -> K (3, 3), pixel centres at whole numbers.
         extrinsics: camera -> `T_cam_in_rbase` (4, 4), OpenCV's camera frame in the robot's base.
         object_poses: object -> pose (4, 4) in the robot's base, stored as `<object>_pose`.
-        ee_pose: pose (4, 4), or poses (2, 4, 4), of `grasp_site` in the robot's base.
-        ctrl: what the drives were told (7,) or (14,), rad and m.
-        action_joints: the joints and finger opening the plan asked for at the end of the tick, (7,) or (14,).
-        magnet: whether the weld holds the object; of two arms, stored as an array (2,).
-        wrist_camera: the only wrist camera's name; its K is then stored as `K_wrist` too.
-        T_right_base_in_left_base: pose (4, 4), of two arms.
-        simulation: what makes the frame repeatable in physics; a real recording has none.
+        ee_pose: poses (arms, 4, 4) of each arm's `grasp_site` in the robot's base.
+        ctrl: what each arm's drives were told (arms, drives), rad and m.
+        action_joints: the joints and finger opening of each arm (arms, drives) that the plan asked for at the end of
+            the tick.
+        magnet: whether each arm's weld holds the object (arms,).
+        wrist_camera: the name of the only wrist camera, whose K is then stored as `K_wrist` too.
+        T_right_base_in_left_base: pose (4, 4); with two arms only.
+        simulation: the numbers that make the frame repeatable in physics; None for a real recording.
     """
     data: dict[str, Any] = {
-        "joints": _f32(joints),
+        "joints": _f32(joints.ravel()),
         "timestamp": float(timestamp),
         "intrinsics": {camera: _f32(K) for camera, K in intrinsics.items()},
         "extrinsics": {camera: _f32(T) for camera, T in extrinsics.items()},
     }
     data |= {f"{name}_pose": _f32(T) for name, T in object_poses.items()}
     data |= {
-        "ee_pose": _f32(ee_pose),
-        "ctrl": _f32(ctrl),
-        "action_joints": _f32(action_joints),
-        "magnet": np.array(magnet, dtype=np.bool_) if isinstance(magnet, tuple) else bool(magnet),
+        "ee_pose": _f32(_squeezed(ee_pose)),
+        "ctrl": _f32(ctrl.ravel()),
+        "action_joints": _f32(action_joints.ravel()),
+        "magnet": np.array(magnet, dtype=np.bool_) if len(magnet) > 1 else bool(magnet[0]),
         "language_task": language_task,
         "language_prompt": language_prompt,
     }
@@ -119,9 +123,14 @@ def frame_data(
         data |= {
             "sim_qpos": _f64(simulation.qpos),
             "sim_ctrl": _f64(simulation.ctrl),
-            "sim_magnet": np.ascontiguousarray(simulation.magnet, dtype=np.bool_),
+            "sim_magnet": np.ascontiguousarray(_squeezed(simulation.magnet, axis=1), dtype=np.bool_),
         }
     return data
+
+
+def _squeezed(values: NDArray[Any], axis: int = 0) -> NDArray[Any]:
+    """What is there for each arm along an axis; of a lone arm, without that axis."""
+    return values if values.shape[axis] > 1 else values.squeeze(axis)
 
 
 def _f32(values: ArrayLike) -> NDArray[np.float32]:
@@ -133,10 +142,10 @@ def _f64(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def dump_frame(data: Mapping[str, Any]) -> bytes:
-    """Pickle a frame; equal frames give equal bytes.
+    """The pickle of a frame; equal frames give equal bytes.
 
-    Pickle's memo writes a reference where it meets an object again, so the bytes would depend on whether two equal
-    strings happen to be one object. Fast mode has no memo; a frame has no cycles that would need it.
+    Pickle's memo writes a reference when it meets an object again. The bytes would then depend on whether two equal
+    strings happen to be one object. Fast mode has no memo, and a frame has no cycles that would need one.
     """
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, protocol=_PROTOCOL)
@@ -146,11 +155,11 @@ def dump_frame(data: Mapping[str, Any]) -> bytes:
 
 
 def load_frame(data: bytes) -> dict[str, Any]:
-    """Read a frame's pickle, allowing numpy arrays and plain containers alone.
+    """The frame in a pickle, which may hold only numpy arrays and plain containers.
 
     Raises:
         ForbiddenPickleError: it names anything else, or would take more memory than a frame may.
-        DatasetError: truncated, not a pickle, or not a dictionary.
+        DatasetError: it is truncated, not a pickle, or not a dictionary.
     """
     frame = read_pickle(data)
     if not isinstance(frame, dict):
@@ -159,7 +168,7 @@ def load_frame(data: bytes) -> dict[str, Any]:
 
 
 def content_hash(frames: Iterable[Mapping[str, Any]]) -> str:
-    """SHA-256 over the decoded values of an episode's frames: the same whatever pickle made of them."""
+    """SHA-256 over the decoded values of an episode's frames, so that it does not depend on the pickle format."""
     digest = hashlib.sha256()
     for frame in frames:
         _feed(digest, frame)
@@ -180,7 +189,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def flat(frame: Mapping[str, Any]) -> dict[str, Any]:
-    """A frame's entries by flat keys: what a dictionary in it holds becomes `key[inner]`: `intrinsics[camera]`."""
+    """A frame's entries by flat keys: the entries of a dictionary in it are under keys such as `intrinsics[camera]`."""
     entries: dict[str, Any] = {}
     for key, value in frame.items():
         if isinstance(value, Mapping):
@@ -191,12 +200,12 @@ def flat(frame: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def has_simulation(frame: Mapping[str, Any]) -> bool:
-    """Whether a frame holds what physics needs to repeat it."""
+    """Whether a frame holds all that physics needs to repeat it."""
     return all(key in frame for key in SIMULATION)
 
 
 def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
-    """What is wrong with the keys that physics needs to repeat a frame; nothing where it has none of them."""
+    """Faults of the keys that physics needs to repeat a frame; empty if the frame has none of these keys."""
     faults: list[str] = []
     if not any(key in frame for key in SIMULATION):
         return faults

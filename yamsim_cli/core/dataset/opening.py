@@ -1,4 +1,4 @@
-"""Get hold of a dataset's directory: refuse it, take it as it is, or move what is there aside."""
+"""Claims a dataset's directory for a recorder: refuses an occupied one, resumes it, or moves it aside."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 
 from ..errors import UsageError
 from ..files import move_aside, obstacle
+from .directory_lock import DirectoryLock
 from .layout import LOCK, STAGING, is_litter
-from .lock import DirectoryLock
 
 
 class OpenMode(Enum):
@@ -24,12 +24,12 @@ class OpenMode(Enum):
 
 @dataclass(frozen=True)
 class Claim:
-    """A directory that is ours to write.
+    """A directory that this process may write.
 
     Attributes:
         lock: keeps other recorders out until it is released.
-        occupied: whether it holds something, to be resumed.
-        moved_aside: where what was there has gone, if it was moved.
+        occupied: whether it holds a dataset to be resumed.
+        moved_aside: the new place of what was there before, if it was moved.
     """
 
     lock: DirectoryLock
@@ -38,18 +38,18 @@ class Claim:
 
 
 def claim(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> Claim:
-    """Lock a directory for recording, made when missing.
+    """The claim on a directory, which is made when missing and locked.
 
     Raises:
         UsageError: it is not empty, or is no directory, and the mode does not say what to do.
-        ResourceError: another recorder is at it.
+        ResourceError: another recorder holds it.
         OSError: it cannot be made or written.
     """
     moved = None
     if mode is OpenMode.OVERWRITE and is_occupied(path):
         moved = _move_aside(path, locks_reach_others)
     if mode is OpenMode.NEW and is_occupied(path):
-        # Before anything is written. Better than "is not empty" is that somebody is at it, and who.
+        # If another recorder is at work there, the error says so and names it, which helps more than "is not empty".
         if (path / LOCK).exists():
             DirectoryLock.take(path, reaches_others=locks_reach_others).release()
         raise _in_the_way(path)
@@ -58,7 +58,7 @@ def claim(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> Claim:
     path.mkdir(parents=True, exist_ok=True)
     lock = DirectoryLock.take(path, reaches_others=locks_reach_others)
     try:
-        # Once more, now that nobody else can write.
+        # Asked again, now that nobody else can write.
         occupied = is_occupied(path)
         if occupied and mode is not OpenMode.RESUME:
             raise _in_the_way(path)
@@ -70,7 +70,7 @@ def claim(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> Claim:
 
 
 def is_occupied(path: Path) -> bool:
-    """Whether there is something at `path` but an empty directory and what a crash left of an empty dataset."""
+    """Whether there is anything at `path` besides an empty directory, or the remains of a dataset without content."""
     if not path.is_dir():
         return path.exists() or path.is_symlink()
     return any(not is_litter(entry.name) for entry in path.iterdir())
@@ -87,9 +87,9 @@ def _in_the_way(path: Path) -> UsageError:
 
 
 def _move_aside(path: Path, locks_reach_others: bool) -> Path:
-    """Move what is there, unless somebody records into it."""
+    """The new place of what is at `path`, which is moved unless somebody records into it."""
     if not path.is_dir() or not os.access(path, os.W_OK):
-        # Nobody can record into that.
+        # Nobody can be recording into that.
         return move_aside(path)
     lock = DirectoryLock.take(path, reaches_others=locks_reach_others)
     try:

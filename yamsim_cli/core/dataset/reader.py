@@ -1,4 +1,4 @@
-"""Published episodes, read back file by file; nothing of them is trusted."""
+"""Published episodes, read back file by file. Their content is not trusted."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from .records import EpisodeRecord, from_json
 
 @dataclass(frozen=True)
 class StoredEpisode:
-    """An episode on the disk: its directory, and what its `episode.json` says."""
+    """An episode on the disk: its directory, and the content of its `episode.json`."""
 
     directory: Path
     record: EpisodeRecord
 
     @property
     def dataset(self) -> Path:
-        """The dataset it belongs to."""
+        """The directory of the dataset that it belongs to."""
         return self.directory.absolute().parent
 
     def read(self, name: str) -> bytes:
-        """Content of one file by its path inside the episode, as it is.
+        """Content of one file by its path inside the episode, whether it was altered or not.
 
         Raises:
             DatasetError: it cannot be read.
@@ -43,11 +43,11 @@ class StoredEpisode:
             raise DatasetError(f"{self.directory / name} cannot be read: {error.strerror or error}") from error
 
     def altered(self, name: str, data: bytes) -> bool:
-        """Whether a file's content is another than the one that was recorded."""
+        """Whether a file's content differs from what was recorded."""
         return sha256_bytes(data) != self.record.files.get(name)
 
     def whole(self, name: str) -> bytes:
-        """Content of one file, which is what was recorded.
+        """Content of one file, as it was recorded.
 
         Raises:
             DatasetError: it cannot be read, or was altered.
@@ -64,13 +64,14 @@ class StoredEpisode:
         """The low-dimensional data of one frame, from its file's content.
 
         Raises:
-            DatasetError: it is damaged, or not such data.
+            DatasetError: it is damaged, or holds other data.
         """
         try:
             frame = load_frame(data)
         except DatasetError as error:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
-        if faults := frame_faults(frame, self.record.objects, self.record.cameras, self.record.arms):
+        record = self.record
+        if faults := frame_faults(frame, record.objects, record.cameras, record.arms, record.drives):
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
         return frame
 
@@ -92,7 +93,7 @@ class StoredEpisode:
 
 
 def open_episode(directory: Path) -> StoredEpisode:
-    """Read what an episode says of itself.
+    """The episode in a directory.
 
     Raises:
         DatasetError: there is no episode, or its record is damaged.
@@ -109,7 +110,7 @@ def open_episode(directory: Path) -> StoredEpisode:
 
 
 class StoredEpisodes(Sequence[StoredEpisode]):
-    """Episodes of a dataset, in order. Each is read when it is asked for, and again each time.
+    """Episodes of a dataset, in order. An episode is read each time when it is asked for.
 
     Attributes:
         path: the dataset's directory.
@@ -129,10 +130,10 @@ class StoredEpisodes(Sequence[StoredEpisode]):
     def __getitem__(self, key: slice) -> StoredEpisodes: ...
 
     def __getitem__(self, key: SupportsIndex | slice) -> StoredEpisode | StoredEpisodes:
-        """One episode by its place, from the end where that is negative; a slice gives as many as it names.
+        """One episode by its place, counted from the end if negative, or several by a slice.
 
         Raises:
-            IndexError: there are fewer.
+            IndexError: there are fewer episodes.
             DatasetError: its record is missing or damaged.
         """
         if isinstance(key, slice):
@@ -166,7 +167,7 @@ def find_episode(path: Path, number: int | None) -> StoredEpisode:
     """The episode at a path: its own directory, or its dataset's with a number.
 
     Raises:
-        UsageError: a dataset without a number, or one it has no episode of.
+        UsageError: the path is a dataset, and there is no number, or no episode of that number.
         DatasetError: there is no episode, or its record is damaged.
     """
     there = episode_directories(path) if path.is_dir() else []
@@ -181,7 +182,7 @@ def find_episode(path: Path, number: int | None) -> StoredEpisode:
 
 
 def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
-    """The configuration a dataset was recorded with.
+    """The configuration that a dataset was recorded with.
 
     Raises:
         DatasetError: the dataset has none, or it cannot be used.

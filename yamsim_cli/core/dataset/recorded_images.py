@@ -16,7 +16,7 @@ class RecordedImages:
     """An episode's images as they were recorded.
 
     Attributes:
-        cameras: whose there are.
+        cameras: names of the cameras that have images.
     """
 
     def __init__(self, episode: StoredEpisode) -> None:

@@ -1,4 +1,4 @@
-"""The JSON records of a dataset: an episode's own, an attempt's line in the ledger, the manifest."""
+"""The JSON records of a dataset: those of an episode, of an attempt in the ledger, and the manifest."""
 
 from __future__ import annotations
 
@@ -11,17 +11,20 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import DatasetError
 from ..files import sha256_bytes
-from ..randomized import Randomized
-from ..types import Cause, EpisodePayload, Margins, Outcome
+from ..geometry.se3 import Array, UprightPose
+from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, Layout, Margins, Outcome
+from ..variation import Variation
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 
-Pose2D = tuple[float, float, float, float]
-# Left out where nothing was drawn.
-Drawn = Annotated[Randomized, Field(exclude_if=lambda drawn: drawn == Randomized())]
+# Drives of an arm where a record does not say: six joints and a gripper, as all had when format version 1 was made.
+DRIVES_UNSAID = 7
+
+# Left out where nothing varies.
+VariationField = Annotated[Variation, Field(exclude_if=lambda variation: variation == Variation())]
 
 
 class Record(BaseModel):
-    """Base of what is read back from a dataset: finite numbers; unknown keys, of later versions, are left out."""
+    """Base of all records in a dataset. Numbers are finite, and unknown keys, as of later versions, are left out."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -37,7 +40,7 @@ class MarginsRecord(Record):
 
     @classmethod
     def of(cls, margins: Margins) -> MarginsRecord:
-        """From what was simulated."""
+        """The record of simulated margins."""
         return cls(
             velocity_share=margins.velocity,
             torque_share=margins.torque,
@@ -62,7 +65,7 @@ class OutcomeRecord(Record):
 
     @classmethod
     def of(cls, outcome: Outcome) -> OutcomeRecord:
-        """From what the task judged."""
+        """The record of an outcome."""
         return cls(
             success=outcome.success,
             cause=outcome.cause,
@@ -77,7 +80,7 @@ class OutcomeRecord(Record):
 
     def within(self, threshold: float, max_height: float) -> bool:
         """Whether the object lay within `threshold` metres of the target's centre, and on it, at the end."""
-        # Any other cause is none of distance: the object may have been thrown there.
+        # With any other cause distance does not count: the object may have been thrown there.
         if self.dxy_m is None or self.dz_m is None or self.cause not in (None, Cause.OFF_TARGET):
             return False
         return self.dxy_m <= threshold and 0.0 <= self.dz_m <= max_height
@@ -90,12 +93,12 @@ class AttemptRecord(Record):
     seed: int
     episode: int | None
     outcome: OutcomeRecord
-    layout: dict[str, Pose2D]
-    randomized: Drawn = Randomized()
+    layout: dict[str, UprightPose]
+    randomized: VariationField = Variation()
 
 
 class EpisodeRecord(Record):
-    """`episode.json`: everything needed to make the episode again, and to know that it is whole."""
+    """`episode.json`: all that is needed to make the episode again, and to check that it is whole."""
 
     format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
     format_version: int = FORMAT_VERSION
@@ -111,23 +114,25 @@ class EpisodeRecord(Record):
     frame_period_s: float
     cameras: dict[str, tuple[int, int]]
     truth: bool = False
-    # Left out where it is 1, so that records of one arm say what they always said.
+    # Left out where it is 1, so that records of one arm keep their bytes.
     arms: Annotated[int, Field(ge=1, le=2, exclude_if=lambda arms: arms == 1)] = 1
+    # How many drives each arm has. Left out where it is what every arm had before there were others.
+    drives: Annotated[int, Field(ge=1, le=64, exclude_if=lambda drives: drives == DRIVES_UNSAID)] = DRIVES_UNSAID
     objects: list[str]
     outcome: OutcomeRecord
     max_height_m: float
-    layout: dict[str, Pose2D]
-    randomized: Drawn = Randomized()
+    layout: dict[str, UprightPose]
+    randomized: VariationField = Variation()
     versions: dict[str, str]
     renderer: str
-    # Asset set -> what was drawn of it, see `core.shown_meshes`; earlier versions did not say.
+    # Asset set -> what was shown of it, see `core.shown_meshes`; earlier versions did not say.
     meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
     content_sha256: str
     files: dict[str, str]
 
 
 class ManifestEntry(Record):
-    """What the manifest says of one episode; `sha256` is of its `episode.json`, which holds those of all its files."""
+    """One episode in the manifest. `sha256` is that of its `episode.json`, which holds the hashes of all its files."""
 
     episode: int
     path: str
@@ -161,10 +166,10 @@ def to_json(record: Record, *, indent: int | None = None) -> bytes:
 
 
 def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
-    """Read a record back.
+    """The record in JSON text.
 
     Raises:
-        DatasetError: not JSON, or not such a record; the message names the first fault.
+        DatasetError: it is not JSON, or another record; the message names the first fault.
     """
     try:
         return model.model_validate_json(data)
@@ -175,19 +180,28 @@ def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
 
 
 def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecord:
-    """The ledger's line for a finished attempt, `episode` being the number it was published under, if it was."""
+    """The ledger's line for a finished attempt; `episode` is the number that it was published under, if it was."""
     return AttemptRecord(
         attempt=payload.job.attempt,
         seed=payload.job.seed,
         episode=episode,
         outcome=OutcomeRecord.of(payload.outcome),
-        layout=dict(payload.layout),
-        randomized=payload.randomized,
+        layout=payload.attempt.places,
+        randomized=payload.attempt.variation,
     )
 
 
+def recorded_attempt(record: EpisodeRecord, start: Array | None = None) -> Attempt:
+    """The attempt that an episode was made of, as its record says it.
+
+    Args:
+        start: MuJoCo's positions (nq,) of its first frame, where they are needed.
+    """
+    return Attempt(EpisodeJob(record.seed, record.attempt), Layout.of(record.layout), record.randomized, start)
+
+
 def file_hashes(files: Mapping[str, bytes]) -> dict[str, str]:
-    """Path -> SHA-256, in path order."""
+    """Path -> SHA-256, in the order of paths."""
     return {name: sha256_bytes(files[name]) for name in sorted(files)}
 
 

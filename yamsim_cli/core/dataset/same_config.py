@@ -1,4 +1,4 @@
-"""Whether a recording would go on as its dataset began: the same configuration, and the same meshes."""
+"""Checks that a dataset is continued with the configuration and the meshes that it was begun with."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError
-from ..shown_meshes import Drawn, differences, remedy, shown
+from ..shown_meshes import ShownMeshes, differences, remedy, shown
 from .layout import CONFIG
 
-# What a configuration says and nobody sets: which meshes are drawn, see `core.shown_meshes`.
+# What a configuration says and nobody sets: which meshes are shown, see `core.shown_meshes`.
 MESHES = "meshes"
 
-# A message stays one line that can be read.
+# How many changes a message names, so that its line stays readable.
 _SHOWN_CHANGES = 5
 
 
 def require_same(dataset: Path, recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """Compare a dataset's configuration with the one that it is to go on with.
+    """Compare a dataset's configuration with the one that it is to be continued with.
 
     Raises:
-        ConfigError: something differs; the message names it and what to do.
+        ConfigError: they differ; the message names the keys, and what to do.
     """
     changed = _changes(recorded, wanted)
-    there, now = _drawn(recorded), _drawn(wanted)
+    there, now = _said(recorded), _said(wanted)
     meshes = differences(there, now)
     if changed:
         changed += [f"{MESHES}.{text}" for text in meshes]
@@ -41,15 +41,15 @@ def require_same(dataset: Path, recorded: Mapping[str, Any], wanted: Mapping[str
 
 
 def unsaid_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
-    """For the user: that a dataset does not say which meshes it shows, and how to find out."""
-    drawn = ", ".join(f"{name}: {shown(text)}" for name, text in _drawn(wanted).items())
+    """A notice that a dataset does not say which meshes it shows, and how to find out."""
+    texts = ", ".join(f"{name}: {shown(text)}" for name, text in _said(wanted).items())
     return (
         f"{dataset / CONFIG} does not say which meshes the episodes show, as an earlier yamsim recorded them. New ones "
-        f"show {drawn}; whether that is the same, `yamsim verify {dataset} --sample 1 --images` tells."
+        f"show {texts}; whether that is the same, `yamsim verify {dataset} --sample 1 --images` tells."
     )
 
 
-def _drawn(config: Mapping[str, Any]) -> Drawn:
+def _said(config: Mapping[str, Any]) -> ShownMeshes:
     said = config.get(MESHES)
     return {str(name): str(text) for name, text in said.items()} if isinstance(said, Mapping) else {}
 

@@ -1,4 +1,4 @@
-"""Which of a dataset's episodes are meant."""
+"""Chooses some of a dataset's episodes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> 
     """Number and directory of the chosen episodes, in order.
 
     Args:
-        episodes: such as `0,3,5-9`; None for all.
-        sample: how many of all to take, spread evenly over the dataset.
+        episodes: numbers and ranges, such as `0,3,5-9`; None for all.
+        sample: how many to take, spread evenly over the dataset.
 
     Raises:
         DatasetError: there is no dataset.
-        UsageError: an episode is named that is not there, or that is no name.
+        UsageError: an episode is not there, or `episodes` is not a list of numbers and ranges.
     """
     if not dataset.is_dir():
         raise DatasetError(f"{dataset} is not a directory; give the directory that `yamsim record` wrote")
@@ -46,7 +46,7 @@ def _parse(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
             raise UsageError(
                 f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {ranges(there)}"
             )
-        # A range may be longer than any list of it.
+        # Compared with what is there: a list of the whole range might not fit into memory.
         named = [number for number in there if first <= number <= last]
         if len(named) != last - first + 1:
             missing = next(number for number in range(first, last + 1) if number not in set(named))

@@ -1,4 +1,4 @@
-"""Whether a disk has room for what is to be recorded, before hours go into it."""
+"""Checks, before recording starts, that the disk has room for it."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from ..config.recording import ImageConfig
 from ..errors import ResourceError, counted
 from .records import ManifestEntry
 
-# Bytes a pixel and beside the pixels of a JPEG: of plain scenes at low quality, and of noisy ones at high quality.
-# Source: measured from quality 50 (0.042 a pixel) to 100 (0.26) at 640x480; noise doubles it.
+# Bytes of a JPEG, per pixel and besides: at least (plain scenes at low quality) and at most (noisy scenes at high
+# quality). Source: measured at 640x480 from quality 50 (0.042 per pixel) to 100 (0.26); noise doubles it.
 _LEAST_PER_PIXEL, _LEAST_PER_IMAGE = 0.03, 600
 _MOST_PER_PIXEL, _MOST_PER_IMAGE = 0.5, 2000
-# Bytes of a frame's lowdim pickle, and of an episode's record for each file; measured 1600 to 2200, and 90.
+# Bytes of a frame's lowdim pickle. Source: measured, 1600 to 2200.
 _PER_LOWDIM = 2200
+# Bytes in an episode's record for each of its files. Source: measured, 90.
 _PER_HASH = 110
-# Ground truth: bytes a pixel of depth and segmentation together, and a frame of the rest. Source: measured at 640x480,
-# 0.09 in the scene camera and 0.12 in the wrist camera; and 600.
+# Bytes of ground truth: per pixel for depth and segmentation together, at least and at most, and per frame for the
+# rest. Source: measured at 640x480, 0.09 per pixel in the scene camera and 0.12 in the wrist camera, and 600 per frame.
 _LEAST_TRUTH, _MOST_TRUTH, _PER_TRUTH = 0.04, 0.4, 1500
-# What is never to be filled: the ledger, the manifest, and the neighbours.
+# Bytes that stay free, for the ledger, the manifest, and other programs.
 _RESERVE = 1_000_000
 
 
 @dataclass(frozen=True)
 class EpisodeSize:
-    """What an episode takes on a disk: bytes at least and at most, and inodes."""
+    """The room that an episode takes on a disk: bytes at least and at most, and inodes."""
 
     least: int
     most: int
@@ -36,11 +37,11 @@ class EpisodeSize:
 
     @classmethod
     def expected(cls, frames: int, cameras: int, image: ImageConfig, block: int, *, truth: bool = False) -> EpisodeSize:
-        """From the settings alone.
+        """An estimate from the settings alone.
 
         Args:
-            truth: whether ground truth is recorded too.
             block: bytes that the filesystem hands out at a time.
+            truth: whether ground truth is recorded too.
         """
         pixels = image.size_px[0] * image.size_px[1]
 
@@ -51,23 +52,24 @@ class EpisodeSize:
             record = _blocks(_PER_HASH * files_per_episode(frames, cameras, truth=truth), block)
             return frames * (cameras * picture + _blocks(_PER_LOWDIM, block)) + record
 
-        # An episode's directory, `rgb`, `lowdim`, one a camera, and `episode.json`; `depth`, `segmentation`, `truth`.
+        # The episode's directory, `rgb`, `lowdim`, a folder per camera, and `episode.json`. With truth also `depth`,
+        # `segmentation` and `truth`, and two more folders per camera.
         inodes = files_per_episode(frames, cameras, truth=truth) + cameras + 4 + (3 + 2 * cameras if truth else 0)
         least = total(_LEAST_PER_PIXEL, _LEAST_PER_IMAGE, _LEAST_TRUTH)
         return cls(least, total(_MOST_PER_PIXEL, _MOST_PER_IMAGE, _MOST_TRUTH), inodes)
 
     def learned(self, entries: Collection[ManifestEntry], files: int, block: int) -> EpisodeSize:
-        """Better, from episodes that are already there, with so many files each."""
+        """A better estimate, from episodes that are already there and have `files` files each."""
         if not entries:
             return self
         mean = sum(entry.bytes for entry in entries) / len(entries)
-        # Half a block is lost at the end of each file.
+        # On average, half a block is lost at the end of each file.
         mean += files * block / 2
         return EpisodeSize(int(0.9 * mean), int(1.2 * mean), self.inodes)
 
 
 def files_per_episode(frames: int, cameras: int, *, truth: bool) -> int:
-    """How many files an episode has beside its `episode.json`."""
+    """How many files an episode has, not counting its `episode.json`."""
     return frames * (cameras + 1) + (2 * frames * cameras + cameras + 1 if truth else 0)
 
 
@@ -77,17 +79,17 @@ def block_size(place: Path) -> int:
 
 
 def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
-    """Compare what is free with what `episodes` more will take.
+    """Compare the free space with what `episodes` more episodes will take.
 
     Returns:
-        A warning when they may not fit; None when they will.
+        A warning if they may not fit; None if they will.
 
     Raises:
         ResourceError: they cannot fit.
     """
     state = os.statvfs(place)
     free = max(0, state.f_bavail * state.f_frsize - _RESERVE)
-    # Filesystems that make inodes as they go say they have none at all.
+    # Filesystems that make inodes as needed report that they have none.
     inodes = state.f_favail if state.f_files else math.inf
     fit = int(min(free / size.least, inodes / size.inodes))
     verb = "takes" if episodes == 1 else "take"

@@ -1,8 +1,8 @@
-"""Record onto a local disk, and move finished episodes to a slow or remote dataset in the background.
+"""Records onto a local disk, and moves finished episodes to a slow or remote dataset in the background.
 
-The dataset itself is written by one thread alone, episode by episode in the order of recording, by the same
-`DatasetWriter` as otherwise. So at every moment it is a whole dataset that can be resumed, and the stage holds nothing
-but what is still on its way. A stage that is lost costs the time to make its episodes again, and no byte of the result.
+The dataset itself is written by one thread alone, episode by episode in the order of recording, by a `DatasetWriter`.
+So it is a whole dataset at every moment and can be resumed, and the stage holds only what is still on its way. If the
+stage is lost, its episodes take time to be made again, and no byte of the result changes.
 
 <stage>/<name>-<hash of the dataset's path>/config.yaml
 attempts.jsonl         attempts since the dataset was last opened
@@ -21,19 +21,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..config.document import dump_yaml
+from ..documents.document import dump_yaml
 from ..errors import DatasetError, ResourceError
 from ..files import append_line, move_aside, publish_directory, sha256_bytes, write_file
-from .faults import reason
+from .directory_lock import DirectoryLock
+from .disk_faults import reason
 from .integrity import inspect_episode
 from .layout import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
-from .lock import DirectoryLock
 from .records import AttemptRecord, EpisodeRecord, from_json, to_json
 from .writer import DatasetWriter
 
-# How many attempts may be on their way: bounds the local disk that a target which is too slow takes up.
+# How many attempts may be on their way. It bounds the space on the local disk if the target is too slow.
 MAX_WAITING = 100
-# How long the episode being moved may take once the recording is given up.
+# How long the episode that is being moved may take after the recording was given up, s.
 _HALT_SECONDS = 10.0
 
 
@@ -46,23 +46,23 @@ class _Item:
 
 
 class StagedWriter:
-    """Takes a recording like a `DatasetWriter`, and hands it on to one.
+    """Takes a recording as a `DatasetWriter` does, and hands it on to one.
 
     Attributes:
         path: the dataset's directory, as the user knows it.
-        attempts: all that were taken, in order; those on their way included.
+        attempts: all attempts that were taken, in order, including those on their way.
         episodes: how many of them are episodes.
         untold: see `DatasetWriter`.
-        repairs: what in the stage was in the way, and where it is now, a sentence each.
-        folder: where in the stage this dataset's episodes wait.
+        repairs: a sentence on each thing in the stage that was in the way, and where it is now.
+        folder: the place in the stage where this dataset's episodes wait.
     """
 
     def __init__(self, target: DatasetWriter, stage: Path, config: Mapping[str, Any]) -> None:
-        """Take up what is still on its way from an earlier recording.
+        """Continue with what is still on its way from an earlier recording.
 
         Args:
             target: the dataset, opened for writing; from here on only this object uses it.
-            stage: a directory on a local disk; made when missing. Several datasets can share one.
+            stage: a directory on a local disk, made when missing. Several datasets can share one.
 
         Raises:
             ResourceError: the stage cannot be made or written, or another recorder uses it.
@@ -71,7 +71,7 @@ class StagedWriter:
         self.attempts = list(target.attempts)
         self.episodes = target.episodes
         self.missing = target.missing
-        # The target's own changes in another thread.
+        # A copy, since the target's own set changes in another thread.
         self.untold = set(target.untold)
         self.repairs: list[str] = []
         self._target = target
@@ -108,14 +108,14 @@ class StagedWriter:
             self.folder / episode_name(record.episode), {**files, EPISODE: to_json(record)}, self.folder / STAGING
         )
         if record.attempt < len(self.attempts):
-            # Made again for an attempt that is long in the ledger: nothing will be logged.
+            # Made again for an attempt that is in the ledger already: nothing more will be logged.
             self._put(_Item(record.episode, None))
 
     def log(self, attempt: AttemptRecord) -> None:
         """Add one attempt; waits while too many are on their way. See `DatasetWriter.log`."""
         self._raise_error()
         if attempt.attempt in self.untold:
-            # Its episode, if it has one, is on its way already. Should the stage be lost, it is made again.
+            # Its episode, if it has one, is on its way already. If the stage is lost, the episode is made again.
             self.untold.remove(attempt.attempt)
             self.attempts[attempt.attempt] = attempt
             self.episodes += attempt.episode is not None
@@ -126,7 +126,7 @@ class StagedWriter:
         self._put(_Item(attempt.episode, attempt))
 
     def drain(self, seconds: float) -> bool:
-        """Wait for everything to arrive in the dataset; False if it has not after that time.
+        """Wait until everything has arrived in the dataset; False if it has not within `seconds`.
 
         Raises:
             OSError, DatasetError: something cannot be moved.
@@ -140,31 +140,31 @@ class StagedWriter:
         return done
 
     def finish(self) -> None:
-        """End the moving, and write the dataset's manifest; a stage that is empty is removed."""
+        """Stop the mover, and write the dataset's manifest. An empty stage is removed."""
         arrived = not self._queue.unfinished_tasks
         if not self._end_moving():
-            # The target does not answer. To touch it from here as well would only hang this thread too.
+            # The target does not answer. Touching it from here would hang this thread, too.
             return
         self._target.finish()
         if arrived and self._error is None:
             shutil.rmtree(self.folder, ignore_errors=True)
 
     def close(self) -> None:
-        """End the moving, and let others use the stage."""
+        """Stop the mover, and let others use the stage."""
         self._end_moving()
         self._lock.release()
 
     def _end_moving(self) -> bool:
-        """Let the mover finish what it is at; False if it does not within bounds."""
+        """Let the mover finish the episode that it moves; False if it does not in time."""
         self._halt.set()
         with contextlib.suppress(queue.Full):
-            # Only to wake it; from a full queue it takes something anyway.
+            # This item only wakes it. If the queue is full, it gets another item anyway.
             self._queue.put_nowait(_Item(None, None))
         self._mover.join(_HALT_SECONDS)
         return not self._mover.is_alive()
 
     def _put(self, item: _Item) -> None:
-        # A full queue is waited for in small steps, to notice that nobody empties it any more.
+        # Waits in small steps while the queue is full, to notice when nobody empties it any more.
         while True:
             self._raise_error()
             with contextlib.suppress(queue.Full):
@@ -186,7 +186,7 @@ class StagedWriter:
                 return
             try:
                 self._move(item)
-            # Whatever it is, it is raised where the recording notices it; what was not moved stays in the stage.
+            # Any error is raised in the recording's thread, at its next call. What was not moved stays in the stage.
             except BaseException as error:  # noqa: BLE001
                 with self._queue.all_tasks_done:
                     self._error = error
@@ -207,10 +207,10 @@ class StagedWriter:
             shutil.rmtree(directory)
 
     def _take_up(self, config: bytes) -> list[AttemptRecord]:
-        """Attempts that an earlier recording left here; everything else in the stage is put out of the way."""
+        """The attempts that an earlier recording left here. Everything else in the stage is removed or moved aside."""
         file = self.folder / CONFIG
         if not file.is_file() or file.read_bytes() != config:
-            # Not of this dataset as it is now, so not ours to throw away.
+            # It belongs to another dataset, or to this one with another config, so it must not be deleted.
             self._start_afresh(config)
         waiting = []
         for attempt in self._logged():
@@ -221,7 +221,7 @@ class StagedWriter:
         write_file(self.folder / ATTEMPTS, b"".join(map(to_json, waiting)))
         for number, directory in episode_directories(self.folder):
             if number not in kept:
-                # Arrived already, or not yet in the stage's own ledger: then it is made again.
+                # It has arrived already. Or it is not in the stage's own ledger yet, and is made again.
                 shutil.rmtree(directory)
         shutil.rmtree(self.folder / STAGING, ignore_errors=True)
         return waiting
@@ -237,7 +237,7 @@ class StagedWriter:
         write_file(self.folder / CONFIG, config)
 
     def _logged(self) -> list[AttemptRecord]:
-        """The stage's ledger, up to what a crash left of its end."""
+        """The stage's ledger, up to the first line that a crash left incomplete."""
         file = self.folder / ATTEMPTS
         attempts: list[AttemptRecord] = []
         for line in file.read_bytes().splitlines() if file.is_file() else []:

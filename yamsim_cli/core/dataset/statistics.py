@@ -1,4 +1,4 @@
-"""Small statistics of samples, for batch and summary."""
+"""Small statistics, for batches and summaries."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 # Two-sided 95 % of the normal distribution.
 _Z95 = 1.959963984540054
 
-# Distances (m) by which attempts are scored beside the one asked for. Source: the lab reports both.
+# Distances (m) by which attempts are scored by default. Source: the lab reports both.
 THRESHOLDS = (0.05, 0.08)
 
-# At most so many bins; values closer than the span (m) are one.
+# Most bins of a histogram, and the smallest span of values (m) that is divided into bins.
 _BINS = 40
 _LEAST_SPAN = 1e-4
 
@@ -31,22 +31,21 @@ def wilson95(successes: int, n: int) -> tuple[float, float]:
     scale = 1 + _Z95**2 / n
     centre = (rate + _Z95**2 / (2 * n)) / scale
     half = _Z95 / scale * math.sqrt(rate * (1 - rate) / n + _Z95**2 / (4 * n**2))
-    # At the ends of the range the bounds are exact; rounding would put them a hair inside.
+    # For rates of 0 and 1 one bound is exact; rounding would put it slightly inside.
     return (0.0 if successes == 0 else max(0.0, centre - half), 1.0 if successes == n else min(1.0, centre + half))
 
 
 def spread(values: Sequence[float]) -> dict[str, float] | None:
-    """Median, 95th percentile and maximum, or None without values."""
+    """Median, 95th percentile and maximum; None if there are no values."""
     if not values:
         return None
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(np.max(values))}
 
 
 def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
-    """Counts in bins of a round width, with edges at multiples of it, around all values; None without any.
+    """`edges` and `counts` of a histogram of all values; None if there are none.
 
-    Returns:
-        `edges`, one more than there are bins, and `counts`.
+    The bins' width is a round number, and their edges are multiples of it.
     """
     if not values:
         return None
@@ -62,12 +61,12 @@ def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | N
 
 @dataclass(frozen=True)
 class Coverage:
-    """Which cells of a grid over a box were hit.
+    """How many points lie in each cell of a grid over a box.
 
     Attributes:
-        shape: cells along x and y.
-        hits: [ix][iy] -> how many points.
-        outside: points beyond the box.
+        shape: number of cells along x and y.
+        hits: `hits[ix][iy]` is the number of points in a cell.
+        outside: number of points outside the box.
     """
 
     shape: tuple[int, int]
@@ -81,7 +80,7 @@ class Coverage:
 
     @property
     def cells(self) -> int:
-        """How many there are."""
+        """How many cells there are."""
         return self.shape[0] * self.shape[1]
 
 
@@ -101,7 +100,7 @@ def coverage(
 
 
 def _cells(span: tuple[float, float], cell: float) -> int:
-    # A hair less, so that 0.25 m are five cells of 0.05 m whatever rounding says.
+    # Slightly less, so that 0.25 m are five cells of 0.05 m in spite of rounding.
     return max(1, math.ceil((span[1] - span[0]) / cell - 1e-9))
 
 

@@ -1,4 +1,4 @@
-"""A dataset in numbers, from what was found in it: nothing is simulated."""
+"""A dataset's figures, from what was found in it; nothing is simulated."""
 
 from __future__ import annotations
 
@@ -14,18 +14,15 @@ from .records import AttemptRecord
 from .statistics import Coverage, coverage, histogram, spread, wilson95
 from .survey import Survey
 
-# The workspace is divided into cells of at most this, m: about a banana's width.
+# Largest width of the workspace's cells, m: about a banana's width.
 CELL_M = 0.05
 
 
 def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
-    """Count.
+    """The dataset's figures, ready for JSON; see docs/checking.md.
 
     Args:
-        thresholds: in metres, by which the outcomes are scored.
-
-    Returns:
-        JSON-ready; see docs/checking.md.
+        thresholds: distances (m) by which the outcomes are scored.
     """
     episodes, problems = survey.episodes, list(survey.problems)
     outcomes = [episode.outcome for episode in episodes if episode.outcome]
@@ -66,7 +63,7 @@ def within(episode: EpisodeFacts, threshold: float, survey: Survey) -> bool:
 
 
 def workspace_coverage(survey: Survey, points: Sequence[tuple[float, float]]) -> Coverage | None:
-    """Cells of the sampling box that points (x, y) lie in; None where the box is not known."""
+    """How points (x, y) cover the sampling box; None where the box is not known."""
     box = survey.context.sampling
     return coverage(points, box.x, box.y, CELL_M) if box else None
 
@@ -96,7 +93,7 @@ def _range(values: Sequence[int]) -> dict[str, float] | None:
 
 
 def _workspace(survey: Survey) -> dict[str, Any]:
-    """The sampling box; and object -> where it lay at start and end: extents (m, `world`), cells of the box hit."""
+    """The sampling box, and for each object where it lay at start and end: extents (m, `world`), and cells hit."""
     box = survey.context.sampling
     names = dict.fromkeys(name for episode in survey.episodes for name in (*episode.starts, *episode.ends))
     objects = {}

@@ -1,4 +1,4 @@
-"""All that was found in a dataset: its episodes, its attempts, and what is wrong."""
+"""All that was found in a dataset: its episodes, its attempts, and its faults."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .records import AttemptRecord
 
 @dataclass(frozen=True)
 class Survey:
-    """A dataset, looked through.
+    """All that was found in a dataset.
 
     Attributes:
-        path: of the dataset.
+        path: the dataset's directory.
         context: what its config says.
-        episodes: in order.
-        attempts: those in the ledger that can be read.
-        problems: of the dataset first, then of its episodes in order.
+        episodes: its episodes, in order.
+        attempts: the attempts in the ledger that can be read.
+        problems: faults of the dataset first, then those of its episodes in order.
     """
 
     path: Path
@@ -34,11 +34,11 @@ class Survey:
 
 
 def survey(dataset: Path, context: Context, episodes: Sequence[EpisodeFacts], problems: Problems) -> Survey:
-    """Put together what was found in the episodes, and check what concerns all of them.
+    """The survey of a dataset, from what was found in each episode, with the checks that concern all of them.
 
     Args:
-        episodes: in order.
-        problems: what was found before the episodes were looked at.
+        episodes: what was found in each, in order.
+        problems: faults that were found before the episodes were looked at.
     """
     attempts = read_ledger(dataset, problems) if context.recorded else []
     found = check_whole(dataset, context.recorded, episodes, attempts, problems)

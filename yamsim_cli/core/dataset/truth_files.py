@@ -1,7 +1,7 @@
-"""Ground truth beside a recording's images: what it holds, in which shapes, and what is wrong with it.
+"""Ground truth beside a recording's images: its content, its shapes, and its faults.
 
-One archive a camera holds all frames' numbers, rather than a file each: half the files, and one array to slice. Labels
-and names are JSON. Depth and segmentation are images, and so one file a frame.
+An archive per camera holds the numbers of all frames. That halves the number of files, and gives arrays to slice.
+Labels and names are JSON. Depth and segmentation are images, with one file per frame.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from ..errors import DatasetError
 from .arrays import dump_arrays, load_arrays
 from .records import Record
 
-# A point counts as seen where the depth image differs from it by no more than this, m.
+# A point on a surface counts as visible if the depth image differs from its depth by no more than this, m.
 DEPTH_TOLERANCE = 0.002
-# A joint's centre lies inside the arm, under no more than this much of it. Source: the motors' housings are 66 mm wide
-# and up to 100 mm long.
+# A joint's centre lies inside the arm. It counts as visible if its own links cover it by no more than this, m. Source:
+# the motors' housings are 66 mm wide and up to 100 mm long.
 JOINT_COVER = 0.07
 
 BACKGROUND = 0
 
 
 class Visibility(IntEnum):
-    """Of a keypoint, in COCO's numbers."""
+    """A keypoint's visibility, in COCO's numbers."""
 
     OUTSIDE = 0
     HIDDEN = 1
@@ -35,7 +35,7 @@ class Visibility(IntEnum):
 
 
 class LabelRecord(Record):
-    """What one number in a segmentation image stands for: a link or another body, and the thing it is part of."""
+    """The meaning of one number in a segmentation image: a link or another body, and the thing that it is part of."""
 
     id: int
     name: str
@@ -46,7 +46,7 @@ class KeypointRecord(Record):
     """A point whose place in the image is known.
 
     Attributes:
-        body: of which it is part: a link or a board.
+        body: the link or board that it is part of.
         kind: "joint" is the centre of a joint, inside the arm; "axis" is where a joint's axis leaves the surface;
             "corner" is a corner of a board's print.
     """
@@ -60,11 +60,11 @@ class TruthLabels(Record):
     """`truth/labels.json`: names for the axes of the arrays in `truth/<camera>.npz`, and for segmentation's numbers.
 
     Attributes:
-        instances: whose boxes there are.
-        links, objects: whose poses there are.
-        keypoints: in the arrays' order.
-        depth_tolerance_m: within which the depth image has to agree for a point on a surface to count as visible.
-        joint_cover_m: by how much of its own links a joint's centre may be covered and still count as visible.
+        instances: names of the things that have boxes.
+        links, objects: names of the links and objects that have poses.
+        keypoints: the keypoints, in the arrays' order.
+        depth_tolerance_m: how much the depth image may differ from the depth of a visible point on a surface, m.
+        joint_cover_m: how much of its own links may cover the centre of a visible joint, m.
     """
 
     labels: list[LabelRecord]
@@ -76,7 +76,7 @@ class TruthLabels(Record):
     joint_cover_m: float = JOINT_COVER
 
 
-# Key -> dtype and shape; T frames, and the lengths of the labels' lists.
+# Key -> dtype and shape, in which a name stands for the number of frames or the length of a list in the labels.
 ARRAYS: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
     "intrinsics": (np.float64, (3, 3)),
     "T_cam_in_base": (np.float32, ("frames", 4, 4)),
@@ -89,8 +89,9 @@ ARRAYS: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
     "pixels": (np.int32, ("frames", "instances")),
 }
 
-# No more than a camera's numbers of hours of recording.
+# Bytes of the largest arrays of a camera that are read, which is enough for hours of recording.
 _MOST_ARRAYS = 2**28
+# Bytes of the largest depth image that is read.
 _MOST_DEPTH = 2**27
 
 
@@ -110,7 +111,7 @@ def array_shapes(labels: TruthLabels, frames: int) -> dict[str, tuple[int, ...]]
 
 
 def array_faults(arrays: Mapping[str, NDArray[Any]], labels: TruthLabels, frames: int) -> list[str]:
-    """What is wrong with the arrays of one camera."""
+    """The faults of one camera's arrays."""
     faults = []
     for key, shape in array_shapes(labels, frames).items():
         array, dtype = arrays.get(key), np.dtype(ARRAYS[key][0])
@@ -129,7 +130,7 @@ def dump_depth(depth_mm: NDArray[np.uint16]) -> bytes:
 
 
 def load_depth(data: bytes) -> NDArray[np.uint16]:
-    """Read a depth image back.
+    """The depth image (height, width) in mm in an `.npz`.
 
     Raises:
         DatasetError: it is damaged, or is no image of uint16.
@@ -143,7 +144,7 @@ def load_depth(data: bytes) -> NDArray[np.uint16]:
 
 
 def load_truth(data: bytes) -> dict[str, NDArray[Any]]:
-    """Read the arrays of one camera back.
+    """The arrays of one camera, by the keys of `ARRAYS`.
 
     Raises:
         DatasetError: they are damaged.

@@ -1,13 +1,14 @@
-"""Reading a pickle that nobody vouches for: numpy arrays and plain containers, within bounds, and nothing else.
+"""Reads pickles from unknown sources: numpy arrays and plain containers of limited size, and nothing else.
 
 A pickle is a program. Four things keep it harmless here:
 
-- The names it may call stand for small classes here, not for numpy's own functions, which take shapes and buffers on
-  trust. No module is ever imported for a pickle.
-- Only the instructions that data needs are known. They run on the standard library's machine in Python: the one in C
-  makes a table as large as the largest number a value is kept under, gigabytes for a file of ten bytes.
-- A dictionary's keys are text or numbers: hashing a tuple of tuples that share their parts would take for ever.
-- What comes out is walked through within a budget: shared lists would otherwise multiply when printed or hashed.
+- The names that it may call stand for small classes in this module, and not for numpy's functions, which trust shapes
+  and buffers. No module is ever imported for a pickle.
+- Only the instructions that data needs are known. The standard library's unpickler in Python runs them. The one in C
+  would make a table as large as the largest memo index: gigabytes for a file of ten bytes.
+- A dictionary's keys are text or numbers. Hashing a tuple of tuples that share their parts could take for ever.
+- The result is copied within a budget. Lists that are shared many times would otherwise multiply when they are printed
+  or hashed.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ import numpy as np
 
 from ..errors import DatasetError
 
-# A frame of ours has 2 kB and 150 values. An instruction has a byte at least and makes 64 bytes at most, so that this
-# bounds the memory too.
+# A frame that yamsim records has 2 kB and 150 values. An instruction takes at least one byte and makes at most 64, so
+# that this bounds the memory too.
 MAX_BYTES: Final = 2**20
 _MAX_VALUES: Final = 20_000
 _MAX_DEPTH: Final = 16
 _MAX_INT_BITS: Final = 1024
 
-# Booleans, numbers and text of a fixed width. Objects ("O") could be anything, void types need not be whole.
+# Booleans, numbers and text of a fixed width. Objects ("O") could be anything, and void types ("V") incomplete.
 _DTYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}")
 
-# What it takes to build numbers, text, lists, tuples, dictionaries and arrays, in every protocol. INST is here so that
-# what it names is refused by that name.
+# The instructions that build numbers, text, lists, tuples, dictionaries and arrays, in every protocol. INST is among
+# them so that the message can name the class that it asks for.
 _INSTRUCTIONS: Final = """
     PROTO FRAME STOP MARK POP POP_MARK DUP PUT BINPUT LONG_BINPUT MEMOIZE GET BINGET LONG_BINGET
     NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG LONG1 LONG4 FLOAT BINFLOAT
@@ -48,11 +49,11 @@ _NAMES: Final = {ord(code.code): code.name for code in pickletools.opcodes}
 
 
 class ForbiddenPickleError(DatasetError):
-    """A pickle that asks for more than data: it names a function or class, or would outgrow any frame."""
+    """A pickle that asks for more than data: it names a function or class, or is larger than any frame."""
 
 
 class _DType:
-    """Stands for `numpy.dtype(text, align, copy)` and the byte order set on it."""
+    """Stands for `numpy.dtype(text, align, copy)`, and for the byte order that is set on it."""
 
     __slots__ = ("dtype",)
 
@@ -71,7 +72,7 @@ class _DType:
 
 
 class _Array:
-    """An array, or a single number of numpy's, as a pickle describes it; made once its bytes are known to be there."""
+    """A pickle's description of an array or of a numpy scalar; `make` checks it against its bytes."""
 
     __slots__ = ("_description", "_scalar")
 
@@ -97,7 +98,7 @@ class _Array:
 
 
 class _Name:
-    """What a pickle gets for a name it may use: it can be called, and cannot be changed."""
+    """The object that a pickle gets for a name that it may use. It can be called, and cannot be changed."""
 
     __slots__ = ("_call",)
 
@@ -113,12 +114,12 @@ class _Name:
         raise ForbiddenPickleError("the pickle changes a function; it was not run")
 
 
-# Only ever handed to `_reconstruct`.
+# A pickle may only hand it to `_reconstruct`.
 _NDARRAY = _Name(None)
 
 
 def _reconstruct(kind: Any, shape: Any, _: Any) -> _Array:
-    """An empty array whose content is set later."""
+    """The description of an empty array, whose content the pickle sets later."""
     if kind is not _NDARRAY or shape != (0,):
         raise ForbiddenPickleError(f"the pickle asks for an array of shape {_short(shape)} out of nothing")
     return _Array(b"", _DType("u1"), (0,), "C")
@@ -132,7 +133,7 @@ def _scalar(dtype: Any, raw: Any) -> _Array:
     return _Array(raw, dtype, (), "C", scalar=True)
 
 
-# Every (module, name) that a frame's pickle may hold, by numpy 2's and numpy 1's module names.
+# Each (module, name) that a frame's pickle may hold, with the module names of numpy 2 and of numpy 1.
 _ALLOWED: Final[dict[tuple[str, str], _Name]] = {
     (f"{core}.{module}", name): _Name(call)
     for core in ("numpy._core", "numpy.core")
@@ -198,11 +199,11 @@ class _Unpickler(pickle._Unpickler):
 
 
 def read_pickle(data: bytes) -> Any:
-    """What a pickle holds: numbers, text, bytes, None, lists, tuples, dictionaries and numpy arrays.
+    """The content of a pickle: numbers, text, bytes, None, lists, tuples, dictionaries and numpy arrays.
 
     Raises:
         ForbiddenPickleError: it names anything else, or would take more memory than a frame may.
-        DatasetError: truncated, or not a pickle.
+        DatasetError: it is truncated, or not a pickle.
     """
     if len(data) > MAX_BYTES:
         raise ForbiddenPickleError(f"the pickle has {len(data)} bytes; at most {MAX_BYTES} are read")
@@ -210,7 +211,7 @@ def read_pickle(data: bytes) -> Any:
         return _Walk().value(_Unpickler(io.BytesIO(data)).load(), 0)
     except DatasetError:
         raise
-    # A broken pickle can make the machine it drives fail in any of these ways.
+    # A broken pickle can make the unpickler raise any of these.
     except (
         pickle.UnpicklingError,
         EOFError,
@@ -229,7 +230,7 @@ def read_pickle(data: bytes) -> Any:
 
 
 class _Walk:
-    """Puts arrays in the place of what stands for them, and counts."""
+    """Copies a pickle's content with real arrays in place of their descriptions, within a budget."""
 
     def __init__(self) -> None:
         self._values = _MAX_VALUES
@@ -261,7 +262,7 @@ class _Walk:
 
 
 def _short(value: Any) -> str:
-    """A value for a message: printable, on one line, not long; of containers no more than a shape is shown."""
+    """A value as short printable text on one line; of containers only a shape or the type."""
     if isinstance(value, tuple) and len(value) <= 8 and all(isinstance(part, int) for part in value):
         text = f"({', '.join(map(_short, value))})"
     elif isinstance(value, str | int | float):

@@ -1,17 +1,17 @@
-"""The only code that writes a dataset: one process, episode by episode; every step leaves a whole dataset behind."""
+"""The only code that writes a dataset: in one process, episode by episode. Every step leaves a whole dataset behind."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
-from ..config.document import dump_yaml, parse_yaml
+from ..closing import Closing
+from ..documents.document import dump_yaml, parse_yaml
 from ..errors import DatasetError, ResourceError, ranges
 from ..files import append_line, publish_directory, sha256_bytes, write_file
-from .faults import reason
+from .disk_faults import reason
 from .integrity import Found, find_episodes, set_aside
 from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
 from .ledger import Ledger, lost_line
@@ -22,23 +22,24 @@ from .same_config import MESHES, require_same, unsaid_meshes
 __all__ = ["DatasetWriter", "OpenMode"]
 
 
-class DatasetWriter:
-    """Publishes episodes and keeps the ledger of attempts and the manifest; a context manager that lets go at the end.
+class DatasetWriter(Closing):
+    """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
 
     Attributes:
         path: the dataset's directory.
-        config: everything that decides the data, as the dataset says it.
-        moved_aside: where an earlier dataset went with `OpenMode.OVERWRITE`, if there was one.
-        repairs: what was found damaged or missing on resuming, and what became of it, a sentence each.
-        attempts: the ledger so far, in order of attempt.
-        untold: attempts in it whose lines are lost, and which count as failures until they are logged again.
-        entries: what the manifest will say of each episode, by its number.
+        config: everything that decides the data, as it stands in the dataset.
+        moved_aside: the new place of an earlier dataset, with `OpenMode.OVERWRITE`.
+        repairs: a sentence on each thing that was damaged or missing on resuming, and what was done about it.
+        attempts: the ledger so far, in the order of attempts.
+        untold: attempts whose lines are lost; they count as failures until they are logged again.
+        entries: episode's number -> its entry in the manifest.
+        episodes: how many attempts are episodes.
     """
 
     def __init__(
         self, path: Path, config: Mapping[str, Any], mode: OpenMode, *, locks_reach_others: bool = True
     ) -> None:
-        """Open a dataset for writing; nobody else can until it is closed.
+        """Open a dataset for writing. Nobody else can open it until it is closed.
 
         Args:
             config: everything that decides the data, as plain data.
@@ -48,7 +49,7 @@ class DatasetWriter:
             UsageError: the directory is not empty, or is no directory, and the mode does not say what to do.
             ConfigError: resuming with a configuration that would give other data; the message names the keys.
             DatasetError: resuming something that is no dataset, or whose episodes and ledger contradict each other.
-            ResourceError: the directory cannot be made or written, or another recorder is at it.
+            ResourceError: the directory cannot be made or written, or another recorder holds it.
         """
         self.path = path
         self.config = config
@@ -76,16 +77,16 @@ class DatasetWriter:
 
     @property
     def missing(self) -> list[AttemptRecord]:
-        """Attempts whose episode is in the ledger but not on the disk: it has to be made again."""
+        """Attempts whose episodes are in the ledger but not on the disk, and have to be made again."""
         return [
             attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self.entries
         ]
 
     def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
-        """Make one episode visible, all of it at once.
+        """Make one episode visible in one step.
 
         Raises:
-            OSError: nothing of it is visible.
+            OSError: it could not be written; nothing of it is visible.
         """
         name = episode_name(record.episode)
         text = to_json(record)
@@ -105,7 +106,7 @@ class DatasetWriter:
         self.episodes += attempt.episode is not None
 
     def finish(self) -> Manifest:
-        """Write the manifest of what is published, and clean up."""
+        """The manifest of all published episodes, which is written; the staging directory is removed."""
         entries = [self.entries[number] for number in sorted(self.entries)]
         manifest = Manifest(
             task=self._task,
@@ -120,16 +121,8 @@ class DatasetWriter:
         return manifest
 
     def close(self) -> None:
-        """Let others record into the directory."""
+        """Release the directory, so that others can record into it."""
         self._lock.release()
-
-    def __enter__(self) -> DatasetWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _count(self, attempt: AttemptRecord) -> None:
         self.attempts.append(attempt)
@@ -146,7 +139,7 @@ class DatasetWriter:
                 self.repairs.append(f"{place.name} is no directory; moved to {set_aside(place)}, and made again")
 
     def _take_over(self, ledger: Ledger) -> None:
-        """Count the attempts that the ledger tells of, those included whose lines are lost."""
+        """Count the attempts that the ledger holds, including those whose lines are lost."""
         kept, self.untold = ledger.mend(), ledger.missing
         if kept is not None:
             self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
@@ -165,13 +158,13 @@ class DatasetWriter:
             )
         recorded = parse_yaml(file.read_bytes(), str(file)).data
         if MESHES in config and MESHES not in recorded:
-            # It goes on as it began: what some of its episodes say is worth little where the others do not.
+            # The dataset goes on without this key: it helps little if only some of the episodes have it.
             self.config = {key: value for key, value in config.items() if key != MESHES}
             self.repairs.append(unsaid_meshes(self.path, config))
         require_same(self.path, recorded, self.config)
 
     def _take_up(self, found: Found) -> EpisodeRecord | None:
-        """Enter an episode that is whole; move one that is not out of the way, to be made again."""
+        """The record of an episode that is whole. A damaged one is moved away, to be made again, and gives None."""
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(

@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any, TypeVar
 
 from ..policies.base import InvalidActionError
-from ..policies.faults import Fault, fault_of
+from ..policies.policy_faults import Fault, fault_of
 from ..policies.remote import RemoteError
 from ..stray_forks import forks_end_here
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from ..attempt.physics import Simulated
+from ..attempt.planned import demonstrate
+from ..attempt.simulator import Simulator
 from ..dataset.actions import recorded_actions
 from ..dataset.layout import episode_directories
 from ..dataset.reader import open_episode
@@ -18,31 +21,38 @@ from ..policies.base import Observation, Policy
 from ..policies.loading import FORMS, check_policy, load_policy
 from ..policies.remote import RemotePolicy
 from ..scene.compiled import CompiledScene
-from ..sim.rollout import Rollout
-from ..types import Actions, EpisodeJob, Holds
+from ..types import Attempt, EpisodeJob, Holds
 
 
-@dataclass(frozen=True)
 class Trial:
-    """What only a privileged policy is told.
+    """What only a privileged policy is told; what it does not ask for is not made.
 
     Attributes:
-        job: seed and number.
-        rollout: what the planned attempt did; None if there was none.
-        scene: what it is made in.
+        attempt: as it was sampled.
+        scene: in which it is made.
     """
 
-    job: EpisodeJob
-    rollout: Rollout | None
-    scene: CompiledScene
+    def __init__(self, simulator: Simulator, attempt: Attempt) -> None:
+        self._simulator = simulator
+        self.attempt = attempt
+        self.scene = simulator.scene
+
+    @functools.cached_property
+    def demonstrated(self) -> Simulated:
+        """What the task's planner makes of the attempt."""
+        return demonstrate(self._simulator, self.attempt)
 
 
 @runtime_checkable
 class Privileged(Protocol):
     """A policy that is told what a robot cannot see."""
 
-    def begin(self, trial: Trial) -> None:
-        """Before each trial, ahead of `reset`."""
+    def begin(self, trial: Trial) -> Array | None:
+        """Prepare for a trial, ahead of `reset`.
+
+        Returns:
+            MuJoCo's positions (nq,) at which the trial is to begin; None for those that were sampled.
+        """
         ...
 
 
@@ -52,18 +62,18 @@ class _Playback:
     images = ()
 
     def __init__(self) -> None:
-        self._ctrl: Array | None = None
-        self._magnet: tuple[Holds, ...] = ()
+        self._ctrl: Array = np.zeros((0, 0))
+        self._magnet: Holds = np.zeros((0, 0), bool)
         self._tick = 0
 
-    def _play(self, actions: Actions, scene: CompiledScene) -> None:
-        self._ctrl, self._magnet = actions.ctrl[:, scene.drives], actions.magnet
+    def _play(self, ctrl: Array, magnet: Holds, scene: CompiledScene) -> None:
+        """Answer with these, of MuJoCo's drives (ticks, nu) and each arm's weld (ticks, arms), from now on."""
+        self._ctrl, self._magnet = ctrl[:, scene.drives.ravel()], magnet
 
     def reset(self) -> None:
         self._tick = 0
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        assert self._ctrl is not None
         tick, self._tick = self._tick, self._tick + 1
         return {"ctrl": self._ctrl[tick], "magnet": self._magnet[tick], "done": tick + 1 == len(self._ctrl)}
 
@@ -71,13 +81,12 @@ class _Playback:
 class Scripted(_Playback):
     """Does what the plan does that `pickplace batch` and `record` make: it knows where everything is."""
 
-    def begin(self, trial: Trial) -> None:
-        """Take over the plan's actions."""
-        assert trial.rollout is not None
-        acting = [state.actions for state in trial.rollout.states]
-        ctrl = np.concatenate([actions.ctrl for actions in acting])
-        magnet = tuple(holds for actions in acting for holds in actions.magnet)
-        self._play(Actions(ctrl, magnet, ctrl), trial.scene)
+    def begin(self, trial: Trial) -> Array | None:
+        """Take over the plan's actions, and its start."""
+        states = trial.demonstrated.states
+        ctrl = np.concatenate([state.actions.ctrl for state in states])
+        self._play(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
+        return trial.demonstrated.attempt.start
 
 
 class HoldStill:
@@ -114,14 +123,17 @@ class Replay(_Playback):
         self._episodes = [open_episode(directory) for _, directory in directories]
         self._by_job = {EpisodeJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
 
-    def begin(self, trial: Trial) -> None:
-        """Read the trial's episode."""
-        other = self._episodes[trial.job.attempt % len(self._episodes)]
-        episode = self._by_job.get(trial.job, other)
+    def begin(self, trial: Trial) -> Array | None:
+        """Read the trial's episode, which begins where it was recorded."""
+        job = trial.attempt.job
+        other = self._episodes[job.attempt % len(self._episodes)]
+        episode = self._by_job.get(job, other)
         found = recorded_actions(episode.frames(), trial.scene.model.nq, trial.scene.model.nu)
         if found is None:
             raise UsageError(f"{episode.directory} holds no sim_ctrl, so its actions cannot be replayed")
-        self._play(found[1], trial.scene)
+        start, actions = found
+        self._play(actions.ctrl, actions.magnet, trial.scene)
+        return start if job in self._by_job else None
 
 
 def make_policy(name: str, folder: Path, timeout: float) -> Policy:

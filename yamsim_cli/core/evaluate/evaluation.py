@@ -7,24 +7,22 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
+from ..attempt.physics import repeat
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord, plain
 from ..dataset.statistics import spread
 from ..errors import PartialJobError
-from ..geometry.se3 import Array
-from ..resources import Locations
-from ..trials.films import Drawer, FilmedTrial, TrialFilms, film_jobs
-from ..trials.tally import Progress, run_trials, tally, what_ran
-from ..types import Actions, EpisodeJob, Outcome
+from ..progress import Progress
+from ..session import Session
+from ..trials.films import FilmedTrial, TrialFilmer, TrialFilms, film_jobs
+from ..trials.tally import run_trials, tally, what_ran
+from ..types import Actions, Attempt, EpisodeJob, Outcome
 from ..workers.executor import LostJobError
 from ..workers.pool import JOB_SECONDS
 from ..workers.processes import WorkerPool
 from .policy_trial import MEASURED, Ended, PolicyChoice, TrialResult, TrialRunner
-
-Meshes = Mapping[str, Path | None]
 
 
 @dataclass(frozen=True)
@@ -37,17 +35,11 @@ class Evaluation:
 
 
 def evaluate(
-    config: RecordConfig,
-    locations: Locations,
-    meshes: Meshes,
-    choice: PolicyChoice,
-    progress: Progress,
-    trial_seconds: float = JOB_SECONDS,
+    session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_SECONDS
 ) -> Evaluation:
-    """Run `config.episodes` trials of a policy, from the starts that a batch of the same seed has.
+    """Run as many trials of a policy as the config has `episodes`, from the starts that a batch of the same seed has.
 
     Args:
-        meshes: asset set -> folder of its files, or None for primitives; what a policy sees shows them.
         trial_seconds: real time after which a worker that is stuck in a trial is ended.
 
     Raises:
@@ -55,11 +47,12 @@ def evaluate(
         InterruptedJobError: stopped by the user.
     """
     began = time.monotonic()
+    config = session.config
     n = config.episodes
-    factory = functools.partial(TrialRunner, config, locations, dict(meshes), choice)
+    factory = functools.partial(TrialRunner, session, choice)
     with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
         results = run_trials(pool, config.seed, n, progress, _lost)
-    results.sort(key=lambda result: result.job.attempt)
+    results.sort(key=lambda result: result.attempt.job.attempt)
     return Evaluation(choice, tuple(results), time.monotonic() - began)
 
 
@@ -67,7 +60,7 @@ def _lost(lost: LostJobError) -> TrialResult:
     assert isinstance(lost.job, EpisodeJob)
     error = f"its worker {lost.reason}, in each of {lost.tries} tries"
     outcome = OutcomeRecord.of(Outcome(False)).model_copy(update={"cause": Ended.LOST.value, "detail": error})
-    return TrialResult(lost.job, outcome, {}, Ended.LOST, error)
+    return TrialResult(Attempt(lost.job), outcome, Ended.LOST, error)
 
 
 def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
@@ -120,43 +113,34 @@ def require_run(report: Mapping[str, Any]) -> None:
 
 def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
     return {
-        "trial": result.job.attempt,
-        "seed": result.job.seed,
+        "trial": result.attempt.job.attempt,
+        "seed": result.attempt.job.seed,
         "ended": result.ended.value,
         "error": result.error or None,
         "traceback": result.traceback or None,
         "simulated_s": round(result.ticks * tick, 6),
         "policy_s": spread(result.seconds),
         "outcome": plain(result.outcome),
-        "layout": {name: list(pose) for name, pose in result.layout.items()},
+        "layout": {name: list(pose) for name, pose in result.attempt.places.items()},
     }
 
 
 @dataclass(frozen=True, eq=False)
 class _FilmJob:
-    job: EpisodeJob
-    start: Array
+    attempt: Attempt
     actions: Actions
 
 
-class ActionDrawer(Drawer):
-    """Repeats what a policy did, and draws it."""
+class PolicyFilmer(TrialFilmer):
+    """Repeats what a policy did, and renders it."""
 
     def run(self, film: _FilmJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
-        # What is random in the scene beside the start comes of it.
-        self._runner.simulate(film.job)
-        return self._drawn(self._runner.repeat(film.start, film.actions, 0.0, 0.0, planned=False)[1])
+        return self._film(repeat(self._simulator, film.attempt, film.actions, planned=False))
 
 
 def film(
-    evaluation: Evaluation,
-    limit: int,
-    films: TrialFilms,
-    config: RecordConfig,
-    locations: Locations,
-    meshes: Meshes,
-    progress: Progress,
+    evaluation: Evaluation, limit: int, films: TrialFilms, session: Session, progress: Progress
 ) -> list[FilmedTrial]:
     """Film trials, failures alone unless there are none; those in which nothing acted cannot be shown.
 
@@ -165,17 +149,14 @@ def film(
 
     Raises:
         InterruptedJobError: stopped by the user; finished films stay.
-        ResourceError: nothing can draw here, or the films cannot be written.
+        ResourceError: nothing can render here, or the films cannot be written.
     """
+    config = session.config
     tick = config.task.timing.tick
     acted = [result for result in evaluation.results if result.actions is not None]
     chosen = ([result for result in acted if not result.outcome.success] or acted)[:limit]
-    jobs = [
-        _FilmJob(result.job, result.start, result.actions)
-        for result in chosen
-        if result.start is not None and result.actions is not None
-    ]
+    jobs = [_FilmJob(result.attempt, result.actions) for result in chosen if result.actions is not None]
     if not jobs:
         return []
-    factory = functools.partial(ActionDrawer, config, locations, dict(meshes))
+    factory = functools.partial(PolicyFilmer, session)
     return film_jobs(factory, [_trial(result, tick) for result in chosen], jobs, films, config.workers, progress)

@@ -6,18 +6,16 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
-from ..config.recording import RecordConfig
+from ..attempt.simulator import Simulator
+from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..errors import UsageError, suggest
 from ..geometry.se3 import Array
 from ..images.image import Image
-from ..policies.base import OBJECTS, SCENE, VELOCITIES, WRIST
-from ..scene.build import SCENE_CAMERA
-from ..scene.compiled import CompiledScene
+from ..policies.base import OBJECTS, SCENE, VELOCITIES, WRIST, of_arms
 from ..sim.closed_loop import ClosedLoop
-from ..sim.replica import Replica
 
-# Draws what a camera sees at MuJoCo's positions (nq,).
-Draw = Callable[[Array, str], Image]
+# Renders what a camera sees at MuJoCo's positions (nq,).
+Render = Callable[[Array, str], Image]
 
 
 def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
@@ -32,6 +30,8 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
         sides = {f"{arm.side}_wrist": {f"{arm.side}_wrist_rgb": arm.wrist_camera_name} for arm in config.wrist_arms}
         there = sides | {WRIST: {key: camera for one in sides.values() for key, camera in one.items()}}
     there[SCENE] = {"scene_rgb": SCENE_CAMERA}
+    if config.rig.cameras:
+        there |= {name: {f"{name}_rgb": name} for name in config.recorded_cameras}
     cameras: dict[str, str] = {}
     for name in images:
         if name not in there:
@@ -44,19 +44,19 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
 
 
 class Pictures:
-    """Draws for the observations of one trial.
+    """Renders for the observations of one trial.
 
     Attributes:
-        failure: what drawing raised, if it did: not the policy's fault, whatever the policy makes of it.
+        failure: what rendering raised, if it did: not the policy's fault, whatever the policy makes of it.
     """
 
-    def __init__(self, draw: Draw) -> None:
-        self._draw = draw
+    def __init__(self, render: Render) -> None:
+        self._render = render
         self._thread = threading.get_ident()
         self._is_over = False
         self.failure: Exception | None = None
 
-    def draw(self, key: str, qpos: Array, camera: str) -> Image:
+    def render(self, key: str, qpos: Array, camera: str) -> Image:
         """The picture that an observation has under `key`.
 
         Raises:
@@ -64,11 +64,11 @@ class Pictures:
         """
         hint = f"read observation[{key!r}], or dict(observation) for all, while you are asked"
         if threading.get_ident() != self._thread:
-            raise RuntimeError(f"{key} cannot be drawn in another thread: {hint}, and hand that on")
+            raise RuntimeError(f"{key} cannot be rendered in another thread: {hint}, and hand that on")
         if self._is_over:
-            raise RuntimeError(f"{key} cannot be drawn once its trial is over: {hint}")
+            raise RuntimeError(f"{key} cannot be rendered once its trial is over: {hint}")
         try:
-            return self._draw(qpos, camera)
+            return self._render(qpos, camera)
         except Exception as error:
             self.failure = error
             raise
@@ -79,9 +79,9 @@ class Pictures:
 
 
 class LazyObservation(Mapping[str, Any]):
-    """An observation whose pictures are drawn when they are first read, as everything was when it was made.
+    """An observation whose pictures are rendered when they are first read, as everything was when it was made.
 
-    `dict(observation)` is all of it. Its keys are known, and counted, without drawing.
+    `dict(observation)` is all of it. Its keys are known, and counted, without rendering.
 
     Args:
         numbers: all but the pictures.
@@ -95,7 +95,7 @@ class LazyObservation(Mapping[str, Any]):
 
     def __getitem__(self, key: str) -> Any:
         if key not in self._known and key in self._cameras:
-            self._known[key] = self._pictures.draw(key, self._qpos, self._cameras[key])
+            self._known[key] = self._pictures.render(key, self._qpos, self._cameras[key])
         return self._known[key]
 
     def __contains__(self, key: object) -> bool:
@@ -125,23 +125,23 @@ class Observer:
         UsageError: it asks for a camera that there is not.
     """
 
-    def __init__(self, config: RecordConfig, scene: CompiledScene, images: Iterable[str], wants: Iterable[str]) -> None:
-        self._config, self._scene = config, scene
-        self._replica = Replica(scene)
-        self._cameras = policy_cameras(config, images)
+    def __init__(self, simulator: Simulator, images: Iterable[str], wants: Iterable[str]) -> None:
+        self._simulator = simulator
+        self._cameras = policy_cameras(simulator.config, images)
         self._wants = frozenset(wants)
 
     def observe(self, loop: ClosedLoop, pictures: Pictures) -> LazyObservation:
         """What the policy is told of a scene's state now."""
-        scene, replica, task = self._scene, self._replica, self._config.task
+        config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.replica
+        task = config.task
         replica.show(loop.data.qpos)
         T_base = scene.T_base_in_world
-        joints = replica.joints()
+        joints, openings = replica.joints(), replica.openings()
         told: dict[str, Any] = {
-            "joints": joints,
-            "gripper": joints[6::7] if len(scene.arms) > 1 else float(joints[6]),
-            "ee_pose_world": T_base @ replica.T_grasp_in_base(),
-            "K_scene": replica.intrinsics(SCENE_CAMERA, self._config.image.size_px).K,
+            "joints": joints.ravel(),
+            "gripper": openings if len(openings) > 1 else float(openings[0]),
+            "ee_pose_world": of_arms(T_base @ replica.T_grasp_in_base()),
+            "K_scene": replica.intrinsics(SCENE_CAMERA, config.image.size_px).K,
             "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
             "time": loop.ticks * task.timing.tick,
             "prompt": task.language_prompt,
@@ -150,5 +150,5 @@ class Observer:
             told["T_object_in_world"] = T_base @ replica.T_object_in_base(task.object.name)
             told["T_target_in_world"] = T_base @ replica.T_object_in_base(task.target.name)
         if VELOCITIES in self._wants:
-            told["joint_velocities"] = loop.joint_velocities
+            told["joint_velocities"] = loop.joint_velocities.ravel()
         return LazyObservation(told, loop.data.qpos.copy(), self._cameras, pictures)

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from types import TracebackType
 
-from ..attempt.runner import EpisodeRunner, start_poses
+from ..attempt.physics import repeat
+from ..attempt.pictures import render
+from ..attempt.sampling import sample
+from ..attempt.simulator import Simulator
+from ..closing import Closing
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..policies.base import Action, InvalidActionError, Observation, read_action
-from ..policies.faults import Fault
 from ..policies.loading import reset_policy, wanted_images, wanted_state
-from ..resources import Locations
+from ..policies.policy_faults import Fault
+from ..session import Session
 from ..sim.closed_loop import ClosedLoop
 from ..stray_forks import forks_end_here
 from ..tasks.kinds import kind_of
-from ..types import Actions, EpisodeJob, Outcome
+from ..types import Actions, Attempt, EpisodeJob, Outcome
 from .asking import Asker, PolicyFailedError, TooSlowError, talking_on_stderr
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
 from .observation import Observer, Pictures
@@ -53,7 +55,7 @@ class PolicyChoice:
     Attributes:
         name, folder: see `make_policy`.
         call_seconds: for one answer, or a reset, of real time.
-        time_limit: for a trial, of simulated time, s; None for twice what the plan takes.
+        time_limit: for a trial, of simulated time, s; None for twice what a plan takes.
     """
 
     name: str
@@ -67,24 +69,22 @@ class TrialResult:
     """How a trial went.
 
     Attributes:
+        attempt: as it began.
         ended: what ended it.
         error: what the policy did wrong, for a person; empty if nothing.
         traceback: of what it raised; empty if it raised nothing.
         ticks: control ticks that passed.
         seconds: how long each of the policy's answers took.
-        start: MuJoCo's positions (nq,) at the beginning; None if it was never begun.
         actions: what acted; None if nothing did.
     """
 
-    job: EpisodeJob
+    attempt: Attempt
     outcome: OutcomeRecord
-    layout: Mapping[str, tuple[float, float, float, float]]
     ended: Ended
     error: str = ""
     traceback: str = ""
     ticks: int = 0
     seconds: tuple[float, ...] = ()
-    start: Array | None = field(default=None, repr=False)
     actions: Actions | None = field(default=None, repr=False)
 
 
@@ -96,69 +96,73 @@ def trial_ticks(config: RecordConfig, choice: PolicyChoice) -> int:
     return 2 * kind_of(config.task).ticks(config)
 
 
-class TrialRunner:
+class TrialRunner(Closing):
     """Runs trials of one policy; a context manager, since it may own a renderer.
 
     Raises:
         UsageError, ResourceError: the policy cannot be made, see `make_policy`.
     """
 
-    def __init__(
-        self,
-        config: RecordConfig,
-        locations: Locations,
-        meshes: Mapping[str, Path | None],
-        choice: PolicyChoice,
-    ) -> None:
-        self._config, self._choice = config, choice
+    def __init__(self, session: Session, choice: PolicyChoice) -> None:
+        self._config, self._choice = session.config, choice
         with talking_on_stderr(), forks_end_here():
             self._policy = make_policy(choice.name, choice.folder, choice.call_seconds)
         self._asker = Asker(choice.call_seconds, choice.folder)
-        self._runner = EpisodeRunner(config, locations, meshes, draw=False)
+        self._simulator = Simulator(session)
         wanted = wanted_images(self._policy), wanted_state(self._policy)
-        self._observer = Observer(config, self._runner.scene, *wanted)
+        self._observer = Observer(self._simulator, *wanted)
 
     def run(self, job: EpisodeJob) -> TrialResult:
-        """One trial."""
-        layout, planned, rollout = self._runner.simulate(job)
-        scene = self._runner.scene
-        scripted = isinstance(self._policy, Scripted)
-        if layout is None or (rollout is None and scripted):
-            return TrialResult(job, OutcomeRecord.of(planned), start_poses(layout), Ended.NOT_STARTED)
-        start = self._runner.start(layout, rollout)
-        if isinstance(self._policy, Privileged):
-            self._policy.begin(Trial(job, rollout, scene))
-        loop = ClosedLoop(scene, start, self._config.task.object.name, self._config.task.timing)
+        """One trial. Its attempt is planned only if the policy asks for the plan, or distractors have to leave room."""
+        simulator, policy = self._simulator, self._policy
+        trial = Trial(simulator, sample(simulator, job))
+        scripted = isinstance(policy, Scripted)
+        if trial.attempt.layout is None or (scripted and not trial.demonstrated.states):
+            failed = OutcomeRecord.of(trial.demonstrated.outcome)
+            return TrialResult(trial.attempt, failed, Ended.NOT_STARTED)
+        attempt = trial.demonstrated.attempt if simulator.placer else trial.attempt
+        start = policy.begin(trial) if isinstance(policy, Privileged) else None
+        if start is not None:
+            attempt = replace(attempt, start=start)
         seconds: list[float] = []
-        ended, fault = self._drive(loop, job, seconds)
-        if not loop.ticks:
-            outcome = OutcomeRecord.of(Outcome(False))
-            actions = None
-        else:
-            actions = loop.actions
-            plan = (planned.position_error or 0.0, planned.tilt or 0.0)
-            judged, _ = self._runner.repeat(start, actions, *plan, planned=scripted)
-            outcome = OutcomeRecord.of(judged)
-        if not scripted:
-            outcome = outcome.model_copy(update={"plan_error_m": None, "tilt_rad": None})
+        loop, ended, fault = self._drive(attempt, seconds)
+        outcome, actions = Outcome(False), loop.actions if loop.ticks else None
+        if actions is not None:
+            outcome = repeat(simulator, attempt, actions, planned=scripted).outcome
+        if actions is not None and scripted:
+            planned = trial.demonstrated.outcome
+            outcome = replace(outcome, position_error=planned.position_error, tilt=planned.tilt)
+        record = OutcomeRecord.of(outcome)
         if ended in FAULTS:
-            outcome = outcome.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
+            record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
         told = (fault.text, fault.traceback, loop.ticks, tuple(seconds))
-        return TrialResult(job, outcome, start_poses(layout), ended, *told, start, actions)
+        return TrialResult(attempt, record, ended, *told, actions)
 
-    def _drive(self, loop: ClosedLoop, job: EpisodeJob, seconds: list[float]) -> tuple[Ended, Fault]:
+    def _drive(self, attempt: Attempt, seconds: list[float]) -> tuple[ClosedLoop, Ended, Fault]:
         """Let the policy act until it is done, fails or has no time left."""
+        task = self._config.task
+        assert attempt.start is not None  # it has a layout
+        loop = ClosedLoop(self._simulator.varied(attempt), attempt.start, task.object.name, task.timing)
+        pictures = Pictures(lambda qpos, camera: self._render(attempt, qpos, camera))
+        try:
+            ended, fault = self._ask_on(loop, attempt.job, pictures, seconds)
+        finally:
+            pictures.end()
+        return loop, ended, fault
+
+    def _ask_on(
+        self, loop: ClosedLoop, job: EpisodeJob, pictures: Pictures, seconds: list[float]
+    ) -> tuple[Ended, Fault]:
         limit = trial_ticks(self._config, self._choice)
         hold = int(getattr(self._policy, "ticks", 1))
         action: Action | None = None
         ended = Ended.TIME_LIMIT
-        pictures = Pictures(self._draw)
         try:
             self._asker.ask(lambda: reset_policy(self._policy, _policy_seed(job)))
             while loop.ticks < limit:
                 answer = self._ask(self._observer.observe(loop, pictures), pictures)
                 seconds.append(self._asker.seconds)
-                action = read_action(answer, len(self._runner.scene.arms))
+                action = read_action(answer, *self._simulator.scene.drives.shape)
                 for _ in range(min(hold, limit - loop.ticks)):
                     loop.step(action.ctrl, action.magnet)
                 if action.done:
@@ -170,12 +174,10 @@ class TrialRunner:
             return Ended.SLOW, Fault(f"no answer within {self._choice.call_seconds:g} s, after {loop.ticks} ticks")
         except PolicyFailedError as error:
             return Ended.RAISED, Fault(f"{error}, after {loop.ticks} ticks", error.fault.traceback)
-        finally:
-            pictures.end()
         if loop.holds and action is not None:
             # What is still held was not put down: it is let go, and has the time to fall that a plan's object has.
             for _ in range(self._config.task.timing.settle_ticks):
-                loop.step(action.ctrl, False)
+                loop.step(action.ctrl, [False] * len(action.ctrl))
         return ended, _NO_FAULT
 
     def _ask(self, observation: Observation, pictures: Pictures) -> object:
@@ -186,21 +188,17 @@ class TrialRunner:
             if pictures.failure is not None:
                 raise pictures.failure
 
-    def _draw(self, qpos: Array, camera: str) -> Image:
+    def _render(self, attempt: Attempt, qpos: Array, camera: str) -> Image:
         with self._asker.waits():
-            return self._runner.draw(qpos, (camera,))[camera]
+            return render(self._simulator, attempt, qpos, (camera,))[camera]
 
-    def __enter__(self) -> TrialRunner:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Let the policy close what it has open, and free the renderer."""
         close = getattr(self._policy, "close", None)
         if callable(close):
             with contextlib.suppress(PolicyFailedError, TooSlowError):
                 self._asker.ask(close)
-        self._runner.close()
+        self._simulator.close()
 
 
 def _policy_seed(job: EpisodeJob) -> int:

@@ -1,4 +1,4 @@
-"""Export to LeRobotDataset v3.0, see `lerobot_schema`: without torch, an episode at a time."""
+"""Export to LeRobotDataset v3.0, episode by episode and without torch; see `lerobot_schema`."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from ..dataset.reader import StoredEpisode
 from ..dataset.recorded_images import recorded_images
 from ..images.video import VideoWriter, require_encoder
 from ..images.yuv import BT601
+from ..progress import Progress
 from . import lerobot_schema as schema
 from .lerobot_schema import Place
 from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
 from .lerobot_tables import TableSeries, episode_table, frames_table, require_parquet, write_tasks
-from .source import Exported, Progress, Source
+from .source import Exported, Source
 from .target import export_directory
 
 
@@ -48,7 +49,7 @@ def export_lerobot(source: Source, out: Path, progress: Progress, *, overwrite: 
 
 @dataclass(frozen=True)
 class _Filmed:
-    """Where an episode's images of one camera are, how long they last (s), and their statistics."""
+    """An episode's video of one camera: its place, its length (s), and its images' statistics."""
 
     place: Place
     end: float
@@ -56,15 +57,15 @@ class _Filmed:
 
 
 def _film(root: Path, episode: StoredEpisode, place: Place, camera: str, period: float) -> _Filmed:
-    """Write an episode's images of one camera into a file of their own.
+    """The video of an episode's images of one camera, in a file of its own.
 
-    lerobot's tools delete and split such episodes by copying files. Where several share a file, they encode it anew,
-    and then with whole frames a second (seen in 0.6.1), so that no frame is at its time any more.
+    lerobot's tools delete and split such episodes by copying files. Where several episodes share a file, the tools
+    encode it anew at a whole number of frames a second (seen in 0.6.1), so that no frame is at its time any more.
     """
     path = root / place.path(schema.VIDEO, video_key=schema.image_key(camera))
     path.parent.mkdir(parents=True, exist_ok=True)
     counts = PixelCounts()
-    # lerobot's decoder by PyAV, older than 17, does not look at the tag that says how colours are stored.
+    # lerobot's decoder, which uses a PyAV older than 17, ignores the tag for the colours' encoding and assumes BT.601.
     with VideoWriter(path, period, key_frame_interval=schema.KEY_FRAME_INTERVAL, matrix=BT601) as video:
         for image in recorded_images(episode, (camera,)):
             video.write(image)
@@ -82,7 +83,8 @@ class _Writer:
     def __init__(self, root: Path, source: Source) -> None:
         self.frames = 0
         self._root, self._source = root, source
-        self._columns = schema.columns(source.cameras, source.prefixes)
+        welds = [f"{prefix}magnet" for prefix in source.prefixes]
+        self._columns = schema.columns(source.cameras, source.drives, welds)
         self._tasks: dict[str, int] = {}
         self._total = RunningStats()
         self._provenance: list[dict[str, Any]] = []
@@ -93,7 +95,7 @@ class _Writer:
         root = self._root
         self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
         self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
-        # Decoding and encoding do not hold the interpreter: cameras go side by side.
+        # Decoding and encoding leave the interpreter free, so cameras are done in parallel.
         self._threads = self._open.enter_context(ThreadPoolExecutor(len(self._source.cameras)))
         return self
 
@@ -158,14 +160,14 @@ class _Writer:
         }
 
     def write_meta(self) -> None:
-        """Write what describes the whole, once all episodes are there."""
+        """Write the files that describe the whole dataset, after all episodes."""
         source, root = self._source, self._root
         write_tasks(root, list(self._tasks))
-        # A video's sides are even.
+        # A video's width and height are even.
         sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in source.cameras.items()}
         counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
-        robot = source.config.rig.arms[0].model
-        _write_json(root / schema.INFO, schema.info(sizes, 1 / source.frame_period, robot, source.prefixes, **counts))
+        robots = [source.config.rig.arms[k].model.name for k in source.config.rig.recorded]
+        _write_json(root / schema.INFO, schema.info(sizes, 1 / source.frame_period, robots, self._columns, **counts))
         stats = {
             key: {name: value.tolist() for name, value in _whole(found).items()}
             for key, found in self._total.stats().items()

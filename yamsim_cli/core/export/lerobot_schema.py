@@ -1,4 +1,4 @@
-"""LeRobotDataset v3.0 as data: where its files lie, its features, and what `meta/info.json` says.
+"""LeRobotDataset v3.0 as data: the places of its files, its features, and the content of `meta/info.json`.
 
 Source: lerobot 0.4.4 and 0.6.1, `lerobot.datasets`; the format's version is `CODEBASE_VERSION` there.
 """
@@ -10,20 +10,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..images.video import ENCODER
-from ..scene.robot import ACTUATORS
 
 VERSION = "v3.0"
 CHUNK_FILES = 1000
 DATA_FILE_MB = 100
-# To this size lerobot's merging joins videos. They are written one for an episode, see `lerobot`.
+# Size up to which lerobot's tools join videos when they merge datasets. This export writes one for each episode.
 VIDEO_FILE_MB = 200
-# Training asks for single frames at random. Source: lerobot encodes so.
+# Every second frame is a key frame, since training reads single frames at random. Source: lerobot's own encoding.
 KEY_FRAME_INTERVAL = 2
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
 TASKS = "meta/tasks.parquet"
-# Not of the format: which episode of the dataset each one is, and its seed, so that it can be made again.
+# A file beside the format: the recorded episode of each exported one, and its seed, so that it can be made again.
 PROVENANCE = "meta/yamsim.json"
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -34,45 +33,45 @@ VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 STATE = "observation.state"
 ACTION = "action"
 
-# Before a robot's type where there are two of it, as in lerobot's own names.
+# Prefix of a robot's type for two arms, as in lerobot's own names.
 _TWO = "bi_"
 
 
 @dataclass(frozen=True)
 class Place:
-    """One of a series of files: by its number, its chunk and its place in it."""
+    """One file of a series, with its number, its chunk, and its place in the chunk."""
 
     number: int
 
     @property
     def chunk(self) -> int:
-        """Of CHUNK_FILES files each."""
+        """Number of its chunk; a chunk has CHUNK_FILES files."""
         return self.number // CHUNK_FILES
 
     @property
     def file(self) -> int:
-        """Within its chunk."""
+        """Its place within the chunk."""
         return self.number % CHUNK_FILES
 
     def path(self, pattern: str, **keys: str) -> str:
-        """Relative path by one of the patterns above."""
+        """Its relative path by one of the patterns above."""
         return pattern.format(chunk_index=self.chunk, file_index=self.file, **keys)
 
 
 @dataclass(frozen=True)
 class Feature:
-    """A column: dtype and shape of one frame's value, a number or a row of them, and its parts' names."""
+    """A column: dtype and shape of a frame's value, which is one number or a row of them, and the parts' names."""
 
     dtype: str
     shape: tuple[int, ...]
     names: tuple[str, ...] | None = None
 
     def plain(self) -> dict[str, Any]:
-        """As `info.json` has it."""
+        """The feature's entry in `info.json`."""
         return {"dtype": self.dtype, "shape": list(self.shape), "names": list(self.names) if self.names else None}
 
 
-# What every dataset of the format has.
+# Features that every dataset of the format has.
 INDEX_FEATURES: Mapping[str, Feature] = {
     "timestamp": Feature("float32", (1,)),
     "frame_index": Feature("int64", (1,)),
@@ -83,39 +82,38 @@ INDEX_FEATURES: Mapping[str, Feature] = {
 
 
 def _matrix(letter: str, size: int) -> Feature:
-    """A square matrix row by row, its elements named by row and column from 0: `K02` is the third of the first row.
+    """The feature of a square matrix, row by row. Its elements are named by row and column from 0, such as `K02`.
 
-    Flat, since lerobot's own tools for editing datasets do not write arrays of two dimensions.
+    It is flat, since lerobot's own tools for editing datasets cannot write arrays of two dimensions.
     """
     names = tuple(f"{letter}{row}{column}" for row in range(size) for column in range(size))
     return Feature("float32", (len(names),), names)
 
 
 def image_key(camera: str) -> str:
-    """Feature of a camera's images."""
+    """Key of a camera's images."""
     return f"observation.images.{camera}"
 
 
 def intrinsics_key(camera: str) -> str:
-    """Feature of a camera's matrix K."""
+    """Key of a camera's matrix K."""
     return f"camera.intrinsics.{camera}"
 
 
 def extrinsics_key(camera: str) -> str:
-    """Feature of a camera's pose in the robot's base; of two arms, in the left one's."""
+    """Key of a camera's pose in the robot's base; with two arms, in the left one's."""
     return f"camera.extrinsics.{camera}"
 
 
-def columns(cameras: Mapping[str, tuple[int, int]], prefixes: Sequence[str]) -> dict[str, Feature]:
-    """The features that the Parquet files hold: all but the images.
+def columns(cameras: Mapping[str, tuple[int, int]], drives: Sequence[str], welds: Sequence[str]) -> dict[str, Feature]:
+    """The features in the Parquet files, which are all except the images. An action has all drives, then all welds.
 
     Args:
-        prefixes: what the names of each arm's parts begin with, in order. An action has all drives, then all welds.
+        drives, welds: names of the arms' drives and welds, in order.
     """
-    drives = tuple(prefix + name for prefix in prefixes for name in ACTUATORS)
-    commands = (*drives, *(f"{prefix}magnet" for prefix in prefixes))
+    commands = (*drives, *welds)
     features = {
-        STATE: Feature("float32", (len(drives),), drives),
+        STATE: Feature("float32", (len(drives),), tuple(drives)),
         ACTION: Feature("float32", (len(commands),), commands),
     }
     for camera in cameras:
@@ -127,24 +125,24 @@ def columns(cameras: Mapping[str, tuple[int, int]], prefixes: Sequence[str]) -> 
 def info(
     cameras: Mapping[str, tuple[int, int]],
     fps: float,
-    robot: str,
-    prefixes: Sequence[str],
+    robots: Sequence[str],
+    features: Mapping[str, Feature],
     *,
     episodes: int,
     frames: int,
     tasks: int,
 ) -> dict[str, Any]:
-    """What `meta/info.json` says.
+    """The content of `meta/info.json`.
 
     Args:
         cameras: camera -> width and height (px) of its images in the videos.
-        robot: the model of each arm.
-        prefixes: see `columns`.
+        robots: the model of each arm.
+        features: see `columns`.
     """
     images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
     return {
         "codebase_version": VERSION,
-        "robot_type": robot if len(prefixes) == 1 else _TWO + robot,
+        "robot_type": robots[0] if len(robots) == 1 else _TWO + "_".join(dict.fromkeys(robots)),
         "total_episodes": episodes,
         "total_frames": frames,
         "total_tasks": tasks,
@@ -155,7 +153,7 @@ def info(
         "splits": {"train": f"0:{episodes}"},
         "data_path": DATA,
         "video_path": VIDEO,
-        "features": images | {key: feature.plain() for key, feature in columns(cameras, prefixes).items()},
+        "features": images | {key: feature.plain() for key, feature in features.items()},
     }
 
 
@@ -170,7 +168,7 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
         "video.fps": int(fps) if fps == int(fps) else fps,
         "video.channels": 3,
         "has_audio": False,
-        # With these lerobot encodes what it has to encode again.
+        # lerobot uses these when it has to encode a video again.
         "video.g": KEY_FRAME_INTERVAL,
         "video.crf": int(ENCODER["crf"]),
         "video.preset": ENCODER["preset"],

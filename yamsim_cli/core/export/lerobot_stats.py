@@ -1,4 +1,4 @@
-"""Statistics of features, episode by episode, and of the whole dataset in bounded memory."""
+"""Statistics of features for each episode, and for the whole dataset in bounded memory."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..images.image import Image
 # Source: lerobot 0.4.4 and 0.6.1, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _LEVELS = 256
-# Every so many pixels in both directions count: means and quantiles hardly change, and it costs little.
+# One pixel in so many counts, in both directions: that is fast, and means and quantiles hardly change.
 _STRIDE = 4
 
 Stats = dict[str, Array]
 
 
 def column_stats(values: ArrayLike) -> Stats:
-    """Statistics of values (frames, ...) over the frames; `count` is that of frames, (1,)."""
+    """Statistics of values (frames, ...) over the frames; `count` (1,) is the number of frames."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim == 1:
         array = array[:, None]
@@ -30,7 +30,7 @@ def column_stats(values: ArrayLike) -> Stats:
 
 
 class PixelCounts:
-    """How often each level occurs in each channel of the images seen so far: all statistics follow from it exactly."""
+    """Counts how often each level occurs in each channel of the images. All statistics follow exactly from that."""
 
     def __init__(self) -> None:
         self._counts = np.zeros((3, _LEVELS), np.int64)
@@ -44,7 +44,7 @@ class PixelCounts:
         self._images += 1
 
     def stats(self) -> Stats:
-        """Of the channels, in 0..1, each (3, 1, 1); `count` is that of images."""
+        """Statistics of the channels, in 0..1, each (3, 1, 1); `count` is the number of images."""
         total = self._counts.sum(1)
         levels = np.arange(_LEVELS) / (_LEVELS - 1)
         mean = self._counts @ levels / total
@@ -56,30 +56,30 @@ class PixelCounts:
         }
 
     def _level(self, part: float) -> Array:
-        """The level below which a part of the pixels lies."""
+        """The level (3,), in 0..1, at or below which a share `part` of the pixels lies."""
         below = np.cumsum(self._counts, axis=1)
-        # The first level at which enough pixels are counted, and at least one.
+        # The first level at or below which there are enough pixels, and at least one.
         enough = np.maximum(1, np.ceil(part * below[:, -1:]))
         found: NDArray[np.intp] = (below >= enough).argmax(axis=1)
         return found / (_LEVELS - 1)
 
 
 class RunningStats:
-    """The statistics of many episodes as one: exact but for the quantiles, which are means weighted by frames.
+    """Statistics of many episodes together. They are exact except for quantiles, which are means weighted by frames.
 
-    Source: lerobot 0.4.4 and 0.6.1, `aggregate_feature_stats`: so the numbers are those that lerobot would give.
+    Source: lerobot 0.4.4 and 0.6.1, `aggregate_feature_stats`. The numbers are those that lerobot gives.
     """
 
     def __init__(self) -> None:
         self._features: dict[str, Stats] = {}
 
     def add(self, episode: Mapping[str, Stats]) -> None:
-        """Take in an episode's: feature -> statistics."""
+        """Add an episode's statistics, by feature."""
         for key, stats in episode.items():
             self._features[key] = _combined(self._features[key], stats) if key in self._features else dict(stats)
 
     def stats(self) -> dict[str, Stats]:
-        """Feature -> statistics of all."""
+        """Feature -> statistics of all episodes."""
         return self._features
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..closing import Closing
 from ..errors import ResourceError
 from . import lerobot_schema as schema
 from .lerobot_schema import Feature, Place
@@ -34,14 +34,14 @@ def require_parquet() -> None:
         ) from error
 
 
-class TableSeries:
-    """Tables with the same columns in a series of Parquet files, a new one where one has grown large enough.
+class TableSeries(Closing):
+    """Writes tables with the same columns to a series of Parquet files. A new file begins when one is large enough.
 
     Use it as a context manager: leaving it writes the last file's footer.
 
     Args:
-        root: of the dataset.
-        pattern: of the files' paths, see `lerobot_schema`.
+        root: the dataset's directory.
+        pattern: the pattern of the files' paths, see `lerobot_schema`.
         limit_mb: size at which a file is closed, MB.
     """
 
@@ -52,9 +52,9 @@ class TableSeries:
         self._path = root
 
     def next_place(self) -> Place:
-        """Which file the next table will go into."""
+        """The file that the next table will go into."""
         if self._writer is not None and self._path.stat().st_size >= self._limit:
-            self._close()
+            self.close()
             self._place = Place(self._place.number + 1)
         return self._place
 
@@ -69,22 +69,15 @@ class TableSeries:
             self._writer = pyarrow.parquet.ParquetWriter(self._path, table.schema, compression="snappy")
         self._writer.write_table(table)
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Write the last file's footer."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
-    def __enter__(self) -> TableSeries:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._close()
-
 
 def frames_table(columns: Mapping[str, Feature], values: Mapping[str, NDArray[Any]]) -> Any:
-    """An episode's frames: feature -> values (frames, ...)."""
+    """A table of an episode's frames, from values (frames, ...) by feature."""
     import pyarrow
 
     arrays = [_array(feature, np.asarray(values[key], feature.dtype)) for key, feature in columns.items()]
@@ -101,7 +94,7 @@ def _array(feature: Feature, values: NDArray[Any]) -> Any:
 
 
 def episode_table(row: Mapping[str, Any]) -> Any:
-    """One episode's row of `meta/episodes`: numbers, a list of texts, and statistics as arrays."""
+    """A table of one episode's row in `meta/episodes`: numbers, a list of texts, and statistics as arrays."""
     import pyarrow
 
     plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in row.items()}
@@ -109,7 +102,7 @@ def episode_table(row: Mapping[str, Any]) -> Any:
 
 
 def write_tasks(root: Path, tasks: Sequence[str]) -> None:
-    """`meta/tasks.parquet`: number of each task's text, which pandas reads as the table's index."""
+    """Write `meta/tasks.parquet`: the tasks' numbers, with the texts as the index that pandas reads."""
     import pyarrow
     import pyarrow.parquet
 

@@ -1,4 +1,4 @@
-"""Export to the converted layout of the real stack, see `raiden_schema`: what reads real recordings reads this."""
+"""Export to the converted layout of the real stack, for programs that read real recordings; see `raiden_schema`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from ..config.recording import RecordConfig
 from ..dataset.lowdim import dump_frame
 from ..dataset.reader import StoredEpisode
 from ..errors import DatasetError
+from ..progress import Progress
 from ..resources import Locations
+from ..session import Session
 from ..workers.executor import Executor, Factory
 from ..workers.inline import InlineExecutor
 from ..workers.processes import WorkerPool
@@ -25,14 +27,13 @@ from .raiden_calibration import calibration
 from .raiden_episode import EpisodeMaker, MadeEpisode
 from .raiden_frames import FrameConverter, hand_frame
 from .raiden_options import RaidenOptions
-from .source import Exported, Progress, Source, depth_cameras
+from .source import Exported, Source, depth_cameras
 from .target import export_directory
 
-# How an arm was driven, by what a recording says of itself.
+# Source of a recording -> how the arm was driven.
 _CONTROL = {"record": "plan"}
 
-Meshes = Mapping[str, Path | None]
-# An episode's directory, and where it is exported to.
+# An episode's directory, and the directory that it is exported to.
 Job = tuple[Path, Path]
 
 
@@ -42,33 +43,34 @@ def export_raiden(
     locations: Locations,
     progress: Progress,
     options: RaidenOptions,
-    meshes: Meshes | None = None,
     *,
     workers: int = 1,
     overwrite: bool = False,
 ) -> Exported:
     """Write a dataset in the real stack's layout.
 
-    The global frame is the base of the left arm. A lone arm is the left one; the right one, unless left out, is still,
-    with all joints 0. Grippers are a share of the opening, 0 closed and 1 open, as the real arm's drive reports them.
+    The global frame is the base of the left arm. A lone arm is the left one. The right one then stands still with all
+    joints 0, unless it is left out. Grippers are shares of the opening, from 0 for closed to 1 for open, as the real
+    arm's drive reports them.
 
     Args:
-        meshes: asset set -> folder of its files, or None for primitives, for pictures that are drawn.
-        workers: processes that draw; nothing else takes long.
+        locations: its meshes are those of rendered pictures.
+        workers: processes that render; nothing else takes long.
 
     Raises:
-        DatasetError: a file is missing, altered or damaged, or physics leads elsewhere today.
-        ResourceError: nothing can be drawn here.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`; two arms do not go into one's arrays.
+        DatasetError: a file is missing, altered or damaged, or physics no longer leads to the recorded states.
+        ResourceError: nothing can render here.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`. UsageError also if two arms are to be
+            written as one.
     """
     converter = FrameConverter(source, locations, options)
-    config = _as_recorded(source) if options.draws else source.config
-    factory = functools.partial(EpisodeMaker, config, locations, dict(meshes or {}), converter.names, options)
+    config = _as_recorded(source) if options.renders else source.config
+    factory = functools.partial(EpisodeMaker, Session(config, locations), converter.names, options)
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
         episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.episodes())}
         jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
-        for folder, made in _make(factory, jobs, workers if options.draws else 0):
+        for folder, made in _make(factory, jobs, workers if options.renders else 0):
             data = [converter.frame(frame) for frame in made.frames]
             metadata = _metadata(episodes[folder.name], converter, made, data, options)
             _write_episode(folder, made, data, metadata)
@@ -85,18 +87,22 @@ def export_raiden(
 
 
 def _as_recorded(source: Source) -> RecordConfig:
-    """A dataset's configuration, to draw pictures with that are as large as the recorded ones."""
+    """The dataset's config, with the size of the recorded pictures."""
     sizes = set(source.cameras.values())
     if len(sizes) > 1:
         raise DatasetError(
-            f"{source.path} has pictures of several sizes, which cannot be drawn: take --pictures nearest"
+            f"{source.path} has pictures of several sizes, which cannot be rendered: take --pictures nearest"
         )
     image = source.config.image.model_copy(update={"size_px": sizes.pop()})
     return source.config.model_copy(update={"image": image})
 
 
 def _make(factory: Factory[Job, MadeEpisode], jobs: Sequence[Job], workers: int) -> Iterator[tuple[Path, MadeEpisode]]:
-    """Each episode's folder and what was made of it, as they are done: by workers, or without any in this process."""
+    """Each episode's folder and what was made of it, in the order in which they get done.
+
+    Args:
+        workers: processes that make them; 0 for this process.
+    """
     executor: Executor[Job, MadeEpisode] = InlineExecutor(factory)
     if workers:
         executor = WorkerPool[Job, MadeEpisode](factory, min(workers, len(jobs)))
@@ -116,7 +122,7 @@ def _metadata(
     data: Sequence[Mapping[str, Any]],
     options: RaidenOptions,
 ) -> dict[str, Any]:
-    """What `metadata.json` holds."""
+    """The content of `metadata.json`."""
     record = episode.record
     sizes = {converter.names[camera]: [height, width] for camera, (width, height) in record.cameras.items()}
     one_size = len({tuple(size) for size in sizes.values()}) == 1
@@ -146,14 +152,14 @@ def _metadata(
 
 
 def _plain(number: float) -> float:
-    """A whole number without a point."""
+    """The number itself, as an int if it is whole."""
     return int(number) if number.is_integer() else number
 
 
 def _write_episode(
     folder: Path, made: MadeEpisode, data: Sequence[Mapping[str, Any]], metadata: Mapping[str, Any]
 ) -> None:
-    """All of an episode but its pictures, which are there: frames, and when each camera took them."""
+    """Write all of an episode except its pictures: frames, capture times, and metadata."""
     nanoseconds = _npy(np.array([round(time * 1e9) for time in made.times], dtype=schema.TIMESTAMPS.dtype))
     for camera in metadata["cameras"]:
         (folder / "rgb" / camera / schema.TIMESTAMPS_FILE).write_bytes(nanoseconds)

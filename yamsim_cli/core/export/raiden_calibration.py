@@ -1,8 +1,10 @@
-"""The cameras of a dataset as raiden calibrates them, in one file that its own code reads and its fork's at the lab.
+"""The calibration file of a dataset's cameras, which both raiden and its fork at the lab read.
 
-raiden reads a wrist camera's `hand_eye_calibration`, and the `extrinsics` of any other. The fork's scripts read the
-`extrinsics` of both: so a wrist camera has both. Neither reads `type`. Source: TRI-ML/raiden 2353b10, `converter.py`
-and `server.py`; cameronosmith/raiden_fork 434d7c6, `wrist_calibrate.py`, `exo_calibrate.py`, `wrist_verify_rerun.py`.
+raiden reads a wrist camera's `hand_eye_calibration`, and any other camera's `extrinsics`. The fork's scripts read the
+`extrinsics` of all cameras, so a wrist camera has both. Neither reads `type`.
+
+Source: TRI-ML/raiden 2353b10, `converter.py` and `server.py`; cameronosmith/raiden_fork 434d7c6, `wrist_calibrate.py`,
+`exo_calibrate.py`, `wrist_verify_rerun.py`.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ from .source import Source
 _ZERO_TIME = "1970-01-01T00:00:00.000000"
 _SIDES = ("left", "right")
 
-# A real right wrist camera hangs upside down. raiden's code turns its pictures by half a turn, and its hand-eye pose as
-# well: so the file has to hold the pose before that turn. Source: TRI-ML/raiden, `converter.py`, `server.py`.
+# A real right wrist camera hangs upside down. raiden's code turns its pictures and its hand-eye pose by half a turn, so
+# that the file has to hold the pose before that turn. Source: TRI-ML/raiden, `converter.py`, `server.py`.
 _UPSIDE_DOWN = (WRIST_CAMERAS[1],)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
@@ -31,11 +33,11 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 def calibration(
     source: Source, converter: FrameConverter, options: RaidenOptions, frames: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """What `calibration_results.json` holds.
+    """The content of `calibration_results.json`.
 
     Args:
-        frames: of one episode, converted. A camera is where they have it in the mean: a hand-eye pose by another's
-            kinematics is not quite the same in each.
+        frames: converted frames of one episode. A wrist camera's position is their mean: by other kinematics than the
+            simulated arm's, the hand-eye pose differs slightly from frame to frame.
     """
     between = frames[0].get(schema.BETWEEN_ARMS)
     T = None if between is None else np.asarray(between, np.float64)
@@ -104,7 +106,7 @@ def _intrinsics(K: ArrayLike, size: tuple[int, int]) -> dict[str, Any]:
 
 
 def _bimanual(T_right_base_in_left_base: Array) -> dict[str, Any]:
-    """Where the arms stand. Source: TRI-ML/raiden, `converter.py`: it inverts what it reads, whatever the key says."""
+    """The arms' places. Source: TRI-ML/raiden, `converter.py`, which inverts what it reads under the first key."""
     return {
         "right_base_to_left_base": inverse(T_right_base_in_left_base).tolist(),
         "computed_from_calibration": False,

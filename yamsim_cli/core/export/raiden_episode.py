@@ -1,4 +1,4 @@
-"""One episode's frames and pictures for raiden's layout: as they were recorded, or made at another rate."""
+"""Makes one episode's frames and pictures for raiden's layout, as they were recorded or at another rate."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from ..attempt.runner import EpisodeRunner
-from ..config.recording import RecordConfig
-from ..dataset.faults import explain
+from ..attempt.pictures import depth_mm, recorded_pictures
+from ..attempt.simulator import Simulator
+from ..closing import Closing
+from ..dataset.disk_faults import explain
 from ..dataset.layout import depth_name
 from ..dataset.reader import StoredEpisode, open_episode
 from ..dataset.truth_files import dump_depth
@@ -22,25 +22,25 @@ from ..errors import DatasetError, PartialJobError
 from ..images.image import Image
 from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.png import encode_png
-from ..resources import Locations
+from ..session import Session
 from . import raiden_schema as schema
 from .raiden_options import RaidenOptions
 from .resample import Resampled, nearest_frames, resample
 from .source import depth_cameras
 
-# A picture drawn anew at a recorded frame's time may differ from the recorded one by this in the mean, of 255. Another
-# machine's OpenGL stays below; missing meshes, or another version's looks, do not.
+# Largest mean difference, of 255, between a picture that is rendered anew and the recorded one. The OpenGL of another
+# machine stays below. Missing meshes, or the looks of another version, do not.
 _MOST_OTHER = 3.0
 
 
 @dataclass(frozen=True)
 class MadeEpisode:
-    """What was made of an episode; its pictures are on the disk.
+    """What was made of an episode. Its pictures are on the disk already.
 
     Attributes:
-        times: of the frames, s.
-        frames: as recorded ones are.
-        pictures: where they come from, for the metadata.
+        times: times of the frames, s.
+        frames: frames in the form of recorded ones.
+        pictures: where the pictures come from, for the metadata.
     """
 
     times: Sequence[float]
@@ -48,35 +48,35 @@ class MadeEpisode:
     pictures: Mapping[str, Any]
 
 
-class EpisodeMaker:
+class EpisodeMaker(Closing):
     """Makes episodes of one dataset; a context manager, since it may own a renderer.
 
     Args:
-        config: the dataset's own; of drawn pictures it has the size.
-        meshes: asset set -> folder of its files, or None for primitives; they matter to drawn pictures alone.
+        session: of the dataset's own config, with the size of rendered pictures; its meshes matter to those alone.
         names: camera -> its name in raiden's layout.
     """
 
     def __init__(
         self,
-        config: RecordConfig,
-        locations: Locations,
-        meshes: Mapping[str, Path | None],
+        session: Session,
         names: Mapping[str, str],
         options: RaidenOptions,
     ) -> None:
         self._names = names
         self._options = options
-        self._quality = config.image.jpeg_quality
-        self._truth = config.truth
-        self._runner = None if options.fps is None else EpisodeRunner(config, locations, meshes, draw=False)
+        self._quality = session.config.image.jpeg_quality
+        self._truth = session.config.truth
+        self._simulator = None if options.fps is None else Simulator(session)
 
     def run(self, job: tuple[Path, Path]) -> MadeEpisode:
-        """Make an episode, given by its directory, and write its pictures below a folder.
+        """What is made of an episode; its pictures are written.
+
+        Args:
+            job: the episode's directory, and the folder to write into.
 
         Raises:
             DatasetError: it is damaged, or cannot be made; see `resample`.
-            ResourceError: nothing can be drawn here.
+            ResourceError: nothing can render here.
             PartialJobError: the disk refused something.
         """
         directory, folder = job
@@ -87,12 +87,12 @@ class EpisodeMaker:
 
     def _make(self, episode: StoredEpisode, folder: Path) -> MadeEpisode:
         frames = episode.frames()
-        if self._runner is None or self._options.fps is None:
+        if self._simulator is None or self._options.fps is None:
             self._copy(episode, folder, range(len(frames)))
             return MadeEpisode([frame["timestamp"] for frame in frames], frames, {"source": "recorded"})
-        made = resample(self._runner, episode, self._options.fps)
-        if self._options.draws:
-            self._draw(self._runner, episode, folder, made)
+        made = resample(self._simulator, episode, self._options.fps)
+        if self._options.renders:
+            self._render(self._simulator, episode, folder, made)
             return MadeEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
         nearest = nearest_frames(made.times, len(frames), episode.record.frame_period_s)
         self._copy(episode, folder, nearest)
@@ -101,7 +101,7 @@ class EpisodeMaker:
         return MadeEpisode(made.times.tolist(), made.frames, told)
 
     def _copy(self, episode: StoredEpisode, folder: Path, frames: Sequence[int]) -> None:
-        """Recorded pictures, given by their frames: JPEGs byte for byte, PNGs of the very pixels that OpenCV reads."""
+        """Copy recorded pictures: JPEGs byte for byte, or PNGs of the pixels that OpenCV reads from them."""
         depths = depth_cameras(episode)
         for camera, name in self._names.items():
             before, data, depth = -1, b"", b""
@@ -118,46 +118,42 @@ class EpisodeMaker:
         data = episode.image(camera, frame)
         return data if self._options.images == "jpg" else encode_png(_decoded(episode, camera, frame, data))
 
-    def _draw(self, runner: EpisodeRunner, episode: StoredEpisode, folder: Path, made: Resampled) -> None:
+    def _render(self, simulator: Simulator, episode: StoredEpisode, folder: Path, made: Resampled) -> None:
         depths = depth_cameras(episode)
         if depths and not self._truth:
             raise DatasetError(
-                f"{episode.directory} has depth, and its dataset was recorded without --truth: how it was made is not "
-                "known; take the recorded pictures with --pictures nearest"
+                f"{episode.directory} has depth, and its dataset was recorded without --truth, so how to make it is "
+                "not known; take the recorded pictures with --pictures nearest"
             )
-        for k, camera, image in runner.pictures(made.qpos):
+        for k, camera, image in recorded_pictures(simulator, made.attempt, made.qpos):
             name = self._names[camera]
             if k == 0:
                 self._require_looks(episode, camera, image)
             data = encode_png(image) if self._options.images == "png" else encode_jpeg(image, self._quality)
             _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
             if camera in depths:
-                depth = dump_depth(runner.depth(made.qpos[k], camera))
-                _write(folder / "depth" / name / schema.frame_name(k, "npz"), depth)
+                data = dump_depth(depth_mm(simulator, made.attempt, made.qpos[k], camera))
+                _write(folder / "depth" / name / schema.frame_name(k, "npz"), data)
 
     def _require_looks(self, episode: StoredEpisode, camera: str, image: Image) -> None:
         """Raise DatasetError unless the first picture looks as it was recorded."""
         recorded = _decoded(episode, camera, 0, episode.image(camera, 0))
-        drawn = decode_jpeg(encode_jpeg(image, self._quality))
-        assert drawn is not None
+        rendered = decode_jpeg(encode_jpeg(image, self._quality))
+        assert rendered is not None
         apart = np.inf
-        if drawn.shape == recorded.shape:
-            apart = float(np.abs(drawn.astype(np.int16) - recorded).mean())
+        if rendered.shape == recorded.shape:
+            apart = float(np.abs(rendered.astype(np.int16) - recorded).mean())
         if apart > _MOST_OTHER:
             raise DatasetError(
-                f"{episode.directory}: {camera} drawn anew is not what was recorded ({apart:.1f} of 255 off in the "
+                f"{episode.directory}: {camera} rendered anew is not what was recorded ({apart:.1f} of 255 off in the "
                 f"mean, at most {_MOST_OTHER:g}): run `yamsim assets fetch` if meshes are missing, or take the "
                 "recorded pictures with --pictures nearest"
             )
 
-    def __enter__(self) -> EpisodeMaker:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._runner is not None:
-            self._runner.close()
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._simulator is not None:
+            self._simulator.close()
 
 
 def _write(path: Path, data: bytes) -> None:
@@ -173,7 +169,7 @@ def _decoded(episode: StoredEpisode, camera: str, frame: int, data: bytes) -> Im
 
 
 def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
-    """A depth image's file as it is, once it was seen to hold what it should."""
+    """A depth image's file, unchanged, after its content was checked."""
     name = depth_name(camera, number)
     data = episode.whole(name)
     width, height = episode.record.cameras[camera]

@@ -1,4 +1,4 @@
-"""A frame of raiden's layout, from a recorded one: joints, hands and cameras, with the left arm first."""
+"""Converts recorded frames into frames of raiden's layout: joints, hands and cameras, with the left arm first."""
 
 from __future__ import annotations
 
@@ -10,29 +10,28 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..config.limits import load_limits
 from ..config.rig import ArmConfig
 from ..dataset.lowdim import BETWEEN_BASES
-from ..errors import UsageError
+from ..errors import ResourceError, UsageError
 from ..geometry.se3 import Array
-from ..planning.kinematics import ArmKinematics
+from ..planning.arm_kinematics import ArmKinematics
 from ..resources import Locations
 from ..scene.robot import bare_arm
 from . import raiden_schema as schema
 from .raiden_options import HandFrameName, RaidenOptions
 from .source import Source
 
-# Of the arms in order: a lone arm is the left one, and so is its camera.
+# Names of the arms' wrist cameras in raiden's layout, in the arms' order. A lone arm counts as the left one.
 WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
 
 @dataclass(frozen=True)
 class HandFrame:
-    """Whose kinematics hand poses are by.
+    """The kinematics by which hands' poses are computed.
 
     Attributes:
-        model: file in the robot model's folder; empty for the one that was simulated.
-        description: for whoever reads the metadata.
+        model: MJCF file in the robot model's folder; empty for the simulated one.
+        description: a line for readers of the metadata.
     """
 
     model: str
@@ -49,7 +48,7 @@ HAND_FRAMES: Mapping[HandFrameName, HandFrame] = {
 
 
 def hand_frame(name: HandFrameName) -> dict[str, str]:
-    """What is written of a hand's frame."""
+    """The metadata's entry on the hand frame."""
     return {"name": name, "description": HAND_FRAMES[name].description}
 
 
@@ -60,45 +59,62 @@ def camera_names(source: Source) -> dict[str, str]:
 
 
 def wrist_arms(source: Source) -> dict[str, int]:
-    """Wrist camera -> its arm's place."""
+    """Wrist camera -> the place of its arm in recordings."""
     config = source.config
     arms = [config.rig.arms[k] for k in config.rig.recorded]
     return {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}
 
 
 class _Arm:
-    """What the real stack tells of an arm, from recorded joints (7,): six in rad, and one finger's opening in m."""
+    """Converts an arm's recorded joints (7,), six in rad and one finger's opening in m, to the real stack's values.
+
+    Raises:
+        UsageError: the layout has no place for such an arm, or the frame none for its hand.
+    """
 
     def __init__(self, arm: ArmConfig, locations: Locations, frame: HandFrame) -> None:
+        robot = arm.robot
+        if robot.dof != schema.JOINTS or robot.fingers is None:
+            hand = "a gripper" if robot.fingers else "no gripper"
+            raise UsageError(
+                f"raiden's layout is of arms with {schema.JOINTS} joints and a gripper, and {arm.name} ({robot.model}) "
+                f"has {robot.dof} and {hand}: export it as lerobot or rerun"
+            )
         if frame.model:
-            file = locations.file(f"robot_models/{arm.model}/{frame.model}")
+            try:
+                file = locations.file(f"robot_models/{robot.model}/{frame.model}")
+            except ResourceError:
+                raise UsageError(
+                    f"--hand-frame: {robot.model} has no {frame.model} in its folder of robot_models/, where that hand "
+                    "would be: take --hand-frame yamsim"
+                ) from None
             self._kinematics = ArmKinematics(mujoco.MjModel.from_xml_path(str(file)))
         else:
-            self._kinematics = ArmKinematics(bare_arm(arm, locations))
-        self._opening = load_limits(arm.model, locations).fingers[arm.gripper][1]
+            self._kinematics = ArmKinematics(bare_arm(arm))
+        self._opening = robot.fingers.range[1]
 
     def shared(self, joints: ArrayLike) -> Array:
-        """Six joints, and the gripper as a share of its opening."""
+        """Six joints, and the gripper as a share of its opening, (7,)."""
         values = np.array(joints, dtype=np.float64)
-        values[6] = np.clip(values[6] / self._opening, 0.0, 1.0)
+        values[schema.JOINTS] = np.clip(values[schema.JOINTS] / self._opening, 0.0, 1.0)
         return values
 
     def hand(self, shared: Array) -> Array:
         """The hand's position, its rotation row by row and the gripper (13,), in this arm's base."""
         T = self.T_hand_in_base(shared)
-        return np.concatenate([T[:3, 3], T[:3, :3].ravel(), shared[6:]])
+        return np.concatenate([T[:3, 3], T[:3, :3].ravel(), shared[schema.JOINTS :]])
 
     def T_hand_in_base(self, joints: ArrayLike) -> Array:
-        """The hand's pose (4, 4) in this arm's base, by kinematics."""
-        return self._kinematics.T_grasp_in_base(np.asarray(joints)[:6])
+        """The hand's pose (4, 4) in this arm's base, by the chosen kinematics."""
+        return self._kinematics.T_grasp_in_base(np.asarray(joints)[: schema.JOINTS])
 
 
 class FrameConverter:
-    """Turns frames of one dataset into those of raiden's layout.
+    """Converts frames of one dataset to raiden's layout.
 
     Attributes:
-        names: camera -> its name there.
-        arms: how many its arrays hold.
+        names: camera -> its name in raiden's layout.
+        arms: how many arms the arrays hold.
 
     Raises:
         UsageError: two arms cannot be written as one.
@@ -112,11 +128,11 @@ class FrameConverter:
         self.names = camera_names(source)
         self.arms = 1 if options.single else 2
         frame = HAND_FRAMES[options.hand_frame]
-        # Where there is one alone, the other is like it.
+        # A lone arm's model stands for the other arm, too.
         self._arms = [_Arm(arm, locations, frame) for arm in (arms[0], arms[-1])[: self.arms]]
 
     def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
-        """A frame's dictionary, as `raiden_schema.lowdim` has it."""
+        """A frame's dictionary in the form of `raiden_schema.lowdim`."""
         joints, command = self._shared(frame["joints"]), self._shared(frame["action_joints"])
         data = {
             "intrinsics": {self.names[camera]: frame["intrinsics"][camera] for camera in self.names},
@@ -133,13 +149,13 @@ class FrameConverter:
         return data
 
     def T_hand_in_base(self, arm: int, joints: ArrayLike) -> Array:
-        """An arm's hand (4, 4) in its own base, from all joints of a frame that was converted."""
-        return self._arms[arm].T_hand_in_base(np.asarray(joints)[7 * arm :])
+        """The pose (4, 4) of an arm's hand in its own base, from all joints of a converted frame."""
+        return self._arms[arm].T_hand_in_base(np.asarray(joints)[schema.ARM * arm :])
 
     def _shared(self, joints: ArrayLike) -> list[Array]:
-        """Each arm's joints (7,), of recorded ones (7,) or (14,)."""
-        rows = np.zeros((self.arms, 7))
-        recorded = np.reshape(joints, (-1, 7))
+        """Each arm's converted joints (7,), from recorded ones (7,) or (14,)."""
+        rows = np.zeros((self.arms, schema.ARM))
+        recorded = np.reshape(joints, (-1, schema.ARM))
         rows[: len(recorded)] = recorded
         return [arm.shared(row) for arm, row in zip(self._arms, rows, strict=True)]
 

@@ -1,4 +1,4 @@
-"""What a user can choose of an export to raiden's layout."""
+"""The options of an export to raiden's layout."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from typing import Literal
 # raiden's own rate: `rd replay` plays at it, and `rd shardify` counts windows in its frames.
 FPS = 30.0
 
-# Drawn anew at each frame's time; or the recorded one that is nearest to it.
-Pictures = Literal["draw", "nearest"]
-# Files of pictures. raiden's code reads PNG alone.
+# "draw" renders a picture at each frame's time; "nearest" takes the recorded one that is nearest in time.
+PictureSource = Literal["draw", "nearest"]
+# Formats of pictures. raiden's code reads only PNG.
 ImageFormat = Literal["png", "jpg"]
-# Whose kinematics say where a hand is, see `raiden_frames.HAND_FRAMES`.
+# The kinematics by which hands' poses are computed, see `raiden_frames.HAND_FRAMES`.
 HandFrameName = Literal["yamsim", "i2rt"]
 
 
 @dataclass(frozen=True)
 class RaidenOptions:
-    """What to write.
+    """The options of an export.
 
     Attributes:
         fps: frames a second; None for the recorded frames and no others.
-        pictures: where those come from, given fps.
-        images: what they are stored as.
-        single: the arrays of a lone arm hold that arm alone, instead of a right one that stands still.
-        hand_frame: whose hand `action` and `actual_poses` tell of.
+        pictures: where pictures come from, if `fps` is given.
+        images: their format.
+        single: whether the arrays of a lone arm hold only that arm, and no right one that stands still.
+        hand_frame: by which kinematics `action` and `actual_poses` are computed.
     """
 
     fps: float | None = FPS
-    pictures: Pictures = "draw"
+    pictures: PictureSource = "draw"
     images: ImageFormat = "png"
     single: bool = False
     hand_frame: HandFrameName = "yamsim"
 
     @property
-    def draws(self) -> bool:
-        """Whether anything has to be drawn."""
+    def renders(self) -> bool:
+        """Whether anything has to be rendered."""
         return self.fps is not None and self.pictures == "draw"

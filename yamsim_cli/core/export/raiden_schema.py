@@ -1,7 +1,7 @@
 """The converted layout of the real stack, as data: every name, dtype, shape and key.
 
-Source: TRI-ML/raiden 2353b10: what `converter.py` writes; what `shardify.py`, `visualizer.py`, `replay.py` and
-`server.py` read. Its documentation says otherwise in places, of pictures for one; the code is what reads.
+Source: TRI-ML/raiden 2353b10: what `converter.py` writes, and what `shardify.py`, `visualizer.py`, `replay.py` and
+`server.py` read. Its documentation differs in places, such as on pictures. The code decides here.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Form:
-    """What a value is: an array's dtype and shape, or a plain type and ().
+class RaidenForm:
+    """The form of a value: an array's dtype and shape, or a plain type and ().
 
     Attributes:
-        each: the value is a dictionary from every camera's name to such an array.
+        each: whether the value is a dictionary from every camera's name to such an array.
     """
 
     dtype: str
@@ -23,36 +23,42 @@ class Form:
     each: bool = False
 
 
-# Where the right arm's base stands in the left one's: what takes a point from the right arm's base to the left one's.
+# Numbers of an arm in the layout: six joints and the gripper; and of its hand: position (3), rotation row by row (9),
+# and the gripper.
+JOINTS = 6
+ARM = JOINTS + 1
+HAND = 3 + 9 + 1
+
+# Key of the right base's pose in the left base. It takes a point from the right arm's base to the left one's.
 BETWEEN_ARMS = "T_left_from_right"
 
 
-def lowdim(width: int, recorded: int) -> Mapping[str, Form]:
-    """Of a frame's dictionary, in order.
+def lowdim(width: int, recorded: int) -> Mapping[str, RaidenForm]:
+    """Key -> form of a frame's dictionary, in order.
 
-    Arms are left, then right: joints (6) and gripper (1); or position (3), rotation row by row (9) and gripper (1) of
-    the hand in its arm's own base.
+    The left arm comes first. A hand's position and rotation are in its own arm's base.
 
     Args:
-        width: how many arms its arrays hold.
-        recorded: how many there were.
+        width: how many arms the arrays hold.
+        recorded: how many arms were recorded.
     """
     return {
-        "intrinsics": Form("float32", (3, 3), each=True),
-        "extrinsics": Form("float32", (4, 4), each=True),
-        "joints": Form("float32", (7 * width,)),
-        "action": Form("float32", (13 * width,)),
-        "actual_poses": Form("float32", (13 * width,)),
-        "action_joints": Form("float32", (7 * width,)),
-        "language_task": Form("object"),
-        "language_prompt": Form("object"),
-        **({BETWEEN_ARMS: Form("float32", (4, 4))} if recorded == 2 else {}),
+        "intrinsics": RaidenForm("float32", (3, 3), each=True),
+        "extrinsics": RaidenForm("float32", (4, 4), each=True),
+        "joints": RaidenForm("float32", (ARM * width,)),
+        "action": RaidenForm("float32", (HAND * width,)),
+        "actual_poses": RaidenForm("float32", (HAND * width,)),
+        "action_joints": RaidenForm("float32", (ARM * width,)),
+        "language_task": RaidenForm("object"),
+        "language_prompt": RaidenForm("object"),
+        **({BETWEEN_ARMS: RaidenForm("float32", (4, 4))} if recorded == 2 else {}),
     }
 
 
-# Nanoseconds of each frame, and millimetres of each pixel.
-TIMESTAMPS = Form("int64", (-1,))
-DEPTH = Form("uint16", (-1, -1))
+# Capture times of all frames, ns.
+TIMESTAMPS = RaidenForm("int64", (-1,))
+# A depth image, mm.
+DEPTH = RaidenForm("uint16", (-1, -1))
 DEPTH_KEY = "depth"
 
 # Files of the dataset, of an episode, and of an episode's camera.
@@ -64,16 +70,16 @@ TIMESTAMPS_FILE = "timestamps.npy"
 
 
 def episode_name(number: int) -> str:
-    """Directory of an episode."""
+    """Name of an episode's directory."""
     return f"{number:04d}"
 
 
 def frame_name(frame: int, extension: str) -> str:
-    """File of a frame."""
+    """Name of a frame's file."""
     return f"{frame:010d}.{extension}"
 
 
-# Keys of the JSON files; a value of None is a leaf, `*` stands for every camera.
+# Keys of the JSON files; a value of None is a leaf.
 Keys = Mapping[str, "Keys | None"]
 
 METADATA_KEYS: Keys = {
@@ -89,13 +95,13 @@ METADATA_KEYS: Keys = {
     "extrinsics": {"transform": None, "metric": None},
     "action": {"format": None, "dims": None},
     "control": None,
-    # These are not in the real stack's.
+    # The real stack does not have the next two.
     "hand_frame": {"name": None, "description": None},
     "pictures": {"source": None},
 }
-# Where pictures are the nearest recorded ones, on top.
+# Further keys where pictures are the nearest recorded ones.
 NEAREST_METADATA_KEYS: Keys = {"pictures": {"source": None, "recorded_frames": None, "recorded_period_s": None}}
-# Where there is depth, on top.
+# Further keys where there is depth.
 DEPTH_METADATA_KEYS: Keys = {"depth": {"extension": None, "sparse": None, "metric": None}}
 
 SPLIT_KEYS: Keys = {"filters": {}, "size": {"n_seqs": None, "n_samples": None, "n_frames": None}, "files": None}
@@ -104,7 +110,7 @@ _INTRINSICS: Keys = {"camera_matrix": None, "distortion_coeffs": None, "image_si
 _TRANSFORM: Keys = {"success": None, "rotation_matrix": None, "translation_vector": None, "rotation_vector": None}
 _CAMERA: Keys = {"type": None, "serial_number": None, "intrinsics": _INTRINSICS, "num_poses_used": None, "arm": None}
 SCENE_CAMERA_KEYS: Keys = {**_CAMERA, "extrinsics": {**_TRANSFORM, "reference_frame": None}}
-# `extrinsics` and `arm` are what the fork at the lab reads, `upside_down` is nobody's but ours.
+# The fork at the lab reads `extrinsics` and `arm`. `upside_down` is yamsim's own.
 WRIST_CAMERA_KEYS: Keys = {
     **SCENE_CAMERA_KEYS,
     "hand_eye_calibration": {**_TRANSFORM, "method": None, "upside_down": None},
@@ -116,7 +122,7 @@ CALIBRATION_KEYS: Keys = {
     "hand_frame": {"name": None, "description": None},
     "cameras": None,
 }
-# Of two arms, on top. The last one, a plain name for the inverse of the first, is not in the real stack's.
+# Further keys for two arms. The real stack does not have the last one, which is the inverse of the first.
 BIMANUAL_CALIBRATION_KEYS: Keys = {
     "bimanual_transform": {
         "right_base_to_left_base": None,

@@ -1,4 +1,4 @@
-"""An episode's frames at other times than its own: its recorded control ticks act again, and states are taken there."""
+"""Makes an episode's frames at other times than the recorded ones: its control ticks are simulated again."""
 
 from __future__ import annotations
 
@@ -9,43 +9,48 @@ from typing import Any
 
 import numpy as np
 
-from ..attempt.runner import EpisodeRunner, versions
-from ..dataset.actions import recorded_actions
+from ..attempt.frames import frames
+from ..attempt.payload import versions
+from ..attempt.physics import repeat
+from ..attempt.simulator import Simulator
+from ..dataset.actions import asked_joints, recorded_actions
 from ..dataset.reader import StoredEpisode
+from ..dataset.records import recorded_attempt
 from ..errors import DatasetError
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 from ..sim.moments import Moments
-from ..types import Actions, StepState
-from ..verify.remake import vary
+from ..types import Actions, Attempt, StepState
 
-# How far repeated physics may lead from what was recorded, m or rad: as far as another machine's rounding does.
+# How far repeated physics may lead from the recorded states, m or rad. Another machine's rounding leads as far.
 _APART = 1e-4
-# A recorded time at the end still counts, s.
+# Times are compared with this tolerance, so that the last recorded frame counts, s.
 _ROUNDING_S = 1e-9
 
 
 @dataclass(frozen=True)
 class Resampled:
-    """An episode at a rate of its own.
+    """An episode at another rate.
 
     Attributes:
-        times: of each frame, s.
-        qpos: MuJoCo's positions (n, nq) then.
-        frames: what would have been recorded then, see `dataset.lowdim`.
+        attempt: the episode's attempt.
+        times: the frames' times (n,), s.
+        qpos: MuJoCo's positions (n, nq) at these times.
+        frames: the lowdim frames that would have been recorded then, see `dataset.lowdim`.
     """
 
+    attempt: Attempt
     times: Array
     qpos: Array
     frames: list[dict[str, Any]]
 
 
 def frame_times(frames: int, period: float, fps: float) -> Array:
-    """The times k / fps, s, from the first recorded frame's to the last one's.
+    """The times k / fps (n,), s, from the first recorded frame to the last one.
 
     Args:
-        frames: how many were recorded.
-        period: from one to the next, s.
+        frames: how many frames were recorded.
+        period: time from one to the next, s.
     """
     times: Array = np.arange(math.floor(((frames - 1) * period + _ROUNDING_S) * fps) + 1) / fps
     return times
@@ -56,21 +61,22 @@ def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
     return [min(round(time / period), frames - 1) for time in times]
 
 
-def resample(runner: EpisodeRunner, episode: StoredEpisode, fps: float) -> Resampled:
-    """An episode at fps frames a second. Nothing is held: each state is the simulation's own at that time.
+def resample(simulator: Simulator, episode: StoredEpisode, fps: float) -> Resampled:
+    """An episode at `fps` frames a second. Each state is the simulation's own at its time, and none is interpolated.
 
-    `action_joints` stays what it is in a recording: what the plan asks for one control tick ahead. It was recorded once
-    a frame. In between it is where the arm is one tick ahead, and on top by how much the plan leads it there, which
-    changes evenly from frame to frame. The opening of the fingers changes evenly itself.
+    `action_joints` keeps its meaning: what the plan asks for one control tick ahead. It was recorded once per frame.
+    Between frames it is the arm's position one tick ahead, plus the lead of the plan over the arm, which is
+    interpolated between frames. The opening of the fingers is interpolated itself.
 
     Args:
-        runner: of the dataset's configuration; afterwards its scene is varied as the episode's.
+        simulator: of the dataset's own config.
 
     Raises:
-        DatasetError: it was not simulated, is damaged or of another scene, or physics leads elsewhere today.
+        DatasetError: the episode was not simulated, is damaged or of another scene, or physics no longer leads to its
+            recorded states.
     """
     recorded, record = episode.frames(), episode.record
-    scene = runner.scene
+    scene = simulator.scene
     found = recorded_actions(recorded, scene.model.nq, scene.model.nu)
     if found is None:
         raise DatasetError(
@@ -82,44 +88,45 @@ def resample(runner: EpisodeRunner, episode: StoredEpisode, fps: float) -> Resam
     tick = period / len(recorded[0]["sim_ctrl"])
     times = frame_times(len(recorded), period, fps)
     stored = np.arange(float(len(recorded))) * period
-    # Of a frame, and of what its command is for.
+    # States are needed at each frame's time, and one tick later, which is the time that its command is for.
     moments, places = np.unique(
         np.round(np.concatenate([times, times + tick, stored, stored + tick]), 12), return_inverse=True
     )
     see = Moments(scene.model, moments)
-    vary(runner, episode)
-    runner.repeat(start, actions, 0.0, 0.0, planned=record.source == "record", see=see)
+    attempt = recorded_attempt(record, start)
+    repeat(simulator, attempt, actions, planned=record.source == "record", see=see)
     here, ahead, then, commanded = np.split(see.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
     _require_same(episode, recorded, then)
-    asked: Array = np.array([np.asarray(frame["action_joints"], dtype=float) for frame in recorded])
+    asked = np.array([asked_joints(frame, len(scene.arms)) for frame in recorded])
     lead = asked - _arms(scene, commanded)
     wanted = _arms(scene, ahead) + _between(times, stored, lead)
-    fingers = slice(6, None, 7)
-    wanted[:, fingers] = _between(times, stored, asked[:, fingers])
+    if scene.arms[0].fingers is not None:
+        # The last of each arm's numbers is its fingers' opening.
+        wanted[..., -1] = _between(times, stored, asked[..., -1])
     acting = np.minimum(((times + _ROUNDING_S) / tick).astype(int), len(actions.ctrl) - 1)
     states = [
         StepState(float(time), qpos, Actions(actions.ctrl[k : k + 1], actions.magnet[k : k + 1], joints[None]))
         for time, qpos, joints, k in zip(times, here, wanted, acting, strict=True)
     ]
     said = {key: recorded[0][key] for key in ("language_task", "language_prompt")}
-    return Resampled(times, here, [frame | said for frame in runner.frames(states)])
+    return Resampled(attempt, times, here, [frame | said for frame in frames(simulator, attempt, states)])
 
 
 def _arms(scene: CompiledScene, qpos: Array) -> Array:
-    """Each arm's six joints and finger (n, 7 or 14), of MuJoCo's positions (n, nq)."""
-    columns = [part for arm in scene.arms for part in (arm.joint_qpos, arm.gripper_qpos[:1])]
-    joints: Array = qpos[:, np.concatenate(columns)]
+    """Each arm's joints and finger (n, arms, drives), from MuJoCo's positions (n, nq)."""
+    joints: Array = qpos[:, [arm.recorded_qpos for arm in scene.arms]]
     return joints
 
 
 def _between(times: Array, nodes: Array, values: Array) -> Array:
-    """Values (n, k) at some times, on straight lines between those (m, k) at the nodes (m,)."""
-    found: Array = np.column_stack([np.interp(times, nodes, column) for column in values.T])
-    return found
+    """Values (n, ...) at some times, interpolated linearly between values (m, ...) at the nodes (m,)."""
+    columns = values.reshape(len(values), -1).T
+    found: Array = np.column_stack([np.interp(times, nodes, column) for column in columns])
+    return found.reshape(len(times), *values.shape[1:])
 
 
 def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
-    """Raise DatasetError unless physics led to the positions (frames, nq) that were recorded."""
+    """Raise DatasetError unless physics led to the recorded positions (frames, nq)."""
     apart = np.abs(found - np.array([frame["sim_qpos"] for frame in recorded])).max(axis=1)
     if np.nanmax(apart, initial=0.0) > _APART or np.isnan(apart).any():
         k = int(np.argmax(~(apart <= _APART)))

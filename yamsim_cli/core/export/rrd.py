@@ -1,4 +1,7 @@
-"""Export for the rerun viewer: a `.rrd` an episode, with images, joints, poses and camera frusta. Alone knows rerun."""
+"""Export for the rerun viewer: an `.rrd` per episode with images, joints, poses and camera frusta.
+
+No other module knows rerun.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,18 @@ from ..dataset.lowdim import BETWEEN_BASES
 from ..dataset.reader import StoredEpisode
 from ..errors import ResourceError
 from ..geometry.se3 import Array
-from ..scene.robot import ACTUATORS
-from .source import Exported, Progress, Source, depth_cameras
+from ..progress import Progress
+from .source import Exported, Source, depth_cameras
 from .target import export_directory
 
-# How far in front of a camera its picture is shown, and how long the axes of a pose are, m.
+# Distance of a picture in front of its camera, and length of a pose's axes, m.
 _PICTURE_DISTANCE = 0.15
 _AXIS = 0.05
 _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
 def export_rerun(source: Source, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
-    """Write `ep_NNNNNN.rrd` files into a directory; everything is in the robot's base frame, or the left one's.
+    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot's base; with two arms, in the left one's.
 
     Raises:
         DatasetError: a file is missing, altered or damaged.
@@ -54,7 +57,7 @@ def _write(path: Path, source: Source, episode: StoredEpisode) -> int:
     import rerun
 
     dataset = source.path.absolute().name
-    # Without properties: they hold the time of day. The name alone is what lists of recordings show.
+    # Properties are left out, since they hold the time of day. Lists of recordings show only the name.
     stream = rerun.RecordingStream("yamsim", recording_id=f"{dataset}-{episode.directory.name}", send_properties=False)
     stream.save(path)
     stream.send_recording_name(f"{dataset}/{episode.directory.name}")
@@ -121,9 +124,8 @@ def _hands(source: Source, frame: Mapping[str, Any]) -> dict[str, Array]:
 def _log_numbers(stream: Any, source: Source, frame: Mapping[str, Any]) -> None:
     import rerun
 
-    drives = [prefix + name for prefix in source.prefixes for name in ACTUATORS]
     for key in ("joints", "ctrl"):
-        for name, value in zip(drives, frame[key], strict=True):
+        for name, value in zip(source.drives, frame[key], strict=True):
             stream.log(f"{key}/{name}", rerun.Scalars(float(value)))
     for prefix, holds in zip(source.prefixes, np.atleast_1d(frame["magnet"]), strict=True):
         stream.log(f"{prefix}weld", rerun.Scalars(float(holds)))

@@ -1,8 +1,8 @@
-"""The dataset that an export reads: its episodes one by one, each whole and all of one kind."""
+"""The dataset that an export reads, episode by episode; all of them have the same cameras and frame period."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,18 +13,15 @@ from ..dataset.selection import select_episodes
 from ..errors import DatasetError
 from ..resources import Locations
 
-# Called with episodes done and in all.
-Progress = Callable[[int, int], None]
-
 
 @dataclass(frozen=True)
 class Exported:
     """What an export wrote.
 
     Attributes:
-        path: the directory, or the file.
+        path: the directory or file that was written.
         episodes, frames: how many it holds.
-        moved_aside: where what was at `path` before has gone, if it was moved.
+        moved_aside: the new place of what was at `path` before; None if nothing was.
     """
 
     path: Path
@@ -38,10 +35,10 @@ class Source:
     """Episodes of one dataset, all with the same cameras and the same frame period.
 
     Attributes:
-        path: of the dataset.
-        config: it was recorded with.
-        directories: of the chosen episodes, in order.
-        first: the first of them.
+        path: the dataset's directory.
+        config: the config that it was recorded with.
+        directories: directories of the chosen episodes, in order.
+        first: the first of the episodes.
     """
 
     path: Path
@@ -59,13 +56,23 @@ class Source:
 
     @property
     def prefixes(self) -> tuple[str, ...]:
-        """What the names of each arm's parts begin with, in the order of recordings; nothing for a lone arm."""
+        """The prefix of the names of each arm's parts, in the order of recordings; empty for a lone arm."""
         rig = self.config.rig
         return tuple(f"{rig.arms[k].side}_" for k in rig.recorded) if len(rig.arms) > 1 else ("",)
 
     @property
+    def drives(self) -> tuple[str, ...]:
+        """Names of all drives, and of what `joints` holds, in the order of recordings."""
+        rig = self.config.rig
+        return tuple(
+            prefix + name
+            for prefix, k in zip(self.prefixes, rig.recorded, strict=True)
+            for name in rig.arms[k].robot.drives
+        )
+
+    @property
     def frame_period(self) -> float:
-        """From one frame to the next, s."""
+        """Time from one frame to the next, s."""
         return self.first.record.frame_period_s
 
     def episodes(self) -> Iterator[StoredEpisode]:
@@ -87,10 +94,10 @@ class Source:
 
 
 def open_source(dataset: Path, episodes: str | None, locations: Locations) -> Source:
-    """Look at a dataset before anything is written.
+    """The chosen episodes of a dataset.
 
     Args:
-        episodes: which, such as `0,3,5-9`; None for all.
+        episodes: numbers and ranges, such as `0,3,5-9`; None for all.
 
     Raises:
         DatasetError: there is no dataset, or it is damaged.
@@ -102,5 +109,5 @@ def open_source(dataset: Path, episodes: str | None, locations: Locations) -> So
 
 
 def depth_cameras(episode: StoredEpisode) -> tuple[str, ...]:
-    """The cameras of which an episode holds depth."""
+    """The cameras with depth images in an episode."""
     return tuple(camera for camera in episode.record.cameras if depth_name(camera, 0) in episode.record.files)

@@ -1,4 +1,4 @@
-"""Where an export goes: a directory that is not there until it is whole."""
+"""The directory that an export writes; it does not appear until it is whole."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..dataset.faults import explain
+from ..dataset.disk_faults import explain
 from ..errors import InterruptedJobError, PartialJobError, UsageError
 from ..files import StagedDirectory, staged_directory
 
 
 @contextmanager
 def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
-    """A directory to fill in the block, which appears as `final` when the block ends well.
+    """A directory to fill in the block. It appears as `final` when the block ends without an error.
 
     Args:
         overwrite: move what is at `final` aside, once the new directory is whole, instead of refusing to start.
@@ -34,7 +34,7 @@ def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirector
 
 
 def require_free(final: Path, *, overwrite: bool) -> None:
-    """Refuse a place for a directory before the work rather than after it.
+    """Refuse a place for a directory before the work begins.
 
     Raises:
         UsageError: it is in use, or has no parent.

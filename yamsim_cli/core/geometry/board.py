@@ -1,7 +1,7 @@
-"""A flat board of ArUco markers: its measures, and the two frames it is spoken of in.
+"""A flat board of ArUco markers: its measures, and its two frames.
 
-`board`: origin at the centre, x right, y up, z out of the paper; this is the frame poses are given in.
-`board_cv`: OpenCV's `GridBoard` frame, origin at the top-left corner, x right, y down, z into the paper.
+`board` has its origin at the centre, x right, y up, z out of the paper. Poses are given in this frame.
+`board_cv` is the frame of OpenCV's `GridBoard`: origin at the top-left corner, x right, y down, z into the paper.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ class Board:
     """A grid of square markers with gaps between them, read row by row from the top left.
 
     Attributes:
-        name: for messages and prints.
+        name: the board's name in messages and prints.
         first_id: id of the top-left marker; the others count up.
-        columns, rows: of the grid.
+        columns, rows: size of the grid.
         dictionary: name of OpenCV's predefined dictionary, such as "DICT_6X6_250".
         marker_length: edge of a marker, m.
-        gap: between two markers, m.
+        gap: distance between two neighbouring markers, m.
     """
 
     name: str
@@ -41,12 +41,12 @@ class Board:
 
     @property
     def width(self) -> float:
-        """From the left edge of the leftmost marker to the right edge of the rightmost, m."""
+        """Distance from the left edge of the leftmost marker to the right edge of the rightmost one, m."""
         return self.columns * self.marker_length + (self.columns - 1) * self.gap
 
     @property
     def height(self) -> float:
-        """From the top edge of the topmost marker to the bottom edge of the lowest, m."""
+        """Distance from the top edge of the topmost marker to the bottom edge of the lowest one, m."""
         return self.rows * self.marker_length + (self.rows - 1) * self.gap
 
     @property

@@ -1,4 +1,4 @@
-"""Pinhole cameras as OpenCV has them: x right, y down, z forward; pixel (0, 0) is the centre of the top-left pixel."""
+"""Pinhole cameras by OpenCV's convention: x right, y down, z forward; (0, 0) is the centre of the top-left pixel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .se3 import Array
 
-# A MuJoCo camera looks along its -z with +y up; OpenCV's looks along +z with +y down. The same turn either way.
+# A MuJoCo camera looks along its -z with +y up, and OpenCV's along +z with +y down. The turn is its own inverse.
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0])
 
 
@@ -27,10 +27,10 @@ class Intrinsics:
 
     @classmethod
     def from_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
-        """The camera MuJoCo renders for a vertical field of view of `fovy` radians: square pixels, centred.
+        """The camera with which MuJoCo renders a vertical field of view of `fovy` radians: square pixels, centred.
 
-        The image's centre lies between the middle pixels, so with pixel centres at whole numbers the principal point is
-        `(width - 1) / 2`, not `width / 2`; half a pixel is 0.7 mm at a metre with a focal length of 700 px.
+        Pixel centres are at whole numbers, so that the image's centre, and the principal point, is at `(width - 1) / 2`
+        and not at `width / 2`. Half a pixel is 0.7 mm at a metre, for a focal length of 700 px.
         """
         focal = height / 2 / math.tan(fovy / 2)
         return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
@@ -46,12 +46,12 @@ class CameraModel:
     """A real camera as OpenCV calibrates it: pinhole with lens distortion.
 
     Attributes:
-        width, height: of its images, px.
+        width, height: size of its images, px.
         K: the camera matrix, row by row.
-        distortion: coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; none for none.
-        focal_sigma: standard deviation of the focal length as a share of it: 0.003 is what a careful calibration gives.
-        doubt: covariance (4, 4), row by row, of the natural logarithm of the focal length, the principal point (in
-            focal lengths, right and down) and `k1`, for a camera that was estimated; () where `focal_sigma` is all.
+        distortion: coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; empty for none.
+        focal_sigma: standard deviation of the focal length, as a share of it. A careful calibration gives 0.003.
+        doubt: for an estimated camera, the covariance (4, 4), row by row, of the logarithm of the focal length, the
+            principal point (in focal lengths, right and down) and `k1`. It is empty if only `focal_sigma` is known.
     """
 
     width: int
@@ -74,10 +74,10 @@ class CameraModel:
 
     @property
     def mistakes(self) -> Array:
-        """What independent mistakes of one standard deviation each do to what is doubted, in columns.
+        """How independent errors of one standard deviation each change the uncertain figures, in columns.
 
         Returns:
-            (1, 1) for the focal length's logarithm alone, or (4, 4) for all that `doubt` is about.
+            (1, 1) for the focal length's logarithm alone, or (4, 4) for all figures in `doubt`.
         """
         return np.linalg.cholesky(np.array(self.doubt)) if self.doubt else np.array([[self.focal_sigma]])
 
@@ -91,7 +91,7 @@ class CameraModel:
 
 
 def opencv_from_mujoco(rotation: ArrayLike) -> Array:
-    """The rotation (3, 3) of a camera's OpenCV frame, from that of its MuJoCo frame; the way back is the same."""
+    """The rotation (3, 3) of a camera's OpenCV frame, from that of its MuJoCo frame. The inverse is the same."""
     return np.asarray(rotation, dtype=np.float64).reshape(3, 3) @ _FLIP_YZ
 
 

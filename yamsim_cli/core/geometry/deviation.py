@@ -1,4 +1,4 @@
-"""How far two surfaces lie apart, measured on both."""
+"""The distance between two surfaces, measured at points of both."""
 
 from __future__ import annotations
 
@@ -7,21 +7,22 @@ import numpy as np
 from .se3 import Array
 from .stl import Faces
 
-# Points that are compared with the same choice of triangles.
+# Points that are compared with the same selection of triangles at once.
 _BATCH = 200
-# Cells along the longest side of the box around the points.
+# Points are grouped in cells: so many along the longest side of the box around them.
 _CELLS = 16
 
 
 def deviation(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: float, samples: int) -> float:
-    """The largest distance of a point on one surface from the other surface, either way round.
+    """The largest distance of a point on either surface from the other surface.
 
-    Measured at points drawn evenly by area and at as many vertices (all of them, if there are fewer), always the same.
+    It is measured at points sampled evenly by area, and at as many vertices, or at all if there are fewer. The same
+    surfaces give the same points.
 
     Args:
         surface, other: vertices (n, 3) and triangles (m, 3), in one unit.
-        limit: what is farther counts as infinitely far, which spares measuring it.
-        samples: how many points are drawn on each surface.
+        limit: larger distances count as infinite, so that they need not be measured.
+        samples: how many points are sampled on each surface.
     """
     rng = np.random.default_rng(0)
     farthest = 0.0
@@ -33,7 +34,7 @@ def deviation(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: f
 
 
 def points_on(surface: tuple[Array, Faces], count: int, rng: np.random.Generator) -> Array:
-    """Points (count, 3) drawn evenly from a surface."""
+    """Points (count, 3) sampled evenly from a surface."""
     vertices, faces = surface
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -48,7 +49,7 @@ def distances(points: Array, surface: tuple[Array, Faces], limit: float) -> Arra
     vertices, faces = surface
     triangles = vertices[faces]
     low, high = triangles.min(axis=1) - limit, triangles.max(axis=1) + limit
-    # Points that lie close together are compared with the few triangles near them all.
+    # Points that lie close together are compared only with the triangles near them.
     cell = np.floor((points - points.min(axis=0)) / max(float(np.ptp(points, axis=0).max()) / _CELLS, limit))
     order = np.lexsort(cell.T)
     starts = np.flatnonzero(np.diff(cell[order], axis=0).any(axis=1)) + 1
@@ -64,7 +65,7 @@ def distances(points: Array, surface: tuple[Array, Faces], limit: float) -> Arra
 
 
 def _squared(points: Array, triangles: Array) -> Array:
-    """Squared distances (n, m) of points (n, 1, 3) from triangles (m, 3, 3): to the plane inside, else to an edge."""
+    """Squared distances (n, m) of points (n, 1, 3) from triangles (m, 3, 3): from their plane inside, else an edge."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)
     length = _dot(normal, normal)

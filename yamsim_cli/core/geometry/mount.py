@@ -1,7 +1,7 @@
 """A plain stand-in for the printed mount that carries a board beside an arm's base.
 
-A plate with the board in its middle, and a tongue: a low bridge to the base's foot, a step up, and a strip over the
-foot. What is higher than the board ends at the step, so that it hides no marker.
+It has a plate with the board in its middle, and a tongue: a low bridge to the base's foot, a step up, and a strip over
+the foot. Everything higher than the board ends at the step, so that it hides no marker.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from .stl import Faces
 # The base's foot ends at this x and its top lies at this z, mm. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
 _FOOT_END = 100.0
 _FOOT_TOP = 0.6
-# Thickness of the step, which stands before the foot's end, mm.
+# Thickness of the step in front of the foot's end, mm.
 _STEP = 5.0
-# The board is paper: it lies this much above the plate, mm.
+# Height of the board, which is paper, above the plate, mm.
 _PAPER = 0.1
 
 
@@ -36,9 +36,9 @@ def mount_mesh(
 
     Args:
         x_mm, y_mm, z_mm: the outline's extent, before mirroring.
-        board_centre_mm: where the board is (after mirroring, as a rig gives it): x, y, z.
+        board_centre_mm: the board's centre (x, y, z), after mirroring, as a rig gives it.
         board_size_mm: the board's width and height.
-        mirror_x: mirror the mount at x = 0.
+        mirror_x: whether the mount is mirrored at x = 0.
 
     Returns:
         Vertices (n, 3) in metres, and triangles (m, 3), anticlockwise seen from outside.
@@ -66,7 +66,7 @@ def mount_mesh(
             f"z {z0:g}..{z1:g}); mend the board's position_mm, or the mount's x_mm, y_mm, z_mm or mirror_x"
         )
 
-    # The foot lies about y = 0, so the tongue does; whatever the figures, it ends where the plate begins.
+    # The tongue is centred on y = 0 as the foot is. It ends where the plate begins, whatever the figures are.
     reach = max(0.0, min(-y0, y1))
     foot_end = min(max(x0, _FOOT_END), plate_x0)
     step_end = min(foot_end + _STEP, plate_x0)
@@ -88,8 +88,8 @@ def union_of_boxes(boxes: ArrayLike) -> tuple[Array, Faces]:
         boxes: (k, 2, 3), the low and the high corner of each.
 
     Returns:
-        Vertices (n, 3) and triangles (m, 3), anticlockwise seen from outside. Closed: space is cut into cells at the
-        faces of all boxes, and a quad stands wherever a full cell meets an empty one.
+        Vertices (n, 3) and triangles (m, 3), anticlockwise seen from outside. The surface is closed: space is cut into
+        cells at the faces of all boxes, and there is a quad wherever a full cell meets an empty one.
     """
     corners = np.asarray(boxes, dtype=np.float64)
     corners = corners[(corners[:, 0] < corners[:, 1]).all(axis=1)]

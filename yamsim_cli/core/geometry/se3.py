@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+# Where something stands upright: x, y and z in m, and its heading about +z in rad.
+UprightPose = tuple[float, float, float, float]
+
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
     """A pose (4, 4) from a position (3,) and a rotation matrix (3, 3), identity when left out."""
@@ -54,7 +57,7 @@ def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
 def quat_from_rotation(rotation: ArrayLike) -> Array:
     """The unit quaternion (4,) of a rotation (3, 3), with w >= 0.
 
-    Solved from the largest of its four components (Shepperd's method), so it is exact near 180 degrees too.
+    It is computed from the largest of its four components (Shepperd's method), and so is exact near 180 degrees, too.
     """
     R = np.asarray(rotation, dtype=np.float64)
     squares = np.array(

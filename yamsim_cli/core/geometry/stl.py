@@ -1,4 +1,4 @@
-"""Binary STL: triangles, each with three corners of its own. Whatever they share has to be found again on reading."""
+"""Binary STL. Each triangle in it has three corners of its own, so that reading has to find shared vertices again."""
 
 from __future__ import annotations
 
@@ -20,22 +20,28 @@ def stl_bytes(vertices: ArrayLike, faces: ArrayLike) -> bytes:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     records = np.zeros(len(corners), dtype=_FACE)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    # A triangle without area has no normal; zeros say so.
+    # A triangle without area has no normal, and gets zeros.
     records["normal"] = normals / np.where(lengths > 0, lengths, 1.0)
     records["corners"] = corners
     return bytes(_HEADER) + len(records).to_bytes(4, "little") + records.tobytes()
 
 
-def read_stl(data: bytes) -> tuple[Array, Faces]:
-    """Read a binary STL: vertices (n, 3), in the file's unit, and triangles (m, 3) over them.
+def is_binary_stl(data: bytes) -> bool:
+    """Whether bytes are as long as their count of faces says, and there are any."""
+    count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
+    return count > 0 and len(data) == _HEADER + 4 + count * _FACE.itemsize
 
-    Corners with equal coordinates become one vertex, and triangles that lose a corner by that are left out.
+
+def read_stl(data: bytes) -> tuple[Array, Faces]:
+    """Vertices (n, 3) of a binary STL, in the file's unit, and triangles (m, 3) over them.
+
+    Corners with equal coordinates become one vertex. Triangles that lose a corner by that are left out.
 
     Raises:
         ResourceError: it is no binary STL.
     """
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
-    if not count or len(data) != _HEADER + 4 + count * _FACE.itemsize:
+    if not is_binary_stl(data):
         raise ResourceError(f"{len(data)} bytes are no binary STL")
     corners = np.frombuffer(data, _FACE, count, _HEADER + 4)["corners"].astype(np.float64)
     if not np.isfinite(corners).all():

@@ -1,4 +1,4 @@
-"""An image in memory, and what is known of one before it is decoded and after."""
+"""Images in memory, and what is known of an image before and after it is decoded."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-# Of colours (height, width, 3), RGB; or grey (height, width).
+# RGB (height, width, 3), or grey (height, width).
 Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What an image says of itself before it is decoded."""
+    """An image's size and number of channels, as its file's header says."""
 
     width: int
     height: int
@@ -22,12 +22,12 @@ class ImageHeader:
 
 @dataclass(frozen=True)
 class ImageLook:
-    """What was seen in an image.
+    """Measures of a decoded image.
 
     Attributes:
         brightness, contrast: mean and standard deviation of a smaller grey version, 0..255.
-        fingerprint: equal for equal pictures.
-        complaint: what the decoder had to make up; "" for a whole image.
+        fingerprint: a number that is equal for equal pictures.
+        complaint: what the decoder complained about; "" for a whole image.
     """
 
     brightness: float

@@ -1,4 +1,4 @@
-"""Photos and masks from files, whatever they were stored as."""
+"""Reads photos and masks from PNG and JPEG files."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ Mask = NDArray[np.bool_]
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 
-# Larger than any camera's photo.
+# Largest file that is read, which is larger than any camera's photo.
 _MAX_BYTES = 200_000_000
 
 
 def read_image(path: Path) -> Image:
-    """An image as RGB (height, width, 3), upright as its EXIF says, whatever it was stored as.
+    """An image as RGB (height, width, 3), turned upright by its EXIF data.
 
     Raises:
-        ResourceError: unreadable, or no whole PNG or JPEG.
+        ResourceError: it is unreadable, or no whole PNG or JPEG.
     """
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -45,7 +45,7 @@ def read_image(path: Path) -> Image:
 
 
 def read_mask(path: Path) -> Mask:
-    """Where a person's mask of an image (height, width) is not 0; in a JPEG, which smears, not dark.
+    """A user's mask (height, width): True where a PNG is not 0. In a JPEG, which blurs edges, True above 127.
 
     Raises:
         ResourceError: as `read_image`.
@@ -61,7 +61,7 @@ def grey_of(image: Image) -> Image:
 
 
 def _whole(data: bytes) -> bool:
-    """Whether an image's file has its end: decoders fill in what is missing with grey."""
+    """Whether an image's file is complete. Decoders would fill in missing parts with grey."""
     if data.startswith(b"\xff\xd8"):
         # Cameras append previews and notes after the end marker.
         return data.rfind(b"\xff\xd9") > len(data) // 2
@@ -69,9 +69,9 @@ def _whole(data: bytes) -> bool:
 
 
 def whole_png(data: bytes) -> bool:
-    """Whether it is a PNG, and every chunk up to the last is there with its checksum. Source: PNG specification, 5.3.
+    """Whether it is a PNG in which every chunk up to the last has its checksum. Source: PNG specification, 5.3.
 
-    The decoder would find out too, but tells it on the process's stderr.
+    The decoder would notice damage, too, but reports it on the process's stderr.
     """
     if not data.startswith(_PNG):
         return False

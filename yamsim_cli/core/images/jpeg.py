@@ -1,4 +1,4 @@
-"""JPEG in memory: OpenCV's file functions report a full disk by a return value that is easily lost."""
+"""JPEG in memory. OpenCV's functions for files are not used: they report a full disk only by a return value."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ..errors import SimulationError
 from .image import Image, ImageHeader, ImageLook
 from .label_images import decode_labels
 
-# As many pixels on the short side as are left when an image is made smaller to be judged, and at most this many times
-# smaller: it averages noise away.
-_SMALL_SIDE = 16
+# Brightness and contrast are measured on a smaller image, in which noise is averaged away. It is at most so many times
+# smaller, and its short side keeps so many pixels.
 _MOST_REDUCTION = 8
+_SMALL_SIDE = 16
 
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
 # Start-of-frame markers, C0 to CF without those that define tables (C4, CC) and the reserved C8.
@@ -26,7 +26,7 @@ _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
-    """Encode an RGB image (height, width, 3) with quality 1..100.
+    """The JPEG of an RGB image (height, width, 3), with a quality of 1..100.
 
     Raises:
         SimulationError: the encoder refused the image.
@@ -38,9 +38,9 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 
 def decode_jpeg(data: bytes) -> Image | None:
-    """Decode to RGB (height, width, 3), or None when the data is no whole JPEG.
+    """The RGB image (height, width, 3) in a JPEG; None if the data is no whole JPEG.
 
-    Decoders fill in what a cut file lacks with grey, so the end-of-image marker is checked first.
+    Decoders fill in what a cut file lacks with grey, so that the end-of-image marker is checked first.
     """
     if not data.startswith(_SOI) or not data.endswith(_EOI):
         return None
@@ -70,10 +70,10 @@ def jpeg_header(data: bytes) -> ImageHeader | None:
 
 
 class JpegReader:
-    """Looks at JPEGs; as a context manager it also hears the decoder's complaints.
+    """Measures JPEGs; as a context manager it also hears the decoder's complaints.
 
-    A damaged JPEG decodes: libjpeg makes up what is missing, and its only word on that goes to the process's stderr. So
-    while the context is open stderr is a file, for the whole process: use it in a process of its own.
+    libjpeg decodes damaged JPEGs, too. It fills in what is missing, and complains only on the process's stderr. So
+    stderr is a file while the context is open, for the whole process: use it in a process of its own.
     """
 
     def __init__(self) -> None:
@@ -85,7 +85,7 @@ class JpegReader:
         return jpeg_header(data)
 
     def look(self, data: bytes) -> ImageLook | None:
-        """Decode it in grey, and see how bright and how varied it is."""
+        """Measures of the image; None if it cannot be decoded."""
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         complaint = self._heard()
@@ -102,7 +102,7 @@ class JpegReader:
         return decode_labels(data)
 
     def _heard(self) -> str:
-        # The two descriptors share one position: it has moved if something was written.
+        # Both descriptors share one position in the file. It has moved if something was written.
         if self._spoken is None or not self._spoken.tell():
             return ""
         self._spoken.seek(0)
@@ -128,7 +128,7 @@ class JpegReader:
 
 
 def thumbnail(data: bytes, width: int, quality: int = 80) -> bytes | None:
-    """A JPEG made smaller to `width` pixels; None when it cannot be decoded."""
+    """A JPEG of at most `width` pixels across; None if the data cannot be decoded."""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_COLOR_2)
     if image is None:
         return None

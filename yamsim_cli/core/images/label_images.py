@@ -1,4 +1,4 @@
-"""Segmentation images: PNG of one channel, a number for each pixel."""
+"""Segmentation images as PNG of one channel, with a label for each pixel."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from ..errors import SimulationError
 from .image import Image
 from .image_files import whole_png
 
-# Segmentation is runs of equal numbers: RLE is the quickest and the second smallest. Source: measured, OpenCV 5.
+# Labels come in runs of equal numbers: run-length encoding is the fastest, and the second smallest. Source: measured
+# with OpenCV 5.
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-# A header can promise gigabytes; no camera here comes near.
+# Images with more pixels are not decoded: a header can announce gigabytes. No camera here comes near.
 _MOST_PIXELS = 2**26
-# Width, height, bits a sample, colour type (0: grey), as the first chunk has them. Source: PNG specification, 11.2.2.
+# Width, height, bits per sample and colour type (0 for grey) in the first chunk, and their offset in the file. Source:
+# PNG specification, 11.2.2.
 _HEADER = struct.Struct(">IIBB")
 _AT = 16
 
@@ -33,7 +35,7 @@ def encode_labels(labels: Image) -> bytes:
 
 
 def decode_labels(data: bytes) -> Image | None:
-    """Read a segmentation image (height, width) of uint8 back; None when it is none, or not whole."""
+    """A segmentation image (height, width) of uint8 from its PNG; None if it is none, or not whole."""
     if not whole_png(data) or len(data) < _AT + _HEADER.size:
         return None
     width, height, bits, colour = _HEADER.unpack_from(data, _AT)

@@ -1,4 +1,4 @@
-"""H.264 in MP4 that any player and browser shows, with exact times, and on the disk whole or not at all."""
+"""H.264 in MP4 for any player and browser, with exact times. A file appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -20,38 +20,39 @@ if TYPE_CHECKING:
     from av.container import OutputContainer
     from av.video.stream import VideoStream
 
-# Of 57 recorded frames at 640 x 480: 43.7 dB; the preset medium gains 0.4 dB. With mbtree the same images gave other
-# bytes now and then: 3 outcomes of 60 encodings at 224 x 224, 20 of 100 at 24 x 16; without it always the same.
+# The encoder's settings. They gave 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With
+# mbtree the same images gave different bytes now and then (3 of 60 encodings at 224 x 224, and 20 of 100 at 24 x 16);
+# without it they never did.
 ENCODER = {"preset": "veryfast", "crf": "21", "bf": "0", "mbtree": "0"}
 
-# Primaries and curve are those of BT.709, which sRGB pictures have. Source: ITU-T H.273, tables 2 and 3.
+# sRGB pictures have BT.709's primaries and nearly its transfer curve. Source: ITU-T H.273, tables 2 and 3.
 _BT709 = 1
 _LIMITED = 1
 
-# A player jumps to key frames only.
+# Players can jump only to key frames.
 _SECONDS_BETWEEN_KEY_FRAMES = 1
 
-# A period such as 1/30 s has no exact float; any that a person writes is a fraction of this size.
+# Largest denominator of a period, s. A period such as 1/30 s is not exact as a float, and is taken as such a fraction.
 _FINEST_PERIOD = 1_000_000
 
 
 class VideoWriter:
-    """Writes images into one MP4, frame k at exactly k periods. Use it as a context manager.
+    """Writes images into one MP4; frame k is at exactly k periods. Use it as a context manager.
 
-    The file is built under a hidden name beside its own; leaving the block flushes it to the disk and renames it, and
-    leaving it by an exception removes it. The same images give the same bytes with the same version of the encoder.
+    The file is built under a hidden name beside its own. At the block's end it is flushed to the disk and renamed; an
+    exception removes it. The same images give the same bytes with the same version of the encoder.
 
     Attributes:
         path: the file.
         frames: how many images were written.
-        moved_aside: where an older file of that name went, once the new one is there.
+        moved_aside: the new place of an older file of that name; None if there was none, or the new one is not there.
 
     Args:
         path: ends in `.mp4`; its directory has to exist.
-        frame_period: from one image to the next, s.
+        frame_period: time from one image to the next, s.
         overwrite: move an existing file aside instead of refusing to start.
-        key_frame_interval: every so many frames one can be decoded alone; those of a second unless given.
-        matrix: how colours are stored, which the stream's tags say too.
+        key_frame_interval: frames from one key frame to the next; those of one second unless given.
+        matrix: how colours are stored; the stream is tagged with it.
 
     Raises:
         ResourceError: PyAV is not installed or has no H.264 encoder, or the file cannot be written.
@@ -84,7 +85,7 @@ class VideoWriter:
         self._size = (0, 0)
 
     def write(self, image: Image) -> None:
-        """Add an RGB image (height, width, 3), all of one size; an odd side gets its last row or column twice."""
+        """Add an RGB image (height, width, 3). All have one size; an odd side gets its last row or column twice."""
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
             raise ValueError(f"an image has to be (height, width, 3) of uint8, not {image.shape} of {image.dtype}")
         import av
@@ -115,13 +116,13 @@ class VideoWriter:
     def _open(self, width: int, height: int) -> tuple[OutputContainer, VideoStream]:
         import av
 
-        # faststart: the index comes first, so that a browser plays while it still loads.
+        # With faststart the index comes first, so that a browser can play the file while it loads.
         container = av.open(str(self._part), "w", format="mp4", options={"movflags": "+faststart"})
         stream = container.add_stream("libx264", rate=1 / self._period, options=ENCODER | {"g": str(self._interval)})
         stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
         context = stream.codec_context
         context.time_base = self._period
-        # How the encoder splits a frame among threads changes the bytes.
+        # Several threads would split frames, and that changes the bytes.
         context.thread_count = 1
         context.color_primaries = context.color_trc = _BT709
         context.colorspace, context.color_range = self._matrix.tag, _LIMITED
@@ -142,7 +143,7 @@ class VideoWriter:
 
     def _discard(self) -> None:
         if self._container is not None:
-            # On a full disk closing fails as writing did; what matters is that the file goes away.
+            # On a full disk closing fails as writing did. The file is removed all the same.
             with contextlib.suppress(OSError):
                 self._container.close()
         self._part.unlink(missing_ok=True)
@@ -159,7 +160,7 @@ class VideoWriter:
         return ResourceError(f"{self.path} cannot be written: {error.strerror or error}; mend it, or write elsewhere")
 
     def __enter__(self) -> VideoWriter:
-        # The encoder holds back its first output for some frames; a directory that cannot be written is told now.
+        # The encoder writes nothing for its first frames. This shows now whether the directory can be written.
         try:
             self._part.touch(exist_ok=False)
         except OSError as error:
@@ -177,7 +178,7 @@ class VideoWriter:
 
 
 def require_encoder() -> None:
-    """Make sure that videos can be written here, before anything is made that a video is to show.
+    """Make sure that videos can be written here, before any work is done for one.
 
     Raises:
         ResourceError: PyAV is not installed, or has no H.264 encoder.

@@ -1,4 +1,4 @@
-"""RGB images as the planes that H.264 stores, by either of the two matrices in use."""
+"""Converts RGB images to the planes that H.264 stores, by either of the two matrices in use."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .image import Image
 
 @dataclass(frozen=True)
 class Matrix:
-    """How RGB becomes luma and two colour differences, in limited range.
+    """A conversion of RGB to luma and two colour differences, in limited range.
 
     Attributes:
         red, blue: their shares of luma; green has the rest.
-        tag: its number in the stream. Source: ITU-T H.273, table 4.
+        tag: the matrix's number in a stream. Source: ITU-T H.273, table 4.
     """
 
     red: float
@@ -25,20 +25,20 @@ class Matrix:
     tag: int
 
 
-# What players take an untagged H.264 stream for. Source: ITU-R BT.709, 3.2.
+# The matrix that players assume for an untagged H.264 stream. Source: ITU-R BT.709, 3.2.
 BT709 = Matrix(0.2126, 0.0722, 1)
-# What decoders for training take every stream for that do not look at the tag. Source: ITU-R BT.601, 2.5.1.
+# The matrix that decoders for training assume if they ignore the tag. Source: ITU-R BT.601, 2.5.1.
 BT601 = Matrix(0.299, 0.114, 6)
 
-# Y, Cb, Cr of black, and the range of each. Source: ITU-R BT.709, 3.4 and 3.5; ITU-R BT.601 has the same.
+# Y, Cb and Cr of black, and the ranges of luma and colours. Source: ITU-R BT.709, 3.4 and 3.5; BT.601 has the same.
 _OFFSET = np.array([16.0, 128.0, 128.0])
 _LUMA_RANGE, _COLOUR_RANGE = 219, 224
 
 
 def yuv420(image: Image, matrix: Matrix) -> NDArray[np.uint8]:
-    """An RGB image as planes Y, Cb, Cr, (3 / 2 height, width); an odd side gets its last row or column twice.
+    """The planes Y, Cb and Cr of an RGB image, (3 / 2 height, width); an odd side gets its last row or column twice.
 
-    Not FFmpeg's own conversion: its result depends on how the memory happens to be aligned.
+    FFmpeg's own conversion is not used: its result depends on how the memory happens to be aligned.
     """
     height, width = image.shape[:2]
     # Colours have half the resolution in both directions, so both sides have to be even.
@@ -51,7 +51,7 @@ def yuv420(image: Image, matrix: Matrix) -> NDArray[np.uint8]:
 
 
 def _rows(matrix: Matrix) -> NDArray[np.float64]:
-    """RGB in 0..1 to Y, Cb, Cr, (3, 3)."""
+    """The matrix (3, 3) from RGB in 0..1 to Y, Cb and Cr."""
     luma = np.array([matrix.red, 1 - matrix.red - matrix.blue, matrix.blue])
     return np.array(
         [

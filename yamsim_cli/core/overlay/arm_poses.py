@@ -1,4 +1,4 @@
-"""From a photo to each arm's base pose: from its own board, from all boards together, or from what was recorded."""
+"""Each arm's base pose in a photo, from its own board, from all boards together, or from a recording."""
 
 from __future__ import annotations
 
@@ -17,53 +17,58 @@ from ..geometry.se3 import Array, inverse
 from ..images.image import Image
 from ..images.image_files import grey_of
 from ..vision.fiducials.focal import FocalEstimate, estimate_focal, known_focal, outlines_in
-from ..vision.fiducials.locate import Sighting, Status, locate, locate_together, unlocated
+from ..vision.fiducials.locate import locate, unlocated
 from ..vision.fiducials.markers import seen_ids
+from ..vision.fiducials.sighting import Sighting, Status
+from ..vision.fiducials.together import locate_together
 from .photos import Photo
+from .print_size import size_ratio
 
 # Status of an arm that has a pose without its own board: from the other board and the rig, or from the recording.
 INFERRED = "inferred"
 RECORDED = "recorded"
 NO_BOARD = "no_board"
 
-# Markers that lie farther (px) from where the pose puts them are worth a word.
+# A note is made if markers lie farther than this from where the pose puts them, px.
 _PRINT_TOLERANCE = 0.5
-# A margin that is off by more than this (m), and by more than it is known to, is worth a word.
+# A note is made if the measured margin differs from the rig's by more than this (m), and by more than its uncertainty.
 _MARGIN_TOLERANCE = 0.002
 
-# Photos of one unknown camera that its focal length is estimated from, and that are looked at for boards, at most.
-_PHOTOS_FOR_FOCAL = 8
+# To estimate an unknown camera's focal length, boards are searched in so many photos at most.
 _PHOTOS_TO_SEARCH = 40
+# The search ends once so many of them show a board.
+_PHOTOS_FOR_FOCAL = 8
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Through what a photo was taken, and where these figures come from: "file", "episode" or "estimated"."""
+    """The camera's focal length and model, and where they come from: "file", "episode" or "estimated"."""
 
     focal: FocalEstimate
     source: str
 
     @classmethod
     def known(cls, camera: CameraModel, source: str) -> Lens:
-        """That of a camera which somebody calibrated."""
+        """The lens of a calibrated camera."""
         return cls(known_focal(camera), source)
 
     @property
     def camera(self) -> CameraModel:
-        """The camera, as far as it is known."""
+        """The camera, with the estimated focal length if it is not calibrated."""
         return self.focal.camera
 
 
 @dataclass(frozen=True)
 class ArmPose:
-    """What a photo says of one arm.
+    """What a photo shows of one arm.
 
     Attributes:
-        board: the board's name, None for an arm without one.
-        status: "ok", or why the board gives no pose; "inferred" and "recorded" where the pose came another way.
+        name: the arm's name.
+        board: the board's name; None for an arm without one.
+        status: "ok", or why the board gives no pose; "inferred" or "recorded" if the pose has another source.
         sighting: what was found of the board.
-        T_base_in_cam: pose (4, 4) of the arm's base; None without.
-        edge_residual: median distance (px) of the drawn outline to the photo's edges.
+        T_base_in_cam: pose (4, 4) of the arm's base; None if there is none.
+        edge_residual: median distance (px) of the rendered outline to the photo's edges.
     """
 
     name: str
@@ -76,18 +81,19 @@ class ArmPose:
 
 @dataclass(frozen=True)
 class PhotoResult:
-    """What a photo says of a rig.
+    """What a photo shows of a rig.
 
     Attributes:
+        path: the photo's file.
         lens: the camera that took it.
         joints_source: where the joints come from: "home", "file" or "episode".
-        ids: of all markers that were read, whosever they are.
-        T_arm2_in_arm1: measured pose (4, 4), each arm's from its own board; None unless both were found.
-        margin: the distance between the arms that this amounts to, m.
+        ids: ids of all markers that were read, also of those that belong to no board of the rig.
+        T_arm2_in_arm1: measured pose (4, 4), with each arm's pose from its own board; None unless both were found.
+        margin: the distance between the arms by that pose, m.
         margin_sigma: its standard deviation, m.
-        edge_residual: median distance (px) of all drawn outlines to the photo's edges.
+        edge_residual: median distance (px) of all rendered outlines to the photo's edges.
         iou: overlap with the user's mask, 0..1.
-        notes: for a person.
+        notes: sentences for a person.
     """
 
     path: Path
@@ -104,12 +110,17 @@ class PhotoResult:
 
     @property
     def bases(self) -> dict[int, Array]:
-        """Index -> pose (4, 4) of the base in the camera's frame, of all arms that have one."""
+        """Index of an arm -> pose (4, 4) of its base in the camera's frame, for all arms that have one."""
         return {k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.T_base_in_cam is not None}
 
 
 def unknown_lens(images: Iterable[Image], size: tuple[int, int], rig: RigConfig) -> Lens:
-    """The lens of photos that nothing is known of, from the boards in them; all of one size (height, width)."""
+    """The lens of photos by an unknown camera, estimated from the boards in them.
+
+    Args:
+        images: RGB, all of one size.
+        size: their height and width, px.
+    """
     boards = [arm.board.board for arm in rig.arms if arm.board]
     outlines, telling = [], 0
     for image in itertools.islice(images, _PHOTOS_TO_SEARCH):
@@ -122,39 +133,80 @@ def unknown_lens(images: Iterable[Image], size: tuple[int, int], rig: RigConfig)
     return Lens(estimate_focal(outlines, (width, height)), "estimated")
 
 
-def find_arms(rig: RigConfig, photo: Photo, grey: NDArray[np.uint8], lens: Lens, trust_margin: bool) -> PhotoResult:
-    """Each arm's pose from its board; else from the other's or from the recording.
+def find_arms(
+    rig: RigConfig,
+    photo: Photo,
+    grey: NDArray[np.uint8],
+    lens: Lens,
+    trust_margin: bool,
+    before: PhotoResult | None = None,
+) -> PhotoResult:
+    """Each arm's pose from its board, or else from the other's board or from the recording.
 
     Args:
-        photo: what is known of it beside its camera.
+        photo: the photo's path, joints and recorded pose.
         grey: the photo (height, width).
-        lens: through which it was taken; if its focal length is not told well enough, no board gives a pose.
-        trust_margin: the arms stand as the rig says, so all boards together give one pose of the rig.
+        lens: the camera. If its focal length is too uncertain, no board gives a pose.
+        trust_margin: whether the arms stand as the rig says, so that all boards together give one pose of the rig.
+        before: what the photo before this one in a series said: boards are looked for there too.
     """
     configs = [arm.board for arm in rig.arms]
     boards, camera = [config.board for config in configs if config], lens.camera
     if lens.focal.reason:
         sightings, markers = unlocated(grey, camera, boards, lens.focal.reason)
     else:
-        sightings, markers = locate(grey, camera, boards)
+        T_boards = [rig.T_base_in_world(k) @ arm.T_board_in_base for k, arm in enumerate(rig.arms) if arm.board]
+        seen_before = {arm.board: arm.sighting for arm in before.arms if arm.sighting} if before else {}
+        poses = [one.T_board_in_cam if (one := seen_before.get(board.name)) else None for board in boards]
+        sightings, markers = locate(grey, camera, boards, T_boards, poses)
     by_board = {seen.board.name: seen for seen in sightings}
     arms = []
     for arm, config in zip(rig.arms, configs, strict=True):
         seen = by_board[config.board.name] if config else None
         T = None
         if config and seen and seen.T_board_in_cam is not None:
-            T = seen.T_board_in_cam @ inverse(config.T_board_in_arm)
+            T = seen.T_board_in_cam @ inverse(arm.T_board_in_base)
         arms.append(ArmPose(arm.name, config.name if config else None, seen.status if seen else NO_BOARD, seen, T))
+    notes = _misfits(arms)
+    arms = _of_one_size(rig, arms)
     ids = tuple(seen_ids(markers))
-    result = PhotoResult(photo.path, lens, photo.joints_source, tuple(arms), ids, notes=_misfits(arms))
+    result = PhotoResult(photo.path, lens, photo.joints_source, tuple(arms), ids, notes=notes)
     result = _with_margin(rig, result)
     if trust_margin and len(arms) > 1 and result.bases:
         result = _trusting(rig, result, grey, camera)
     return result if photo.T_base_in_cam is None else _recorded(rig, result, photo.T_base_in_cam)
 
 
+def _of_one_size(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
+    """The arms without the poses of two boards whose prints cannot both be of the sizes that the rig says."""
+    seen = [k for k, arm in enumerate(arms) if arm.sighting and arm.sighting.T_board_in_cam is not None]
+    for k, j in itertools.combinations(seen, 2):
+        one, two = arms[k], arms[j]
+        assert one.sighting and two.sighting
+        T_one, T_two = (rig.T_base_in_world(n) @ rig.arms[n].T_board_in_base for n in (k, j))
+        assert one.sighting.T_board_in_cam is not None
+        # The margin is along world y.
+        along = one.sighting.T_board_in_cam[:3, :3] @ T_one[:3, :3].T @ np.array([0.0, 1.0, 0.0])
+        ratio = size_ratio(one.sighting, two.sighting, inverse(T_one) @ T_two, along)
+        if ratio is None:
+            continue
+        reason = (
+            f"the print of {two.name}'s board is {100 * ratio:.1f} % as large beside {one.name}'s as the rig says: "
+            "measure both, and set the rig's marker_length_mm and gap_mm"
+        )
+        for n in (k, j):
+            sighting = arms[n].sighting
+            assert sighting is not None
+            refused = replace(
+                sighting, status=Status.POOR_FIT, reason=reason, T_board_in_cam=None, covariance=None, shared=None
+            )
+            arms[n] = replace(arms[n], status=refused.status, sighting=refused, T_base_in_cam=None)
+        return arms
+    return arms
+
+
 def _recorded(rig: RigConfig, result: PhotoResult, T_first_base_in_cam: Array) -> PhotoResult:
-    """Arms that no board gave a pose, where they stood when the episode was recorded."""
+    """The result with the recorded poses of the arms for which no board gave one."""
     T_world_in_cam = T_first_base_in_cam @ inverse(rig.T_base_in_world(0))
     arms = tuple(
         replace(arm, status=RECORDED, T_base_in_cam=T_world_in_cam @ rig.T_base_in_world(k))
@@ -166,7 +218,7 @@ def _recorded(rig: RigConfig, result: PhotoResult, T_first_base_in_cam: Array) -
 
 
 def _misfits(arms: Sequence[ArmPose]) -> tuple[str, ...]:
-    """A word on each board whose print is not quite as the rig and the camera file have it."""
+    """A note on each board whose markers are not where rig and camera file put them."""
     return tuple(
         f"{arm.name}'s markers lie {rms:.2f} px from where its pose puts them: check the camera's distortion, and the "
         "rig's marker_length_mm and gap_mm against the print"
@@ -177,14 +229,14 @@ def _misfits(arms: Sequence[ArmPose]) -> tuple[str, ...]:
 
 
 def _with_margin(rig: RigConfig, result: PhotoResult) -> PhotoResult:
-    """The arms' measured distance beside the rig's."""
+    """The result with the measured distance of the arms, and a note if it differs from the rig's."""
     if len(result.arms) < 2 or any(arm.T_base_in_cam is None for arm in result.arms[:2]):
         return result
     one, two = result.arms[:2]
     assert one.T_base_in_cam is not None and two.T_base_in_cam is not None
     measured = inverse(one.T_base_in_cam) @ two.T_base_in_cam
     expected = inverse(rig.T_base_in_world(0)) @ rig.T_base_in_world(1)
-    # The margin is along world y, which is so in the first arm's frame:
+    # The margin is measured along world y, which is this direction in the first arm's frame.
     along = rig.T_base_in_world(0)[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     margin = rig.margin + float(along @ (measured[:3, 3] - expected[:3, 3]))
     sigma = _margin_sigma(one, two, one.T_base_in_cam[:3, :3] @ along)
@@ -203,26 +255,26 @@ def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
     for arm in (one, two):
         assert arm.sighting is not None and arm.sighting.covariance is not None and arm.sighting.shared is not None
         assert arm.sighting.T_board_in_cam is not None and arm.T_base_in_cam is not None
-        # A turn of the board about its centre swings the base, which is fixed to it.
+        # If the board's pose turns about its centre, the base moves along with it.
         lever = arm.T_base_in_cam[:3, 3] - arm.sighting.T_board_in_cam[:3, 3]
         along = np.concatenate([np.cross(lever, direction), direction])
         shared = along @ arm.sighting.shared
         variance += float(along @ arm.sighting.covariance @ along - shared @ shared)
         scales.append(shared)
-    # One lens and one printer: their mistakes do not add up by chance.
+    # Errors of the lens and of the printer are the same for both boards: their difference counts, not their sum.
     apart = scales[1] - scales[0]
     return math.sqrt(max(0.0, variance) + float(apart @ apart))
 
 
 def _trusting(rig: RigConfig, result: PhotoResult, grey: NDArray[np.uint8], camera: CameraModel) -> PhotoResult:
-    """All arms from one pose of the whole rig, which all boards that were found give together."""
+    """The result with all arms posed by one pose of the whole rig, which all found boards give together."""
     seen = [k for k, arm in enumerate(result.arms) if arm.sighting and arm.sighting.status is Status.OK]
     sightings, T_boards = [], []
     for k in seen:
-        config, sighting = rig.arms[k].board, result.arms[k].sighting
-        assert config is not None and sighting is not None
+        sighting = result.arms[k].sighting
+        assert sighting is not None
         sightings.append(sighting)
-        T_boards.append(rig.T_base_in_world(k) @ config.T_board_in_arm)
+        T_boards.append(rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base)
     joint = locate_together(grey, camera, sightings, T_boards)
     if joint is None or joint[0].T_board_in_cam is None:
         refused = (

@@ -1,4 +1,4 @@
-"""Joints that a photo was taken with, from the files people have them in."""
+"""Reads the joints that photos were taken with, from the kinds of files that people have."""
 
 from __future__ import annotations
 
@@ -7,80 +7,95 @@ from pathlib import Path
 
 import numpy as np
 
-from ..config.document import load_yaml
-from ..config.limits import Stops
-from ..config.rig import RigConfig
+from ..config.rig import ArmConfig, RigConfig
 from ..dataset.lowdim import load_frame
+from ..documents.document import load_yaml
 from ..errors import ConfigError, DatasetError
 from ..geometry.se3 import Array
-from ..resources import Locations
-from ..scene.robot import HOME, gripper
+from ..robots.stops import beyond_stops
+from ..types import Stand
 
-# Encoders and calibrations are off by a little: so far outside its range a joint is still believed.
+# How far outside its range a joint may be, rad: encoders and calibrations are slightly off.
 _SLACK = math.radians(3.0)
-# Beyond this part of the full opening, which no finger reaches, a file gives shares of the opening and not metres.
+# A number above this share of the full opening, which no finger reaches, means that a file gives shares and not metres.
 _MOST_OPENING = 1.1
 
 _KINDS = (".npy", ".yaml", ".yml", ".pkl")
-# Fixed by the real recorder: the left arm's six joints and gripper, then the right arm's.
-_SIDES = {"left": slice(0, 7), "right": slice(7, 14)}
+
+# How every arm of a rig stands, in the rig's order.
+Stands = tuple[Stand, ...]
 
 
-def home_joints(rig: RigConfig) -> Array:
-    """Every arm at home, grippers closed (1, arms, 7)."""
-    return np.tile([*HOME, 0.0], (1, len(rig.arms), 1))
+def home_stands(rig: RigConfig) -> Stands:
+    """Every arm at home, grippers closed."""
+    return tuple(Stand(np.array(arm.robot.home), 0.0) for arm in rig.arms)
 
 
-def load_joints(path: Path, rig: RigConfig, locations: Locations) -> Array:
-    """Joints of every arm (rows, arms, 7): six in rad, and the opening of one finger in m; a row for each photo.
+def load_stands(path: Path, rig: RigConfig) -> list[Stands]:
+    """How every arm stands; one row, or one per photo.
 
-    What a file may hold: `.npy`, an array of one row or of a row for each photo; `.pkl`, a recorded frame's lowdim;
-    YAML, either `joints: [...]` or a list under each arm's name. A row has 6 or 7 numbers for a rig of one arm, and 14
-    (left arm's six joints and gripper, then the right arm's) for any. A gripper is the opening of one finger in m;
-    where any in the file is more than a tenth above the full opening, all are shares of it.
+    An `.npy` holds an array of one row, or of a row for each photo. A `.pkl` is a recorded frame's lowdim. YAML holds
+    either `joints: [...]` or a list under each arm's name. A row has each arm's joints in rad and, where it has
+    fingers, the opening of one in m, the left arm's first. For a rig of one arm a row may leave the opening out, or be
+    of two such arms. If any opening is more than a tenth above the full one, all are shares of it.
 
     Raises:
-        ConfigError: unreadable, another shape, not finite, or outside the joints' ranges.
+        ConfigError: the file is unreadable, of another shape, not finite, or outside the joints' ranges.
     """
     kind = path.suffix.lower()
     if kind not in _KINDS:
         raise ConfigError(f"--joints {path}: unknown kind of file {path.suffix!r}; valid: {', '.join(_KINDS)}")
     try:
-        rows = _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _by_arm(_numbers(path, kind), rig, path)
+        values = _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _by_arm(_numbers(path, kind), rig, path)
     except OSError as error:
         raise ConfigError(f"--joints {path}: cannot be read: {error.strerror or error}") from error
-    if not np.isfinite(rows).all():
+    if not all(np.isfinite(rows).all() for rows in values):
         raise ConfigError(f"--joints {path}: has values that are not finite; give radians")
-    _check_ranges(rows, rig, locations, path)
-    rows[..., 6] = _openings(rows[..., 6], rig, path)
-    return rows
+    for arm, rows in zip(rig.arms, values, strict=True):
+        if fault := beyond_stops(arm.name, arm.robot, rows, _SLACK):
+            raise ConfigError(f"--joints {path}: {fault}")
+    return _stands(_in_metres(values, rig, path), rig)
 
 
-def _openings(values: Array, rig: RigConfig, path: Path) -> Array:
-    """Openings (rows, arms) in m, from metres or shares."""
-    opened_fully = np.array([gripper(arm).full_opening for arm in rig.arms])
-    full = np.ones_like(opened_fully) if (values > _MOST_OPENING * opened_fully).any() else opened_fully
-    shares = values / full
-    # Drives report a little beyond both ends, and some grippers close beyond 0 to squeeze.
-    if shares.min() < -0.15 or shares.max() > _MOST_OPENING:
-        worst = values.flat[np.abs(shares - 0.5).argmax()]
-        raise ConfigError(
-            f"--joints {path}: gripper {worst:.4g} is no opening: give that of one finger, "
-            f"0..{opened_fully.max()} m, or a share of it, 0..1"
-        )
-    opened: Array = np.clip(shares, 0.0, 1.0) * opened_fully
-    return opened
+def recorded_stands(joints: Array, rig: RigConfig, source: Path) -> Stands:
+    """How every arm stands by what a recorded frame holds. Raises as `load_stands`."""
+    return _stands(_by_arm(joints, rig, source), rig)[0]
 
 
-def arm_rows(values: Array, rig: RigConfig, source: Path) -> Array:
-    """Joints of every arm (rows, arms, 7) from recorded ones (rows, 6, 7 or 14). Raises as `load_joints`."""
-    return _by_arm(values, rig, source)
+def _stands(values: list[Array], rig: RigConfig) -> list[Stands]:
+    """The rows of every arm, [joints, opening] with the opening where it has fingers, row by row."""
+
+    def stand(arm: ArmConfig, row: Array) -> Stand:
+        dof = arm.robot.dof
+        return Stand(row[:dof], float(row[dof]) if len(row) > dof else 0.0)
+
+    return [
+        tuple(stand(arm, row) for arm, row in zip(rig.arms, rows, strict=True)) for rows in zip(*values, strict=True)
+    ]
+
+
+def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
+    """The rows of every arm with openings in m, from metres or shares."""
+    fingers = [(arm.robot.fingers.full_opening, k) for k, arm in enumerate(rig.arms) if arm.robot.fingers]
+    are_shares = any((values[k][:, -1] > _MOST_OPENING * full).any() for full, k in fingers)
+    for full, k in fingers:
+        given = values[k][:, -1]
+        shares = given if are_shares else given / full
+        # Drives report a little beyond both ends, and some grippers close beyond 0 to squeeze.
+        if shares.min() < -0.15 or shares.max() > _MOST_OPENING:
+            worst = given[np.abs(shares - 0.5).argmax()]
+            raise ConfigError(
+                f"--joints {path}: gripper {worst:.4g} is no opening: give that of one finger, "
+                f"0..{full} m, or a share of it, 0..1"
+            )
+        values[k][:, -1] = np.clip(shares, 0.0, 1.0) * full
+    return values
 
 
 def _numbers(path: Path, kind: str) -> Array:
     if kind == ".npy":
         try:
-            # Not `np.load`, which also opens archives.
+            # `np.load` would open archives, too.
             with path.open("rb") as stream:
                 return np.asarray(np.lib.format.read_array(stream, allow_pickle=False), dtype=np.float64)
         except (ValueError, TypeError, EOFError, MemoryError) as error:
@@ -94,7 +109,7 @@ def _numbers(path: Path, kind: str) -> Array:
         raise ConfigError(f"--joints {path}: {error}") from error
 
 
-def _yaml_rows(path: Path, rig: RigConfig) -> Array:
+def _yaml_rows(path: Path, rig: RigConfig) -> list[Array]:
     data = load_yaml(path).data
     names = [arm.name for arm in rig.arms]
     if set(data) == {"joints"}:
@@ -103,16 +118,17 @@ def _yaml_rows(path: Path, rig: RigConfig) -> Array:
         raise ConfigError(
             f"--joints {path}: has the keys {', '.join(data)}; valid: joints alone, or {', '.join(names)}"
         )
-    rows = home_joints(rig)
-    for k, name in enumerate(names):
-        if name in data:
-            values = _array(data[name], path)
-            if values.shape not in ((6,), (7,)):
-                raise ConfigError(
-                    f"--joints {path}: {name}: has the shape {values.shape}; give 6 joints, or 7 with the gripper"
-                )
-            rows[0, k, : len(values)] = values
-    return rows
+    found = []
+    for arm in rig.arms:
+        values = _array(data[arm.name], path) if arm.name in data else np.array(arm.robot.home)
+        dof, width = arm.robot.dof, len(arm.robot.drives)
+        if values.shape not in ((dof,), (width,)):
+            with_gripper = f", or {width} with the gripper" if width > dof else ""
+            raise ConfigError(
+                f"--joints {path}: {arm.name}: has the shape {values.shape}; give {dof} joints{with_gripper}"
+            )
+        found.append(_padded(values[None], width))
+    return found
 
 
 def _array(value: object, path: Path) -> Array:
@@ -122,21 +138,35 @@ def _array(value: object, path: Path) -> Array:
         raise ConfigError(f"--joints {path}: not a list of numbers: {error}") from error
 
 
-def _by_arm(values: Array, rig: RigConfig, path: Path) -> Array:
+def _by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
+    """Each arm's columns of rows that hold all arms', in the rig's order."""
     rows = np.atleast_2d(values)
     if len(rows) == 0:
         raise ConfigError(f"{path}: holds no row of joints")
-    if rows.ndim == 2 and rows.shape[1] == 14:
-        return np.stack([rows[:, _SIDES[arm.side]] for arm in rig.arms], axis=1)
-    if rows.ndim == 2 and rows.shape[1] in (6, 7) and len(rig.arms) == 1:
-        padded = np.zeros((len(rows), 1, 7))
-        padded[:, 0, : rows.shape[1]] = rows
-        return padded
-    valid = "6, 7 or 14" if len(rig.arms) == 1 else "14 (left 6, left gripper, right 6, right gripper)"
+    count = rows.shape[1] if rows.ndim == 2 else 0
+    each, dof, alone = rig.drives, rig.arms[0].robot.dof, len(rig.arms) == 1
+    if alone and count in (dof, each):
+        return [_padded(rows, each)]
+    if count == 2 * each:
+        # A lone arm's file may be of a station with two such arms, as the real recorder writes it.
+        return [rows[:, :each].copy() if arm.side == "left" else rows[:, each:].copy() for arm in rig.arms]
+    valid = " or ".join(map(str, dict.fromkeys((dof, each, 2 * each)))) if alone else _listed(rig)
     raise ConfigError(f"{path}: joints have the shape {values.shape}; rig {rig.name!r} needs {valid} numbers a row")
 
 
-def _check_ranges(rows: Array, rig: RigConfig, locations: Locations, path: Path) -> None:
-    for k, arm in enumerate(rig.arms):
-        if fault := Stops(arm, locations).fault(rows[:, k, :6], _SLACK):
-            raise ConfigError(f"--joints {path}: {fault}")
+def _padded(rows: Array, width: int) -> Array:
+    """Rows with their grippers closed, if they say nothing of them."""
+    padded = np.zeros((len(rows), width))
+    padded[:, : rows.shape[1]] = rows
+    return padded
+
+
+def _listed(rig: RigConfig) -> str:
+    """Such as "14 (left 6, left gripper, right 6, right gripper)"."""
+    arms = [rig.arms[k] for k in rig.recorded]
+    parts = [
+        part
+        for arm in arms
+        for part in (f"{arm.side} {arm.robot.dof}", *([f"{arm.side} gripper"] if arm.robot.fingers else []))
+    ]
+    return f"{len(arms) * rig.drives} ({', '.join(parts)})"

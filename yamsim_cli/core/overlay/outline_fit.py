@@ -1,4 +1,4 @@
-"""How well drawn arms meet a photo: their outlines against its edges, their pixels against a mask; and better poses."""
+"""Scores rendered arms by a photo's edges and by a mask of the robot, and improves their poses by the edges."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from ..geometry.se3 import Array, inverse
 from ..vision.fiducials.locate import at_pose
 from ..vision.silhouette import EdgeOffsets, Pull, correction, edge_offsets, grain_px, outline, pull, rounds
 from .arm_poses import ArmPose, PhotoResult
-from .rendered_arms import ArmDrawer, Flat
+from .joint_files import Stands
+from .rendered_arms import ArmRenderer, FlatArms
 
-# An outline of fewer points says too little.
+# Fewest points of an outline that is used to improve a pose.
 _LEAST_POINTS = 20
 
 
-def score_outlines(result: PhotoResult, drawer: ArmDrawer, grey: NDArray[np.uint8]) -> PhotoResult:
-    """The result with its outlines, as posed in `drawer`, compared with the edges of the photo (height, width)."""
-    flat_grey = drawer.flattened(grey)
-    labels = drawer.flat_labels()
+def score_outlines(result: PhotoResult, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> PhotoResult:
+    """The result with its residuals: outlines as posed in `renderer` against the edges of the photo (height, width)."""
+    flat_grey = renderer.flattened(grey)
+    labels = renderer.flat_labels()
     offsets = {k: edge_offsets(flat_grey, outline(labels == k + 1, _other(labels, k))) for k in result.bases}
     arms = tuple(
         replace(arm, edge_residual=offsets[k].residual) if k in offsets else arm for k, arm in enumerate(result.arms)
@@ -41,22 +42,22 @@ def _other(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
 
 
 def refine(
-    result: PhotoResult, drawer: ArmDrawer, joints: Array, grey: NDArray[np.uint8], together: bool
+    result: PhotoResult, renderer: ArmRenderer, stands: Stands, grey: NDArray[np.uint8], together: bool
 ) -> PhotoResult:
-    """Poses moved onto the edges of the photo (height, width), as far as their boards' uncertainty lets them.
+    """The result with poses moved onto the edges of the photo (height, width), weighed against the boards' poses.
 
     Args:
-        together: the arms keep their places to each other, so all move as one.
+        together: whether the arms move as one and keep their distance.
     """
-    flat_grey = drawer.flattened(grey)
+    flat_grey = renderer.flattened(grey)
     start = result.bases
     groups = [list(start)] if together else [[k] for k in start]
     priors = [_prior([result.arms[k] for k in group]) for group in groups]
     steps = [np.zeros(6) for _ in groups]
     poses = dict(start)
     for reach in rounds():
-        drawer.pose(poses, joints)
-        flat = drawer.flat()
+        renderer.pose(poses, stands)
+        flat = renderer.flat()
         for group, (centre, information), step in zip(groups, priors, steps, strict=True):
             pulls = [part for k in group if (part := _pull(flat, flat_grey, k, centre, reach)) is not None]
             if not pulls:
@@ -69,8 +70,8 @@ def refine(
     return replace(result, arms=arms)
 
 
-def _pull(flat: Flat, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float) -> Pull | None:
-    """How the photo's edges want the k-th arm moved; None where too little of it is seen."""
+def _pull(flat: FlatArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float) -> Pull | None:
+    """The normal equations that move the k-th arm onto the photo's edges; None if too little of it is visible."""
     line = outline(flat.labels == k + 1, _other(flat.labels, k))
     if len(line.points) < _LEAST_POINTS:
         return None
@@ -81,7 +82,7 @@ def _pull(flat: Flat, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach
 
 
 def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:
-    """An arm with a better pose, and what its board says of that."""
+    """An arm with a better pose, and with its board's markers compared with that pose."""
     seen = arm.sighting
     if seen is not None and seen.T_board_in_cam is not None:
         assert arm.T_base_in_cam is not None
@@ -91,19 +92,19 @@ def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: 
 
 
 def _prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
-    """What a pose is known to before edges are looked at: a point (3,) and the inverse covariance (6, 6) about it."""
+    """How well a pose is known before edges are used: a point (3,) and the inverse covariance (6, 6) about it."""
     for arm in arms:
         seen = arm.sighting
         if seen is not None and seen.covariance is not None and seen.T_board_in_cam is not None:
             information: Array = np.linalg.inv(seen.covariance).astype(np.float64)
             return seen.T_board_in_cam[:3, 3], information
-    # A recorded pose comes without an uncertainty: a degree, and a centimetre.
+    # A recorded pose has no uncertainty: one degree and one centimetre are assumed.
     assert arms[0].T_base_in_cam is not None
     return arms[0].T_base_in_cam[:3, 3], np.diag([math.radians(1) ** -2] * 3 + [0.01**-2] * 3)
 
 
 def overlap(labels: NDArray[np.uint8], mask: NDArray[np.bool_], path: Path) -> float:
-    """Intersection over union of drawn arms (height, width) and a person's mask (height, width).
+    """Intersection over union of rendered arms (height, width) and a user's mask (height, width).
 
     Raises:
         ConfigError: the mask has another size than the photo at `path`.
@@ -113,6 +114,6 @@ def overlap(labels: NDArray[np.uint8], mask: NDArray[np.bool_], path: Path) -> f
             f"the mask for {path} has {mask.shape[1]} x {mask.shape[0]} pixels, the photo {labels.shape[1]} x "
             f"{labels.shape[0]}"
         )
-    drawn = labels > 0
-    union = int((drawn | mask).sum())
-    return int((drawn & mask).sum()) / union if union else 1.0
+    arms = labels > 0
+    union = int((arms | mask).sum())
+    return int((arms & mask).sum()) / union if union else 1.0

@@ -1,15 +1,15 @@
-"""Photos with a rig's arms laid over them, and how well they fit."""
+"""Lays a rig's arms over photos, one by one, and scores the fit."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..closing import Closing
 from ..config.recording import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
@@ -20,13 +20,12 @@ from ..images.image import Image
 from ..images.image_files import Mask, grey_of
 from ..images.png import encode_png
 from ..resources import Locations
-from ..scene.compose import Meshes
-from ..vision.overlay import blend, draw_board, write_lines
+from ..vision.picture_overlay import blend, draw_board, write_lines
 from .arm_poses import INFERRED, RECORDED, Lens, PhotoResult, find_arms
-from .joint_files import home_joints
+from .joint_files import home_stands
 from .outline_fit import overlap, refine, score_outlines
 from .photos import MASK_ENDING, OVERLAY_ENDING, Photo
-from .rendered_arms import ArmDrawer
+from .rendered_arms import ArmRenderer
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,9 @@ class OverlayOptions:
     """What to do with each photo.
 
     Attributes:
-        trust_margin: both arms stand as the rig says, so the camera is found from both boards at once.
-        refine: move each arm's pose until its outline meets the photo's edges, starting from its board's.
-        opacity: of the drawn arms, 0..1.
+        trust_margin: whether the arms stand as the rig says, so that all boards together give one pose.
+        refine: whether each arm's pose is moved from its board's until the outline meets the photo's edges.
+        opacity: opacity of the rendered arms, 0..1.
     """
 
     trust_margin: bool = False
@@ -46,10 +45,12 @@ class OverlayOptions:
 
 @dataclass(frozen=True)
 class Overlay:
-    """A photo's result, its picture with the arms over it (height, width, 3), and where each arm is in it.
+    """A photo with the arms laid over it.
 
     Attributes:
-        labels: (height, width): 0 for none, k for the rig's k-th arm.
+        result: the arms' poses and scores.
+        picture: the photo with the arms over it (height, width, 3).
+        labels: (height, width): 0 where no arm is, k for the rig's k-th arm.
     """
 
     result: PhotoResult
@@ -57,8 +58,8 @@ class Overlay:
     labels: NDArray[np.uint8]
 
 
-class Overlayer:
-    """Runs photos of one rig. Close it, or use it as a context manager: it keeps a renderer for the last camera."""
+class Overlayer(Closing):
+    """Lays one rig over photos. It keeps a renderer for the last camera: close it, or use it as a context manager."""
 
     def __init__(
         self,
@@ -67,23 +68,23 @@ class Overlayer:
         scene: SceneConfig,
         quality: RenderConfig,
         locations: Locations,
-        meshes: Meshes,
     ) -> None:
         self._rig = rig
         self._options = options
-        self._make_drawer: Callable[[CameraModel], ArmDrawer] = lambda camera: ArmDrawer(
-            rig, scene, quality, camera, locations, meshes
+        self._make_renderer: Callable[[CameraModel], ArmRenderer] = lambda camera: ArmRenderer(
+            rig, scene, quality, camera, locations
         )
-        self._drawer: tuple[CameraModel, ArmDrawer] | None = None
+        self._renderer: tuple[CameraModel, ArmRenderer] | None = None
+        self._before: PhotoResult | None = None
 
     def run(self, photo: Photo, image: Image, lens: Lens, mask: Mask | None = None) -> Overlay:
-        """Find the arms in one photo, lay them over it, and score the fit.
+        """The overlay of one photo: its arms are found, laid over it, and scored.
 
         Args:
-            photo: what is known of it beside its camera.
-            image: RGB (height, width, 3).
-            lens: through which it was taken.
-            mask: where the robot is in the photo (height, width), for the overlap.
+            photo: the photo's path, joints and recorded pose.
+            image: the photo, RGB (height, width, 3).
+            lens: the camera that took it.
+            mask: the robot's pixels in the photo (height, width), for the overlap.
 
         Raises:
             ConfigError: the camera or the mask does not fit the photo.
@@ -96,18 +97,19 @@ class Overlayer:
                 f"{camera.width} x {camera.height}: give the camera file of this image size"
             )
         grey = grey_of(image)
-        result = find_arms(self._rig, photo, grey, lens, self._options.trust_margin)
-        joints = home_joints(self._rig)[0] if photo.joints is None else photo.joints
+        result = find_arms(self._rig, photo, grey, lens, self._options.trust_margin, self._before)
+        self._before = result
+        stands = photo.stands or home_stands(self._rig)
         picture, labels = image.copy(), np.zeros((height, width), np.uint8)
         if result.bases:
-            drawer = self._drawer_for(camera)
+            renderer = self._renderer_for(camera)
             if self._options.refine:
-                result = refine(result, drawer, joints, grey, self._options.trust_margin)
-            drawer.pose(result.bases, joints)
-            result = score_outlines(result, drawer, grey)
-            drawn = drawer.draw()
-            labels = drawn.labels
-            picture = blend(image, drawn.colour, labels, self._options.opacity)
+                result = refine(result, renderer, stands, grey, self._options.trust_margin)
+            renderer.pose(result.bases, stands)
+            result = score_outlines(result, renderer, grey)
+            arms = renderer.render()
+            labels = arms.labels
+            picture = blend(image, arms.colour, labels, self._options.opacity)
         for arm in result.arms:
             if arm.sighting and arm.sighting.T_board_in_cam is not None:
                 draw_board(picture, camera, arm.sighting.board, arm.sighting.T_board_in_cam)
@@ -116,29 +118,22 @@ class Overlayer:
         write_lines(picture, captions(result), _changed(picture, image))
         return Overlay(result, picture, labels)
 
-    def _drawer_for(self, camera: CameraModel) -> ArmDrawer:
-        if self._drawer is None or self._drawer[0] != camera:
+    def _renderer_for(self, camera: CameraModel) -> ArmRenderer:
+        if self._renderer is None or self._renderer[0] != camera:
             self.close()
-            self._drawer = (camera, self._make_drawer(camera))
-        return self._drawer[1]
+            self._renderer = (camera, self._make_renderer(camera))
+        return self._renderer[1]
 
     def close(self) -> None:
         """Free the renderer."""
-        if self._drawer is not None:
-            self._drawer[1].close()
-            self._drawer = None
-
-    def __enter__(self) -> Overlayer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        if self._renderer is not None:
+            self._renderer[1].close()
+            self._renderer = None
 
 
 def _changed(picture: Image, image: Image) -> NDArray[np.bool_]:
-    """Which pixels (height, width) of a picture are no longer the photo's; channel by channel, which is much faster."""
+    """Which pixels (height, width) of a picture differ from the photo's."""
+    # Channel by channel, which is much faster.
     changed = np.zeros(image.shape[:2], dtype=np.bool_)
     for k in range(3):
         changed |= picture[..., k] != image[..., k]
@@ -146,7 +141,7 @@ def _changed(picture: Image, image: Image) -> NDArray[np.bool_]:
 
 
 def captions(result: PhotoResult) -> list[str]:
-    """A line for each arm, and one for the whole, as they are written into the picture."""
+    """The lines that are written into the picture: one for each arm, and some for the photo."""
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"
@@ -158,7 +153,7 @@ def captions(result: PhotoResult) -> list[str]:
             text += f", outline {arm.edge_residual:.1f} px"
         lines.append(text)
     if result.joints_source == "home" and result.bases:
-        lines.append("joints not given: drawn at home")
+        lines.append("joints not given: shown at home")
     if result.lens.source == "estimated":
         lines += _focal_lines(result)
     if result.margin is not None:
@@ -167,7 +162,7 @@ def captions(result: PhotoResult) -> list[str]:
 
 
 def _focal_lines(result: PhotoResult) -> list[str]:
-    """What the boards tell of an unknown lens, or why it gives no pose."""
+    """A line on the focal length that the boards give, or on why it is too uncertain for a pose."""
     focal = result.lens.focal
     if not focal.reason:
         return [f"focal length estimated: {focal.camera.focal:.0f} px, within {focal.low:.0f} to {focal.high:.0f} px"]
@@ -176,13 +171,13 @@ def _focal_lines(result: PhotoResult) -> list[str]:
 
 
 def picture_paths(out: Path, stem: str, with_mask: bool) -> list[Path]:
-    """What `write_overlay` writes."""
+    """The files that `write_overlay` writes."""
     endings = (OVERLAY_ENDING, MASK_ENDING) if with_mask else (OVERLAY_ENDING,)
     return [out / f"{stem}{ending}" for ending in endings]
 
 
 def write_overlay(overlay: Overlay, stem: str, out: Path, with_mask: bool) -> list[Path]:
-    """Write a result's picture, and its segmentation if wanted, into a folder; each file is replaced whole.
+    """The files written into `out`: an overlay's picture, and its mask if wanted. Each file is replaced in one step.
 
     Raises:
         ResourceError: it cannot be written.

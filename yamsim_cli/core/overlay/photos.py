@@ -1,4 +1,4 @@
-"""Photos to be checked against a rig: from files, folders, or a recorded episode, with all that is known of each."""
+"""The photos to lay a rig over, from files, folders, or a recorded episode, with all that is known of each."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..errors import DatasetError, ResourceError, UsageError, suggest
 from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array, inverse
 from ..images.image_files import read_image
-from .joint_files import arm_rows
+from .joint_files import Stands, recorded_stands
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
-# What is written beside photos, and so is none.
+# Endings of pictures that are written for photos. Files with such names are not photos.
 OVERLAY_ENDING = "_overlay.png"
 MASK_ENDING = "_mask.png"
 
@@ -28,16 +28,16 @@ class Photo:
     """One photo and what is known of it.
 
     Attributes:
-        path: where it lies.
-        camera: that took it, if known.
-        joints: of every arm (arms, 7), if known; else it is taken to be at home.
-        joints_source: where they come from: "home", "file" or "episode".
-        T_base_in_cam: pose (4, 4) of the first arm's base in the camera's frame, if it was recorded.
+        path: its file.
+        camera: the camera that took it; None if not known.
+        stands: how every arm stands; None if not known, which counts as home.
+        joints_source: where the joints come from: "home", "file" or "episode".
+        T_base_in_cam: pose (4, 4) of the first arm's base in the camera's frame; None if it was not recorded.
     """
 
     path: Path
     camera: CameraModel | None = None
-    joints: Array | None = None
+    stands: Stands | None = None
     joints_source: str = "home"
     T_base_in_cam: Array | None = None
 
@@ -68,13 +68,13 @@ def find_photos(paths: Sequence[Path]) -> list[Path]:
 
 
 def _may_be_photo(path: Path) -> bool:
-    """Whether a file in a folder is meant: hidden ones are other programs' notes, overlays and masks our own."""
+    """Whether a file in a folder is a photo. Hidden files, and overlays and masks of earlier runs, are none."""
     ours = path.name.endswith((OVERLAY_ENDING, MASK_ENDING))
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not ours and path.is_file()
 
 
 def mask_of(masks: Path, photo: Path) -> Path:
-    """The mask of a photo: the one given, or the one of the photo's name in the folder given.
+    """The mask of a photo: `masks` itself, or the file with the photo's name if `masks` is a folder.
 
     Raises:
         ResourceError: the folder has none.
@@ -91,7 +91,7 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
     """A recorded episode's frames of one camera, with its own intrinsics, pose and joints.
 
     Args:
-        camera: name of the camera; by default the first that stands still.
+        camera: name of the camera; by default the first one that is no wrist camera.
 
     Raises:
         DatasetError: it is no episode, or a frame of it is damaged.
@@ -116,10 +116,10 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
             K = _matrix(frame["intrinsics"][camera], 3)
             T_cam_in_base = _matrix(frame["extrinsics"][camera], 4)
             if len(rig.arms) > 1:
-                # Recorded in the left arm's base; wanted in that of the rig's first arm.
+                # It was recorded in the left arm's base, and is needed in that of the rig's first arm.
                 T_left_in_world = rig.T_base_in_world(rig.recorded[0])
                 T_cam_in_base = inverse(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
-            joints = arm_rows(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)[0]
+            stands = recorded_stands(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)
         except OSError as error:
             raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
         except KeyError as error:
@@ -127,7 +127,7 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
         except (TypeError, ValueError, DatasetError) as error:
             raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
         height, width = read_image(path).shape[:2]
-        photos.append(Photo(path, _pinhole(K, width, height), joints, "episode", inverse(T_cam_in_base)))
+        photos.append(Photo(path, _pinhole(K, width, height), stands, "episode", inverse(T_cam_in_base)))
     if not photos:
         raise DatasetError(f"{episode}/rgb/{camera} holds no frame")
     return photos

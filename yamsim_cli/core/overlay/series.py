@@ -1,8 +1,8 @@
-"""All photos of one call: what is known of each, one overlay after the other, files, video, and what does not pass."""
+"""Lays a rig over a series of photos, and writes pictures, video and report."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,40 +12,40 @@ from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ConfigError, ResourceError, UsageError
 from ..geometry.camera import CameraModel
-from ..geometry.se3 import Array
 from ..images.image import Image
 from ..images.image_files import read_image, read_mask
 from ..images.video import VideoWriter
+from ..progress import Progress
 from ..resources import Locations
-from ..scene.compose import Meshes
-from ..vision.fiducials.locate import Status
+from ..vision.fiducials.sighting import Status
 from .arm_poses import Lens, unknown_lens
+from .joint_files import Stands
+from .overlay_report import OverlayReport
 from .overlayer import Overlay, Overlayer, OverlayOptions, picture_paths, write_overlay
 from .photos import Photo, mask_of
-from .report import OverlayReport
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class OverlayRequest:
-    """What to do with which photos.
+    """The photos, and what to do with them.
 
     Attributes:
-        photos: in order.
-        camera: that took those which do not know their own; None estimates it from the boards.
-        joints: of every arm (rows, arms, 7), one row for all photos or a row for each; None for what each photo knows.
+        photos: the photos, in order.
+        options: what to do with each.
+        camera: the camera of photos that do not know their own; None estimates it from the boards.
+        stands: how every arm stands, one row for all photos or a row for each; None for those that each photo knows.
         out: folder for the pictures and the report.
-        write_masks: also write each photo's segmentation: 0 for none, k for the k-th arm.
+        write_masks: whether a mask of each photo is written: 0 where no arm is, k for the k-th arm.
         mask_images: the user's own mask of the photos, or a folder with masks of the photos' names.
-        video, frame_period: an MP4 of all pictures, and the seconds from one to the next; an older one is moved aside.
-        max_reprojection, min_iou: what each photo has to reach, px and 0..1.
+        video: an MP4 of all pictures to write; an older one is moved aside.
+        frame_period: time from one picture to the next in the video, s.
+        max_reprojection, min_iou: limits that each photo has to keep, px and 0..1.
     """
 
     photos: Sequence[Photo]
     options: OverlayOptions
     camera: CameraModel | None = None
-    joints: Array | None = None
+    stands: Sequence[Stands] | None = None
     out: Path = Path("overlays")
     write_masks: bool = False
     mask_images: Path | None = None
@@ -61,10 +61,9 @@ def run_overlays(
     scene: SceneConfig,
     quality: RenderConfig,
     locations: Locations,
-    meshes: Meshes,
     progress: Progress,
 ) -> OverlayReport:
-    """Lay the rig over every photo that can be read.
+    """The report on the photos, after the rig was laid over every one that can be read.
 
     Raises:
         ConfigError: joints, masks or camera do not fit the photos.
@@ -82,7 +81,7 @@ def run_overlays(
     report = OverlayReport(rig)
     cameras = _Cameras(rig, request)
     with ExitStack() as stack:
-        overlayer = stack.enter_context(Overlayer(rig, request.options, scene, quality, locations, meshes))
+        overlayer = stack.enter_context(Overlayer(rig, request.options, scene, quality, locations))
         video = request.video and stack.enter_context(VideoWriter(request.video, request.frame_period, overwrite=True))
         size: tuple[int, ...] = ()
         for k, photo in enumerate(photos):
@@ -115,18 +114,18 @@ def run_overlays(
 
 def _with_joints(request: OverlayRequest) -> list[Photo]:
     """The photos, each with its row of the request's joints."""
-    rows, photos = request.joints, request.photos
+    rows, photos = request.stands, request.photos
     if rows is None:
         return list(photos)
     if len(rows) not in (1, len(photos)):
         raise ConfigError(f"--joints has {len(rows)} rows for {len(photos)} photos; give one row, or one for each")
     return [
-        replace(photo, joints=rows[k if len(rows) > 1 else 0], joints_source="file") for k, photo in enumerate(photos)
+        replace(photo, stands=rows[k if len(rows) > 1 else 0], joints_source="file") for k, photo in enumerate(photos)
     ]
 
 
 class _Cameras:
-    """Whose photos they are: each photo's own camera, the user's, or one estimated from all photos of a size."""
+    """The camera of each photo: its own, the user's, or one that is estimated from all photos of the same size."""
 
     def __init__(self, rig: RigConfig, request: OverlayRequest) -> None:
         self._rig = rig
@@ -134,7 +133,7 @@ class _Cameras:
         self._estimated: dict[tuple[int, int], Lens] = {}
 
     def of(self, photo: Photo, image: Image) -> Lens:
-        """The camera of a photo, and where its figures come from."""
+        """The lens of a photo."""
         if photo.camera:
             return Lens.known(photo.camera, "episode")
         if self._request.camera:
@@ -145,7 +144,7 @@ class _Cameras:
         return self._estimated[size]
 
     def _images(self, known: Photo, image: Image) -> Iterator[Image]:
-        """One after the other, all photos of the size of one that is known already, if they can be read."""
+        """All photos of the same size as one that was read already, one after the other, as far as they can be read."""
         for photo in self._request.photos:
             if photo.path == known.path:
                 yield image
@@ -167,7 +166,7 @@ def _refuse_overwriting(request: OverlayRequest, stems: Sequence[str], inputs: S
 
 
 def _stems(photos: Sequence[Photo]) -> list[str]:
-    """Names for the photos' results: their own, with the ending's or the place in the list where those are equal."""
+    """A name for each photo's results: the photo's, with its ending and its place in the list if names are equal."""
     stems = [photo.path.stem for photo in photos]
     if len(set(stems)) < len(stems):
         stems = [photo.path.name.replace(".", "_") for photo in photos]
@@ -183,7 +182,7 @@ def _failures(overlay: Overlay, request: OverlayRequest) -> list[str]:
         if request.max_reprojection is None or arm.board is None or not arm.sighting:
             continue
         if arm.sighting.status is not Status.OK:
-            found.append(f"{result.path}: {arm.name} has no pose: {arm.sighting.reason}")
+            found.append(f"{result.path}: {arm.name} has no pose: {arm.sighting.explanation}")
         elif rms is not None and rms > request.max_reprojection:
             found.append(
                 f"{result.path}: {arm.name}'s reprojection of {rms:.2f} px is above {request.max_reprojection:g}: "

@@ -1,4 +1,4 @@
-"""Which of the ways to hold the object the arm can do, and the path that does it."""
+"""Chooses how the arm holds the object, and plans the path for that."""
 
 from __future__ import annotations
 
@@ -11,38 +11,37 @@ import numpy as np
 from ..config.recording import GraspKind
 from ..config.task import TaskConfig
 from ..config.things import GraspPoint
-from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
 from ..tasks.kinds import kind_of
 from ..tasks.plans import Hold
-from ..types import JointPath, Layout, Plan
+from ..types import JointPath, Layout, Plan, Stand
 from .clearance import Clearance
 from .dynamics import ArmDynamics
 from .ik import IkSolution, IkSolver
 from .path import plan_path
 
-# From a cold start the iteration may have to cross the workspace.
+# Iterations of inverse kinematics that does not start near the solution, and may have to cross the workspace.
 _ITERATIONS = 100
 
-# A solution this near to its pose is it, m and rad.
+# Largest errors of a solution that counts as reaching its pose, m and rad.
 _POSITION = 1e-3
 _ROTATION = math.radians(1.0)
 
-# How far the hand may lean, its fingers pointing outwards, in the order in which that is tried. A little suits the arm
-# best everywhere; it needs the more, the farther away something lies or the higher it is carried; and some things stand
-# in the way of a hand that leans far.
+# Angles by which the hand may lean with its fingers pointing outwards, in the order in which they are tried. A small
+# one suits the arm best everywhere. It needs larger ones for things that lie far away or are carried high. A hand that
+# leans far may run into other things.
 _LEANS = tuple(math.radians(angle) for angle in (15, 20, 10, 25, 5, 30, 0))
 
-# How far joints should stay from their stops, rad; and the largest shares of the motors' speed and the drives' torque
-# that a path should need.
+# How far joints should stay from their stops, rad.
 _FREE = 0.15
+# Largest shares of the motors' speed and of the drives' torque that a path should need.
 _SPEED = 0.9
 _TORQUE = 0.8
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A plan, what the arm makes of its waypoints, and what the hand would touch at them."""
+    """A plan, the joints at its waypoints, and what the arm would touch there."""
 
     hold: Hold
     plan: Plan
@@ -51,13 +50,13 @@ class _Candidate:
 
     @property
     def badness(self) -> tuple[bool, bool, float]:
-        """Out of reach, in touch with something, and how much it lacks otherwise."""
+        """Whether it is out of reach, whether it touches something, and how far it is from good otherwise."""
         return not near_enough(self.plan, self.solutions), self.touched is not None, lacking(self.solutions)
 
 
 def near_enough(plan: Plan, solutions: Sequence[IkSolution]) -> bool:
     """Whether the arm reaches a plan's waypoints."""
-    # The grasp and the release have to be as planned; elsewhere the hand may lean a little more.
+    # Grasp and release have to be as planned. Elsewhere the hand may be turned a little.
     key = (solutions[plan.grasp], solutions[plan.release])
     return (
         max(solution.position_error for solution in solutions) <= _POSITION
@@ -66,16 +65,16 @@ def near_enough(plan: Plan, solutions: Sequence[IkSolution]) -> bool:
 
 
 def lacking(solutions: Sequence[IkSolution]) -> float:
-    """By how much solutions come too near to a joint's stop, or turn away from their poses, rad; 0 if they do not."""
+    """How much nearer to a stop than allowed joints come, plus how far solutions are turned from their poses, rad."""
     near = max(0.0, _FREE - min(solution.margin for solution in solutions))
     turned = max(solution.tilt_error + solution.heading_error for solution in solutions)
     return round(near + turned, 2)
 
 
 def path_strain(arm: SceneArm, path: JointPath) -> float:
-    """By how much a path needs more than an arm should give; 0 if it does not."""
+    """By how much a path exceeds the limits that it should keep, summed up; 0 if it keeps them."""
     low, high = arm.joint_range.T
-    # The start is the task's and not the path's.
+    # The start is given by the task, and so it does not count.
     free = float(np.minimum(path.joints[1:] - low, high - path.joints[1:]).min())
     speed = float((np.abs(path.velocities) / arm.motor_speed).max())
     torque = float((np.abs(path.torques) / arm.most_torque).max())
@@ -83,11 +82,11 @@ def path_strain(arm: SceneArm, path: JointPath) -> float:
 
 
 class PathChooser:
-    """Plans attempts: for one arm of a scene, one task and kind of grasp.
+    """Plans attempts of one task with one kind of grasp, for one arm of a scene.
 
     Args:
         arm: its number in the scene.
-        stand: where the scene's arms stand otherwise, see `Clearance`.
+        stands: where the scene's arms stand at the start.
     """
 
     def __init__(
@@ -97,27 +96,28 @@ class PathChooser:
         scene: CompiledScene,
         task: TaskConfig,
         grasp: GraspKind,
-        arm: int = 0,
-        stand: Array | None = None,
+        arm: int,
+        stands: Sequence[Stand],
     ) -> None:
         self._ik = ik
         self._dynamics = dynamics
-        self._clearance = Clearance(scene, arm, stand)
+        self._clearance = Clearance(scene, arm, stands)
         self._arm = scene.arms[arm]
         self._task = task
         kind = kind_of(task).one_armed
         assert kind is not None  # any other kind has a planner of its own
         self._kind = kind
         self._grasp: GraspKind = grasp
-        self._start = np.array(task.start_joints)
-        self._widest = _widest(scene, self._arm)
+        self._start = stands[arm].joints
+        assert self._arm.fingers is not None  # checked when the config was loaded
+        # How far each finger can open; its drive could be told to go farther.
+        self._widest = self._arm.fingers.stops[1]
 
     def choose(self, layout: Layout) -> tuple[Plan, JointPath]:
-        """The first way to hold the object in which the arm reaches everything with ease and touches nothing, else the
-        least bad; and the path.
+        """The plan and path of the first way to hold the object that has no fault, or else of the least bad way.
 
-        Tried are the object's grasp points in their order, at each of them the hand either way round, leaning more or
-        less.
+        Grasp points are tried in their order, each with the hand either way round and leaning by several angles. A way
+        has no fault if the arm reaches all waypoints, touches nothing, and keeps away from its limits.
         """
         best: tuple[tuple[bool, bool, float], Plan, JointPath] | None = None
         for candidate in self._candidates(layout):
@@ -140,7 +140,7 @@ class PathChooser:
                     yield self._candidate(layout, Hold(point, flipped, lean))
 
     def _ways_round(self, layout: Layout, point: GraspPoint) -> list[bool]:
-        """Both ways round, the better one first. That is a matter of the last joint, however the hand leans."""
+        """Both ways round, the better one first. It depends on the last joint, and not on how the hand leans."""
         margins = {}
         for flipped in (False, True):
             plan = self._plan(layout, Hold(point, flipped, _LEANS[0]))
@@ -159,14 +159,7 @@ class PathChooser:
         return _Candidate(hold, plan, solutions, self._clearance.touched(plan, solutions, layout))
 
     def _plan(self, layout: Layout, hold: Hold) -> Plan:
-        """The task's plan, the fingers as wide as it asks and no wider than they go."""
+        """The task's plan, with openings limited to what the fingers can do."""
         plan = self._kind.make_plan(self._task, self._grasp, layout, self._arm.T_base_in_world, hold)
         waypoints = (replace(waypoint, gripper=min(waypoint.gripper, self._widest)) for waypoint in plan.waypoints)
         return replace(plan, waypoints=tuple(waypoints))
-
-
-def _widest(scene: CompiledScene, arm: SceneArm) -> float:
-    """How far each finger can open, m; its drive could be told to go farther."""
-    joints = np.searchsorted(scene.model.jnt_qposadr, arm.gripper_qpos)
-    ends = scene.model.jnt_range[joints] * arm.gripper_sign[:, None]
-    return float(ends.max(axis=1).min())

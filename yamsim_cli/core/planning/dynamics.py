@@ -1,4 +1,4 @@
-"""What it takes to move the arm along a path: inverse dynamics, for the drives to be told beforehand."""
+"""Inverse dynamics: the torques that move an arm along a path, which are added to the drives' commands."""
 
 from __future__ import annotations
 
@@ -6,28 +6,32 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array
-from ..scene.robot import fingers
+from ..robots.robot import Robot
+from ..scene.robot import finger_places
 
 
 class ArmDynamics:
-    """Joint torques of one arm from its motion.
+    """Computes the joint torques of one arm from its motion.
 
     Args:
-        model: the whole arm with its gripper, see `scene.robot.arm_spec`; its first six joints are the arm's.
+        model: the whole arm with its gripper, see `scene.robot.arm_spec`.
+        robot: which one that is.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
         self._model = model
         self._data = mujoco.MjData(model)
-        self._fingers, self._signs = fingers(model)
+        joints = [model.joint(name) for name in robot.joint_names]
+        self._qpos, self._dof = (np.array([getattr(j, key)[0] for j in joints]) for key in ("qposadr", "dofadr"))
+        self._fingers, self._signs = finger_places(model, robot)
         # Nothing along a path is touched on purpose; what is, is for the controller to feel.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
     def torques(self, joints: Array, gripper: Array, tick: float) -> Array:
-        """Torques (n, 6) in N m in the middle of each tick, friction included, gravity as far as it is not compensated.
+        """Torques (n, dof) in N m in each tick's middle, friction included, gravity as far as it is not compensated.
 
         Args:
-            joints: positions (n + 1, 6) at the ticks' boundaries, rad.
+            joints: positions (n + 1, dof) at the ticks' boundaries, rad.
             gripper: opening (n,) of one finger, m.
             tick: length of a tick, s.
         """
@@ -38,8 +42,33 @@ class ArmDynamics:
         data = self._data
         for k, opening in enumerate(gripper):
             mujoco.mj_resetData(self._model, data)
-            data.qpos[:6], data.qvel[:6], data.qacc[:6] = positions[k], velocities[k], accelerations[k]
+            data.qpos[self._qpos], data.qvel[self._dof], data.qacc[self._dof] = (
+                positions[k],
+                velocities[k],
+                accelerations[k],
+            )
             data.qpos[self._fingers] = opening * self._signs
             mujoco.mj_inverse(self._model, data)
-            torques[k] = data.qfrc_inverse[:6]
+            torques[k] = data.qfrc_inverse[self._dof]
+        return torques
+
+    def weight_torques(self, joints: Array, point: Array, weight: float) -> Array:
+        """Torques (n, 6) in N m that bear a weight in the hand.
+
+        Args:
+            joints: positions (n, 6), rad.
+            point: where the weight pulls (3,), in the pinch frame, m.
+            weight: N.
+        """
+        data, site = self._data, self._model.site("pinch_site").id
+        jacobian = np.empty((3, self._model.nv))
+        torques = np.empty_like(joints)
+        for k, row in enumerate(joints):
+            data.qpos[:6] = row
+            mujoco.mj_kinematics(self._model, data)
+            mujoco.mj_comPos(self._model, data)
+            at = data.site_xpos[site] + data.site_xmat[site].reshape(3, 3) @ point
+            mujoco.mj_jac(self._model, data, jacobian, None, at, self._model.site_bodyid[site])
+            # The base stands upright in every rig, so its z axis is the world's.
+            torques[k] = weight * jacobian[2, :6]
         return torques

@@ -1,4 +1,4 @@
-"""From a plan's waypoints to joint references, one a control tick."""
+"""Turns a plan's waypoints into joint references, one for each control tick."""
 
 from __future__ import annotations
 
@@ -9,20 +9,23 @@ import numpy as np
 
 from ..config.task import Timing
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, tilt
-from ..types import JointPath, Plan
+from ..types import JointPath, Plan, Stand
 from .dynamics import ArmDynamics
 from .ik import IkSolver
 
-# From a cold start the iteration may have to cross the workspace; along a path each tick starts next to its solution.
+# Iterations of inverse kinematics to the first waypoint, which may have to cross the workspace.
 _COLD_ITERATIONS = 100
+# Iterations for each tick of a path, which starts next to its solution.
 _ITERATIONS = 12
 
 
 def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Array, timing: Timing) -> JointPath:
-    """Solve a plan tick by tick, and let the arm go back to where it started while everything settles.
+    """The path of a plan, solved tick by tick; at its end the arm goes back to the start while everything settles.
+
+    The caller decides whether the path's errors are small enough.
 
     Args:
-        start_joints: the arm's joints (6,) at rest before the first tick, rad.
+        start_joints: the arm's joints (dof,) at rest before the first tick, rad.
 
     Returns:
         The path; whether its errors are small enough is for the caller to say.
@@ -41,7 +44,7 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
         for k in range(1, waypoint.ticks + 1):
             done = k / waypoint.ticks
             if index == 0:
-                # Nothing is held yet and nothing is near: the joints go straight, which takes least speed of them.
+                # Nothing is held yet and nothing is near, so joints go straight, which needs the least speed.
                 joints.append(start_joints + _ease(done) * (first.joints - start_joints))
             else:
                 between = (knots[index], knots[index + 1], velocities[index], velocities[index + 1])
@@ -74,21 +77,21 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
     )
 
 
-def stand_still(dynamics: ArmDynamics, joints: Array, gripper: float, ticks: int, tick: float) -> JointPath:
-    """An arm that holds its place: `joints` (6,) in rad and `gripper` in m, for so many ticks of `tick` seconds."""
-    path, opening = np.tile(joints, (ticks + 1, 1)), np.full(ticks, gripper)
+def stand_still(dynamics: ArmDynamics, stand: Stand, ticks: int, tick: float) -> JointPath:
+    """An arm that holds its place for so many ticks of `tick` seconds."""
+    path, opening = np.tile(stand.joints, (ticks + 1, 1)), np.full(ticks, stand.opening)
     torques = dynamics.torques(path, opening, tick)
     return JointPath(path, torques, opening, np.zeros(ticks), (False,) * ticks, tick, position_error=0.0, tilt=0.0)
 
 
 def _ease(fraction: float) -> float:
-    """Minimum jerk from 0 to 1."""
+    """The share of a way from 0 to 1 that is done at a share of the time, with minimum jerk."""
     u = fraction
     return u**3 * (10 - 15 * u + 6 * u**2)
 
 
 def _knot_velocities(plan: Plan, knots: Sequence[Array], durations: Sequence[float]) -> list[Array]:
-    """Linear velocity (3,) at each knot, m/s: zero where the motion stops, else along the chord of its neighbours."""
+    """Linear velocity (3,) at each knot, m/s: zero where the motion stops, else along the line between neighbours."""
     velocities = [np.zeros(3)]
     for index, waypoint in enumerate(plan.waypoints, start=1):
         if waypoint.stop:

@@ -1,4 +1,4 @@
-"""What a policy is to yamsim: what it sees, what it answers, and what it may ask for."""
+"""The protocol of a policy: what it sees, what it answers, and what it may ask for."""
 
 from __future__ import annotations
 
@@ -9,89 +9,90 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..geometry.se3 import Array
-from ..types import Holds
-
-# Of an arm: six joints and the gripper.
-DRIVES = 7
 
 # What a policy may ask to see. "wrist" is every wrist camera that there is.
 SCENE, WRIST = "scene", "wrist"
 IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 
-# What a policy may ask to be told besides: where things are, which only a simulation knows, and how fast joints are.
+# Further numbers that a policy may ask for: the objects' poses, which only a simulation knows, and joint velocities.
 OBJECTS, VELOCITIES = "objects", "velocities"
 STATE = (OBJECTS, VELOCITIES)
 
 # As a policy sees it. Of two arms, numbers are the left one's and then the right one's.
 # - `scene_rgb` (height, width, 3) of uint8; `wrist_rgb`, or of two arms `left_wrist_rgb` and `right_wrist_rgb`; each is
-#   drawn when it is first read
-# - `joints` (7,) or (14,) as in a dataset's frame; `gripper`, the openings in it: a number, or (2,)
+#   rendered when it is first read
+# - `joints` (drives,) as in a dataset's frame; `gripper`, the arms' openings: a number, or (2,), 0 without fingers
 # - `ee_pose_world` (4, 4) or (2, 4, 4) of `grasp_site`
 # - `K_scene` (3, 3), `T_cam_in_world` (4, 4) of the scene camera in OpenCV's convention
 # - `time` in s since the start, `prompt`
 # - for "objects", `T_object_in_world` (4, 4) of what is picked up, `T_target_in_world` (4, 4) of what it is put onto
-# - for "velocities", `joint_velocities` (7,) or (14,) in the order of `joints`, rad/s and m/s
+# - for "velocities", `joint_velocities` (drives,) in the order of `joints`, rad/s and m/s
 Observation = Mapping[str, Any]
 
 
 class Policy(Protocol):
     """Any object with these two methods.
 
-    It may have, as attributes of the class or the object:
+    It may have these attributes, of the class or the object:
 
-    - `images`: which of `IMAGES` it wants to see; "scene" and "wrist" unless given.
-    - `wants`: which of `STATE` it wants to be told; nothing unless given.
-    - `ticks`: for how many control ticks of 32 ms an action holds; 1 unless given, 2 for the rate of datasets.
+    - `images`: which of `IMAGES` it asks for; "scene" and "wrist" unless given.
+    - `wants`: which of `STATE` it asks for; nothing unless given.
+    - `ticks`: how many control ticks of 32 ms an action lasts; 1 unless given. 2 is the rate of datasets.
 
-    `reset` is given the trial's seed if it has a parameter `seed`.
+    `reset` gets the trial's seed if it has a parameter `seed`.
     """
 
     def reset(self) -> None:
-        """Forget the trial before."""
+        """Forget the previous trial."""
         ...
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """Answer an observation: `ctrl` (7,) for the drives, rad and m; `magnet` and `done`, False unless given.
+        """Answer an observation: `ctrl` (drives,), rad and m; `magnet` and `done`, False unless given.
 
-        For two arms, `ctrl` (14,) and `magnet` (2,), the left one's first.
+        For two arms, `ctrl` and `magnet` (2,) have the left one's first.
         """
         ...
 
 
+def of_arms(poses: Array) -> Array:
+    """Poses (arms, 4, 4) as a policy is told of them: of a lone arm, its pose (4, 4)."""
+    return poses if len(poses) > 1 else poses[0]
+
+
 @dataclass(frozen=True)
 class Action:
-    """A policy's answer, once it is known to be one.
+    """A policy's answer, after it was checked.
 
     Attributes:
-        ctrl: what the drives are told (7,) or (14,), rad and m.
-        magnet: whether the weld is to hold; of two arms, each one's.
-        done: whether the policy is finished, once this has acted.
+        ctrl: what each arm's drives are told (arms, drives), rad and m.
+        magnet: whether each arm's weld is to hold.
+        done: whether the policy is finished after this action.
     """
 
     ctrl: Array
-    magnet: Holds
+    magnet: tuple[bool, ...]
     done: bool
 
 
 class InvalidActionError(ValueError):
-    """A policy's answer that is none; the text says what is wrong with it."""
+    """A policy's answer that is no valid action; the text says what is wrong with it."""
 
 
-def read_action(answer: object, arms: int = 1) -> Action:
+def read_action(answer: object, arms: int, each: int) -> Action:
     """Check a policy's answer.
 
     Args:
-        arms: how many it drives.
+        arms, each: how many arms it drives, and how many drives each of them has.
 
     Raises:
-        InvalidActionError: it is no mapping with `ctrl` of seven finite numbers an arm, or has anything but truth
+        InvalidActionError: it is no mapping with `ctrl` of a finite number for each drive, or has anything but truth
             values else.
     """
     if not isinstance(answer, Mapping):
         raise InvalidActionError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
     if unknown := sorted(map(str, answer.keys() - {"ctrl", "magnet", "done"})):
         raise InvalidActionError(f"an action holds ctrl, magnet and done, and not {', '.join(unknown)}")
-    drives = DRIVES * arms
+    drives = arms * each
     if "ctrl" not in answer:
         raise InvalidActionError(f"an action needs ctrl, {drives} numbers")
     try:
@@ -102,13 +103,8 @@ def read_action(answer: object, arms: int = 1) -> Action:
         raise InvalidActionError(f"ctrl has the shape {ctrl.shape}, not ({drives},)")
     if not np.isfinite(ctrl).all():
         raise InvalidActionError(f"ctrl is not finite: {np.array2string(ctrl, precision=3)}")
-    return Action(ctrl, _magnet(answer, arms), _truths(answer, "done", 1)[0])
-
-
-def _magnet(answer: Mapping[str, Any], arms: int) -> Holds:
-    if arms == 1:
-        return _truths(answer, "magnet", 1)[0]
-    return _truths(answer, "magnet", arms) if "magnet" in answer else (False,) * arms
+    magnet = _truths(answer, "magnet", arms) if "magnet" in answer else (False,) * arms
+    return Action(ctrl.reshape(arms, each), magnet, _truths(answer, "done", 1)[0])
 
 
 def _truths(answer: Mapping[str, Any], key: str, count: int) -> tuple[bool, ...]:

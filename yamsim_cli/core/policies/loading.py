@@ -1,4 +1,4 @@
-"""Policies by name: a class in a module or in a file of the user's."""
+"""Loads policies by name: a class in a module, or in a file of the user's."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Any
 
 from ..errors import UsageError, suggest
 from .base import IMAGES, SCENE, STATE, WRIST, Policy
-from .faults import fault_of
+from .policy_faults import fault_of
 
 _OWN = "module:Class or file.py:Class"
 FORMS = f"give scripted, hold_still, replay:DATASET, http://HOST:PORT, {_OWN}"
 
-# Of those, the ones for which nothing has to be drawn.
+# Of those, the ones for which nothing has to be rendered.
 _BLIND = ("scripted", "hold_still", "replay")
 
 
@@ -27,15 +27,15 @@ def sees_images(name: str) -> bool:
 
 
 def load_policy(name: str, folder: Path, forms: str = f"give {_OWN}") -> Policy:
-    """Make a policy of the user's.
+    """A policy of the user's.
 
     Args:
-        name: `module:Class`, `file.py:Class`, or `file.py` where it has one class that can be called.
-        folder: where modules and files are looked for first.
-        forms: what the caller takes for a name, to say so.
+        name: `module:Class`, `file.py:Class`, or `file.py` if it has a single class that can be called.
+        folder: where modules and files are searched first.
+        forms: the forms of a name that the caller accepts, for the error message.
 
     Raises:
-        UsageError: there is no such thing, or it cannot be loaded or made.
+        UsageError: there is no such policy, or it cannot be loaded or made.
     """
     place, _, attribute = name.partition(":")
     is_file = place.endswith(".py")
@@ -46,7 +46,7 @@ def load_policy(name: str, folder: Path, forms: str = f"give {_OWN}") -> Policy:
         made = _find(module, attribute, name)()
     except UsageError:
         raise
-    # Code of others may raise anything; what it is, is told.
+    # The user's code may raise anything, which the message names.
     except Exception as error:
         raise UsageError(f"--policy {name}: it cannot be loaded: {fault_of(error, folder).text}") from error
     return check_policy(made, name)
@@ -64,7 +64,7 @@ def _load_file(path: Path) -> ModuleType:
         raise UsageError(f"--policy {path}: there is no such file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    # Its neighbours can be imported, as by a script.
+    # The file can import its neighbours, as a script can.
     if str(path.parent) not in sys.path:
         sys.path.insert(0, str(path.parent))
     spec.loader.exec_module(module)
@@ -89,10 +89,10 @@ def _find(module: ModuleType, attribute: str, name: str) -> Any:
 
 
 def check_policy(policy: Any, name: str) -> Policy:
-    """The object as a policy.
+    """The object itself, if it is a policy.
 
     Raises:
-        UsageError: it has no `reset`, cannot be called, or asks for what there is not.
+        UsageError: it has no `reset`, cannot be called, or asks for something unknown.
     """
     if not callable(policy) or not callable(getattr(policy, "reset", None)):
         raise UsageError(
@@ -113,17 +113,17 @@ def check_policy(policy: Any, name: str) -> Policy:
 
 
 def wanted_images(policy: Any) -> tuple[str, ...]:
-    """Which of `IMAGES` a policy wants to see."""
+    """Which of `IMAGES` a policy asks for."""
     return tuple(getattr(policy, "images", (SCENE, WRIST)))
 
 
 def wanted_state(policy: Any) -> tuple[str, ...]:
-    """Which of `STATE` a policy wants to be told."""
+    """Which of `STATE` a policy asks for."""
     return tuple(getattr(policy, "wants", ()))
 
 
 def reset_policy(policy: Any, seed: int) -> None:
-    """Reset a policy; it is given the seed if it has a parameter of that name."""
+    """Reset a policy, with the seed if its `reset` has a parameter of that name."""
     if "seed" in inspect.signature(policy.reset).parameters:
         policy.reset(seed=seed)
     else:

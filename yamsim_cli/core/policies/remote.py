@@ -1,4 +1,4 @@
-"""A policy that runs in another process, here or elsewhere, asked over HTTP."""
+"""A policy that runs in another process, on this machine or another, and is asked over HTTP."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from ..errors import ResourceError, UsageError
 from .base import InvalidActionError, Observation
-from .faults import Fault
+from .policy_faults import Fault
 from .wire import PROTOCOL, WireError, pack, require_msgpack, unpack
 
 
@@ -18,7 +18,7 @@ class RemoteError(RuntimeError):
     """The server's policy raised something, or the server is gone.
 
     Attributes:
-        fault: what.
+        fault: the description of what went wrong.
     """
 
     def __init__(self, text: str, traceback: str = "") -> None:
@@ -29,18 +29,18 @@ class RemoteError(RuntimeError):
 class RemotePolicy:
     """Asks a server, see `yamsim_cli.policy_server`, for every action.
 
-    A session of its own keeps it apart from the server's other clients. One connection serves all calls.
+    It has a session of its own on the server. One connection serves all calls.
 
     Attributes:
-        images, wants, ticks: what the server's policy asks for.
+        images, wants, ticks: those of the server's policy.
 
     Args:
-        url: such as `http://127.0.0.1:8080`.
+        url: the server's URL, such as `http://127.0.0.1:8080`.
         timeout: seconds to wait for an answer.
 
     Raises:
-        UsageError: the URL is not one.
-        ResourceError: nobody answers there, or in another protocol.
+        UsageError: the URL is not valid.
+        ResourceError: nobody answers there, or only in another protocol.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -53,7 +53,7 @@ class RemotePolicy:
         try:
             session = self._ask("session", {"protocol": PROTOCOL})
             self.images, self.ticks = tuple(session["images"]), int(session["ticks"])
-            # Older servers do not say.
+            # Older servers do not send this.
             self.wants = tuple(session.get("wants", ()))
             self._session = session["session"]
         except (OSError, RemoteError, KeyError, TypeError, ValueError) as error:
@@ -62,15 +62,15 @@ class RemotePolicy:
             ) from error
 
     def reset(self, seed: int) -> None:
-        """Tell the server's policy to forget the trial before."""
+        """Tell the server's policy to forget the previous trial."""
         self._ask("reset", {"session": self._session, "seed": seed})
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """The server's policy's answer.
+        """The answer of the server's policy.
 
         Raises:
-            RemoteError: it raised, or the server is gone.
-            InvalidActionError: what it answered cannot be sent.
+            RemoteError: the policy raised something, or the server is gone.
+            InvalidActionError: its answer cannot be sent.
             TimeoutError: it did not answer in time.
         """
         answer = self._ask("act", {"session": self._session, "observation": dict(observation)})
@@ -78,7 +78,7 @@ class RemotePolicy:
         return action
 
     def close(self) -> None:
-        """Tell the server that this was all."""
+        """End the session, and close the connection."""
         with contextlib.suppress(OSError, RemoteError, AttributeError):
             self._ask("close", {"session": self._session})
         self._connection.close()

@@ -1,4 +1,4 @@
-"""Observations and actions as bytes: msgpack, with arrays as type, shape and content. Reading runs nothing."""
+"""Observations and actions as msgpack, with arrays as type, shape and content. Reading them runs no code."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 
 from ..errors import ResourceError
 
-# The protocol's version, which both sides tell.
+# The protocol's version, on which both sides have to agree.
 PROTOCOL = 1
 
+# msgpack's type number of an array.
 _ARRAY = 1
-# Booleans, whole and floating-point numbers.
+# Kinds of dtypes that can be sent: booleans, whole and floating-point numbers.
 _KINDS = "biuf"
 
 
@@ -23,11 +24,11 @@ class WireError(ValueError):
 
 
 class UnsendableError(WireError):
-    """A policy's answer that cannot be sent; the text says which part of it, and what that is."""
+    """A policy's answer that cannot be sent; the text says which part of it, and why."""
 
 
 def require_msgpack() -> None:
-    """Make sure that messages can be written here.
+    """Make sure that msgpack is installed.
 
     Raises:
         ResourceError: msgpack is not installed.
@@ -50,7 +51,7 @@ def pack(message: Any) -> bytes:
 
 
 def sendable(answer: Any) -> dict[str, Any]:
-    """A policy's answer, once it is known that it can be sent.
+    """A policy's answer, if it can be sent.
 
     Raises:
         UnsendableError: it cannot.
@@ -60,17 +61,17 @@ def sendable(answer: Any) -> dict[str, Any]:
     for key, value in answer.items():
         try:
             unpack(pack({key: value}))
-        # Others' arrays may raise anything when they are to become numpy's, and so may recursion and huge numbers.
+        # Other libraries' arrays may raise anything when they are converted, and so may recursion and huge numbers.
         except Exception as error:
             raise UnsendableError(f"{key} of the answer: {error}") from error
     return dict(answer)
 
 
 def unpack(data: bytes) -> Any:
-    """A message back from bytes.
+    """The message in bytes.
 
     Raises:
-        WireError: it is none.
+        WireError: they are no message.
     """
     import msgpack
 
@@ -86,7 +87,7 @@ def _pack_array(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     try:
-        # Tensors of any kind become arrays by themselves, but for those that are on a GPU or have gradients.
+        # Tensors of any library become arrays by this, except those that are on a GPU or have gradients.
         array = np.asarray(value)
     except Exception as error:
         raise TypeError(f"{type(value).__name__} cannot be sent: {error}") from error

@@ -21,7 +21,7 @@ from ..dataset.layout import episode_name
 from ..dataset.ledger import vacant_episode
 from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file_hashes
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
-from ..types import Cause, EpisodeJob, EpisodePayload, Outcome
+from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 from ..workers.executor import Executor, LostJobError
 from ..workers.stop import Stop
 from .prospects import Hopeless, Patience
@@ -194,7 +194,7 @@ class Collector:
         if len(self._doubtful) >= _MAX_LOST_IN_A_ROW:
             raise PartialJobError(f"{len(self._doubtful)} attempts in a row lost their workers, the last one: {error}")
         detail = f"ended its worker {error.tries} times; the last one {error.reason}"
-        self._finished[job.attempt] = EpisodePayload(job, Outcome(False, Cause.WORKER_LOST, detail), {})
+        self._finished[job.attempt] = EpisodePayload(Attempt(job), Outcome(False, Cause.WORKER_LOST, detail))
         self._watch.warn(f"Attempt {job.attempt} {detail}. It will count as a failure unless others fail like it.")
 
     def _commit(self, payload: EpisodePayload) -> None:
@@ -254,17 +254,17 @@ class Collector:
         if vacant_episode(self._sink.attempts, job.attempt) is not None:
             raise PartialJobError(f"attempt {job.attempt} cannot be made again: {error}") from error
         detail = f"ended its worker {error.tries} times; the last one {error.reason}"
-        self._finished[job.attempt] = EpisodePayload(job, Outcome(False, Cause.WORKER_LOST, detail), {})
+        self._finished[job.attempt] = EpisodePayload(Attempt(job), Outcome(False, Cause.WORKER_LOST, detail))
 
     def _publish(self, payload: EpisodePayload, episode: int) -> None:
         self._sink.publish(episode_record(self._config, payload, episode), dict(payload.files))
 
     def _compare_renderers(self, payload: EpisodePayload) -> None:
-        """Different drivers draw different bytes: the user should know that the dataset depends on who drew what."""
+        """Different drivers render other bytes: the user should know that the dataset depends on who rendered what."""
         if self._renderer and payload.renderer and payload.renderer != self._renderer:
             self._watch.warn(
-                f"Workers draw with different OpenGL ({self._renderer}; {payload.renderer}): "
-                "which of them drew an episode decides its images' bytes."
+                f"Workers render with different OpenGL ({self._renderer}; {payload.renderer}): "
+                "which of them rendered an episode decides its images' bytes."
             )
         self._renderer = payload.renderer or self._renderer
 
@@ -290,7 +290,8 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
         cameras=dict.fromkeys(cameras, config.image.size_px),
         truth=config.truth,
         arms=len(config.rig.arms),
-        objects=[config.task.object.name, config.task.target.name],
+        drives=config.rig.drives,
+        objects=[item.name for item in config.task.things],
         outcome=attempt.outcome,
         max_height_m=config.task.success.max_height,
         layout=attempt.layout,

@@ -168,4 +168,4 @@ def _frames(config: RecordConfig) -> int:
 
 
 def _cameras(config: RecordConfig) -> int:
-    return 2 if config.wrist else 1
+    return len(config.recorded_cameras)

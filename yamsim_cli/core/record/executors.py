@@ -5,12 +5,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol
 
 from ..attempt.runner import EpisodeRunner
-from ..config.recording import RecordConfig
-from ..resources import Locations
+from ..session import Session
 from ..workers.inline import InlineExecutor
 from ..workers.pool import JOB_SECONDS
 from ..workers.processes import WorkerPool
@@ -22,10 +20,8 @@ from .parcel import pack, unpacked_runner
 class Executors(Protocol):
     """Opens what attempts are made by."""
 
-    def open(
-        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], workers: int
-    ) -> EpisodeExecutor:
-        """Start `workers` workers that draw."""
+    def open(self, session: Session, workers: int) -> EpisodeExecutor:
+        """Start `workers` workers that make and render attempts."""
         ...
 
 
@@ -39,11 +35,9 @@ class LocalProcesses:
 
     job_seconds: float = JOB_SECONDS
 
-    def open(
-        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], workers: int
-    ) -> EpisodeExecutor:
+    def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """Start the processes."""
-        factory = functools.partial(EpisodeRunner, config, locations, dict(meshes), draw=True)
+        factory = functools.partial(EpisodeRunner, session, render=True)
         return WorkerPool(factory, workers, self.job_seconds)
 
 
@@ -60,19 +54,15 @@ class RayCluster:
     environ: Mapping[str, str] = field(default_factory=dict)
     job_seconds: float = JOB_SECONDS
 
-    def open(
-        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], workers: int
-    ) -> EpisodeExecutor:
+    def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """Start the actors."""
-        factory = functools.partial(unpacked_runner, config, pack(locations, meshes))
+        factory = functools.partial(unpacked_runner, pack(session))
         return RayPool(factory, workers, address=self.address, environ=self.environ, job_seconds=self.job_seconds)
 
 
 class ThisProcess:
     """This process alone, whatever the number of workers."""
 
-    def open(
-        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], workers: int
-    ) -> EpisodeExecutor:
+    def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """Make the runner."""
-        return InlineExecutor(lambda: EpisodeRunner(config, locations, meshes, draw=True))
+        return InlineExecutor(lambda: EpisodeRunner(session, render=True))

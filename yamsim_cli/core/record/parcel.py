@@ -1,4 +1,4 @@
-"""The files a worker needs, as bytes: so that a worker on another machine needs no shared filesystem and no meshes."""
+"""A session with its files as bytes: so that a worker on another machine needs no shared filesystem and no meshes."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ from pathlib import Path
 from ..attempt.runner import EpisodeRunner
 from ..config.recording import RecordConfig
 from ..resources import Locations
+from ..session import Session
 
 _MODELS = "robot_models"
 
 
 @dataclass(frozen=True)
 class Parcel:
-    """Robot models and meshes.
+    """A config, robot models and meshes.
 
     Attributes:
+        config: what is run.
         files: path below the place of unpacking -> content.
         meshes: asset set -> its folder below that place, or None for primitives.
     """
 
+    config: RecordConfig
     files: Mapping[str, bytes]
     meshes: Mapping[str, str | None]
 
 
-def pack(locations: Locations, meshes: Mapping[str, Path | None]) -> Parcel:
-    """Read everything that composing a scene may read.
-
-    Args:
-        meshes: asset set -> folder of its files, or None for primitives.
-    """
+def pack(session: Session) -> Parcel:
+    """Read everything that composing a session's scene may read."""
+    locations = session.locations
     files: dict[str, bytes] = {}
     # The most important root last, so that its files win.
     for root in reversed(locations.data):
         files |= _read(root / _MODELS, _MODELS)
-    for name, folder in meshes.items():
+    for name, folder in locations.meshes.items():
         if folder is not None:
             files |= _read(folder, f"meshes/{name}")
-    return Parcel(files, {name: f"meshes/{name}" if folder else None for name, folder in meshes.items()})
+    meshes = {name: f"meshes/{name}" if folder else None for name, folder in locations.meshes.items()}
+    return Parcel(session.config, files, meshes)
 
 
-def unpack(parcel: Parcel, place: Path) -> tuple[Locations, dict[str, Path | None]]:
-    """Write the files below `place`, and say where they are now."""
+def unpack(parcel: Parcel, place: Path) -> Session:
+    """Write the files below `place`; the session says where they are now."""
     for name, data in parcel.files.items():
         file = place / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(data)
     meshes = {name: place / folder if folder is not None else None for name, folder in parcel.meshes.items()}
-    return Locations(data=(place,), assets=place / "meshes"), meshes
+    return Session(parcel.config, Locations(data=(place,), assets=place / "meshes", meshes=meshes))
 
 
 @contextlib.contextmanager
-def unpacked_runner(config: RecordConfig, parcel: Parcel) -> Iterator[EpisodeRunner]:
-    """An `EpisodeRunner` from a parcel; its files are gone again once the scene is compiled."""
+def unpacked_runner(parcel: Parcel) -> Iterator[EpisodeRunner]:
+    """An `EpisodeRunner` from a parcel; its files are gone again once the runner is made."""
     with tempfile.TemporaryDirectory(prefix="yamsim-") as place:
-        locations, meshes = unpack(parcel, Path(place))
-        runner = EpisodeRunner(config, locations, meshes, draw=True)
+        runner = EpisodeRunner(unpack(parcel, Path(place)), render=True)
     with runner:
         yield runner
 

@@ -19,9 +19,9 @@ from ..dataset.records import AttemptRecord
 from ..errors import PartialJobError, SimulationError, YamsimError
 from ..geometry.se3 import Array, pose
 from ..planning.ik import IkSolver
-from ..resources import Locations
-from ..scene.robot import HOME, bare_arm
-from ..tasks.kinds import draw_layout
+from ..scene.robot import bare_arm
+from ..session import Session
+from ..tasks.kinds import sample_layout
 from ..tasks.plans import grasp_points
 from ..types import Cause, EpisodeJob, Layout
 
@@ -34,7 +34,7 @@ HOPELESS = 100
 # A task that fails this often will not be finished by trying on.
 _ATTEMPTS_PER_EPISODE = 20
 
-# As for plans, see `jobs.episode`.
+# As for plans, see `attempt.planned`.
 _REACH_TOLERANCE = 0.005
 _ITERATIONS = 100
 
@@ -115,19 +115,20 @@ class Patience:
         return f"{told} ({detail})" + (f"; look at {advice}" if advice else "")
 
 
-def hopeless(config: RecordConfig, locations: Locations, cause: Cause, first: int) -> bool:
+def hopeless(session: Session, cause: Cause, first: int) -> bool:
     """Whether none of the `MORE_STARTS` attempts from number `first` on could do better than to fail for a cause; False
     for a cause of which that can only be told by making them.
     """
+    config = session.config
     possible: Callable[[Layout | None], bool]
     if cause is Cause.NO_LAYOUT:
         possible = _has_room
     elif cause is Cause.UNREACHABLE:
-        possible = Reach(config, locations).holds
+        possible = Reach(session).holds
     else:
         return False
     numbers = range(first, first + MORE_STARTS)
-    return not any(possible(draw_layout(config, EpisodeJob(config.seed, number))) for number in numbers)
+    return not any(possible(sample_layout(config, EpisodeJob(config.seed, number))) for number in numbers)
 
 
 def _has_room(layout: Layout | None) -> bool:
@@ -140,12 +141,12 @@ class Reach:
     That is less than a plan needs: where it fails, every plan does.
     """
 
-    def __init__(self, config: RecordConfig, locations: Locations) -> None:
-        task = config.task
+    def __init__(self, session: Session) -> None:
+        config, task = session.config, session.config.task
         self._task = task
-        self._starts = (np.array(task.start_joints), np.array(HOME))
+        self._starts = (np.array(config.start_joints), np.array(config.acting_arms[0].robot.home))
         self._picking, self._placing = (
-            IkSolver(bare_arm(config.rig.arms[k], locations), config.rig.T_base_in_world(k))
+            IkSolver(bare_arm(config.rig.arms[k]), config.rig.T_base_in_world(k))
             for k in (config.acting[0], config.acting[-1])
         )
         # The hand is so near to the object's origin, however the two are turned.

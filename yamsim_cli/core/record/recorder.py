@@ -5,15 +5,17 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..assets import load_lock
 from ..config.recording import RecordConfig
-from ..dataset.faults import explain
-from ..errors import InterruptedJobError, PartialJobError
-from ..resources import Locations
+from ..dataset.disk_faults import explain
+from ..errors import InterruptedJobError, PartialJobError, ResourceError
 from ..scene.build import noting_meshes
+from ..session import Session
+from ..things.certificates import Standing, find_certificate
 from ..workers.stop import Stop
 from .collect import Collector, Notifier
 from .destination import Destination, Output, open_destination
@@ -32,38 +34,48 @@ class RecordReport:
     moved_aside: Path | None
 
 
-def record(
-    config: RecordConfig,
-    locations: Locations,
-    meshes: Mapping[str, Path | None],
-    output: Output,
-    executors: Executors,
-    watch: Notifier,
-    stop: Stop,
-) -> RecordReport:
-    """Record until the dataset holds `config.episodes` successful episodes; see `collect` for what each one is.
+def record(session: Session, output: Output, executors: Executors, watch: Notifier, stop: Stop) -> RecordReport:
+    """Record until the dataset holds the config's `episodes` successful episodes; see `collect` for what each one is.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be used, see `open_destination`.
+        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be used, see `open_destination`; or a
+            thing has failed its certificate.
         InterruptedJobError: stopped by the user.
         PartialJobError: the disk refused something, workers do not last, or the task fails too often.
         SimulationError: the task cannot work as it is.
     """
     began = time.monotonic()
-    config = noting_meshes(config, locations, meshes)
+    _ask_for_certificates(session, watch)
+    session = noting_meshes(session)
+    config = session.config
     with open_destination(config, output, watch) as destination:
-        prospects = functools.partial(hopeless, config, locations)
+        prospects = functools.partial(hopeless, session)
         collector = Collector(destination.config, destination.sink, watch, stop, prospects)
         with _telling_what_is_left(config, collector, destination):
             if collector.work:
                 # A resumed recording may be one that gave up.
                 collector.check_prospects()
                 workers = min(config.workers, collector.work)
-                with executors.open(config, locations, meshes, workers) as executor:
+                with executors.open(session, workers) as executor:
                     collector.run(executor)
             destination.finish(watch, stop)
         sink, moved = destination.sink, destination.writer.moved_aside
     return RecordReport(output.path, sink.episodes, len(sink.attempts), time.monotonic() - began, moved)
+
+
+def _ask_for_certificates(session: Session, watch: Notifier) -> None:
+    """Refuse a thing that has failed its certificate, and warn of one that has changed since."""
+    config, locations = session.config, session.locations
+    lock = load_lock(locations)
+    for item in (config.task.object, config.task.target, *config.randomization.extras):
+        found = find_certificate(locations.assets, item, lock)
+        if found.standing is Standing.FAILED:
+            raise ResourceError(
+                f"{item.name} has failed its certificate: {', '.join(found.failed)}; mend it and run `yamsim assets "
+                f"certify` again, or delete {found.path} to record it as it is"
+            )
+        if found.standing is Standing.STALE:
+            watch.warn(f"The certificate of {item.name} is of what it was before: run `yamsim assets certify` again.")
 
 
 @contextlib.contextmanager

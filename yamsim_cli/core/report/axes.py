@@ -1,4 +1,4 @@
-"""Axes of a plot: where values lie on the paper, round numbers along the edge, and the lines between."""
+"""Axes of a plot: scales from values to pixels, round numbers along the edges, and grid lines."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .markup import Markup, join, tag
 
 @dataclass(frozen=True)
 class Scale:
-    """A line from values to pixels: `start` is the pixel of `low`, `end` that of `high`; either pair may fall."""
+    """A linear scale from values to pixels. `start` is the pixel of `low`, `end` that of `high`; both may decrease."""
 
     low: float
     high: float
@@ -38,7 +38,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Axes:
-    """A rectangle with a scale along its lower and one along its left edge."""
+    """A rectangle with a scale along its lower edge and one along its left edge."""
 
     width: float
     height: float
@@ -64,7 +64,7 @@ class Axes:
         return join(parts)
 
     def svg(self, title: str, *parts: Markup) -> Markup:
-        """The whole picture, with a title for those who do not see it."""
+        """The whole picture, with a title for people who cannot see it."""
         return tag(
             "svg",
             tag("title", title),

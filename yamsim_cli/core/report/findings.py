@@ -1,4 +1,4 @@
-"""What is wrong, on the page: a verdict at the top, and a table by code."""
+"""The dataset's faults on the page: a verdict at the top, and a table by code."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 
 from .markup import Markup, tag
 
-# Of one code; --json has them all.
+# Examples that are shown for each code; --json has them all.
 _EXAMPLES = 5
 
 
 def verdict(summary: Mapping[str, Any]) -> Markup:
-    """One line: whether this can be trained on."""
+    """One line on whether the dataset can be trained on."""
     errors, warnings = summary["errors"], summary["warnings"]
     if not summary["episodes"] and not errors:
         text, kind = "There is no episode in it yet.", "warning"
@@ -29,7 +29,7 @@ def verdict(summary: Mapping[str, Any]) -> Markup:
 
 
 def problems_section(summary: Mapping[str, Any]) -> Markup | None:
-    """Every code found, with how often, where, and what to do."""
+    """A table of the codes that were found, with counts, examples and advice; None if there are none."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for problem in summary["problems"]:
         groups.setdefault(problem["code"], []).append(problem)
@@ -57,7 +57,7 @@ def _row(code: str, problems: Sequence[Mapping[str, Any]]) -> Markup:
 
 
 def _advice(text: str) -> list[str]:
-    """Advice with the commands in it, between backquotes, set as code."""
+    """Advice, with commands between backquotes set as code."""
     return [tag("code", part) if k % 2 else part for k, part in enumerate(text.split("`"))]
 
 

@@ -1,4 +1,4 @@
-"""HTML and SVG as text that cannot be broken out of: everything that is not markup itself is escaped."""
+"""HTML and SVG as text. Everything that is not markup itself is escaped, so that no data can break out of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SPACES = "\n\N{NO-BREAK SPACE}"
 
 
 class Markup(str):
-    """Text that is markup already. Made by `tag` and `join`; anything else in a page is escaped."""
+    """Text that is markup, made by `tag`, `join` and `style`. Anything else in a page is escaped."""
 
     __slots__ = ()
 
@@ -25,7 +25,7 @@ def tag(name: str, /, *children: Child, **attributes: object) -> Markup:
 
     Args:
         children: text, which is escaped; markup; or lists of them. None is left out.
-        attributes: `_` stands for `-`, and at the end for nothing (`class_`); None leaves the attribute out.
+        attributes: `_` stands for `-`, and at the end for nothing (`class_`). None leaves the attribute out.
     """
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{html.escape(_text(value))}"'
@@ -43,7 +43,7 @@ def join(children: Iterable[Child]) -> Markup:
 
 
 def style(css: str) -> Markup:
-    """A style sheet, which must be the project's own."""
+    """A style element. The style sheet is not escaped, so it must be the project's own."""
     return Markup(f"<style>{css}</style>")
 
 
@@ -58,7 +58,7 @@ def _child(child: Child) -> str:
 
 
 def _text(value: object) -> str:
-    """Numbers short, as coordinates are; text without letters that control or reverse what stands around them."""
+    """A value as text: floats with two decimals, and strings without characters that control or reverse other text."""
     if isinstance(value, float):
         return f"{value:.2f}".rstrip("0").rstrip(".")
     return "".join(

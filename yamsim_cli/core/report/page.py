@@ -1,4 +1,4 @@
-"""A dataset's report: one page that needs nothing else, for a browser, a wiki or a printer."""
+"""A dataset's report as one HTML page without other files, for a browser, a wiki or a printer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .axes import percent
 from .markup import Child, Markup, style, tag
 from .places import workspace_section
 
-# Nothing but what is in the page itself: no script, no font, no picture from anywhere, whatever the dataset holds.
+# The browser loads nothing but the page itself: no script, font or picture from elsewhere, whatever the dataset holds.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 _STYLE = Path(__file__).with_name("report.css")
@@ -25,7 +25,7 @@ _WILSON = "Wilson's 95\N{NO-BREAK SPACE}% intervals"
 
 @dataclass(frozen=True)
 class Strip:
-    """Pictures of one episode, as JPEGs: its first, middle and last frame, those of them that can be shown."""
+    """JPEGs of an episode's first, middle and last frame, as far as they can be shown."""
 
     episode: str
     caption: str
@@ -36,8 +36,8 @@ def page(survey: Survey, summary: Mapping[str, Any], strips: Sequence[Strip], ma
     """The page as HTML.
 
     Args:
-        summary: what `dataset.summary.summarize` gave for the survey.
-        made: by what, and when; for the foot of the page.
+        summary: the survey's figures by `dataset.summary.summarize`.
+        made: a line for the foot of the page: by what it was made, and when.
     """
     name = survey.path.absolute().name or str(survey.path)
     sections = [
@@ -59,7 +59,7 @@ def page(survey: Survey, summary: Mapping[str, Any], strips: Sequence[Strip], ma
 
 
 def document(title: str, body: Iterable[Child], made: str) -> str:
-    """A whole page: its head with the style sheet, and `body` in it; `made` is for its foot."""
+    """A whole page around `body`, with the style sheet in its head and `made` at its foot."""
     head = [
         tag("meta", charset="utf-8"),
         tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
@@ -144,7 +144,7 @@ _SPREAD = {"median": "median", "p95": "95 %", "max": "largest"}
 
 
 def captioned(title: str, picture: Markup, caption: str) -> Markup:
-    """A plot with its title and what there is to say about it."""
+    """A plot with its title and caption."""
     return tag("figure", tag("h3", title), picture, tag("figcaption", caption))
 
 

@@ -1,4 +1,4 @@
-"""The report's plots of the workspace: a panel for every object at the start, and at the end for those that moved."""
+"""The report's plots of the workspace: each object at the start, and at the end if it moved."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..dataset.survey import Survey
 from .markup import Markup, tag
 from .plan import Places, Point, workspace
 
-# An object that never moved farther than this ends where it starts, and needs no second panel.
+# An object gets a panel for its end only if it moved farther than this in some episode, m.
 _STILL_M = 0.02
 
 _MOST_OBJECTS = 4
 
 
 def workspace_section(survey: Survey, summary: Mapping[str, Any]) -> Markup | None:
-    """Where objects lay, coloured by success at the first threshold; None where nothing is known of that."""
+    """Plots of where objects lay, coloured by success at the smallest threshold; None if no places are known."""
     names = list(dict.fromkeys(name for episode in survey.episodes for name in episode.starts))[:_MOST_OBJECTS]
     threshold = min((float(limit) for limit in summary["success_rate"]), default=survey.context.threshold)
     panels = []

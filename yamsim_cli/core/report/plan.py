@@ -1,4 +1,4 @@
-"""The workspace from above: where objects lay, and which cells of the sampling box were hit."""
+"""A plot of the workspace from above: where objects lay, and which cells of the sampling box were hit."""
 
 from __future__ import annotations
 
@@ -14,13 +14,20 @@ Point = tuple[float, float]
 
 _WIDTH = 300.0
 _MOST_HEIGHT = 330.0
-# More dots are not told apart, and make the page heavy.
+# Most dots in a plot: more of them cannot be told apart, and make the page large.
 _MOST_DOTS = 4000
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where an object lay: of episodes that count as a success, of those that do not, and of attempts that failed."""
+    """Where an object lay.
+
+    Attributes:
+        good: its places in episodes that count as a success.
+        bad: its places in episodes that do not.
+        failed: its places in attempts that failed.
+        grid: how its places cover the sampling box; None where the box is not known.
+    """
 
     good: Sequence[Point]
     bad: Sequence[Point] = ()
@@ -29,17 +36,17 @@ class Places:
 
 
 def workspace(places: Places, box: tuple[Point, Point] | None, frame: str, title: str) -> Markup:
-    """The table from above, the robot's base below: x up, y to the left, both in metres.
+    """The plot, with the robot's base at the bottom: x points up and y to the left, both in metres.
 
     Args:
         box: the sampling box, as x and y ranges.
-        frame: in which the points are.
+        frame: name of the frame that the points are in.
     """
     points = [*places.good, *places.bad, *places.failed]
     corners = [*points, *zip(*box, strict=True)] if box else points
     (x_low, x_high), (y_low, y_high) = (_padded([corner[k] for corner in corners]) for k in (0, 1))
     left, right, top = 46.0, _WIDTH - 10, 26.0
-    # Metres are as long across as along; what would become too tall is drawn narrower.
+    # A metre is as long on both axes. A plot that would get too tall is made narrower.
     scale = min((right - left) / (y_high - y_low), _MOST_HEIGHT / (x_high - x_low))
     right, bottom = left + scale * (y_high - y_low), top + scale * (x_high - x_low)
     axes = Axes(_WIDTH, bottom + 42, Scale(y_high, y_low, left, right), Scale(x_low, x_high, bottom, top))
@@ -79,7 +86,7 @@ def _rectangle(axes: Axes, x: Point, y: Point, kind: str) -> Markup:
 
 
 def _dots(axes: Axes, points: Sequence[Point], kind: str) -> Markup:
-    """Dots as one path of strokes without length: a tenth of the size of so many circles."""
+    """Dots as one path of strokes without length, which takes a tenth of the bytes of as many circles."""
     if not points:
         return Markup("")
     path = "".join(f"M{axes.x(y):.1f} {axes.y(x):.1f}h0" for x, y in _thinned(points))

@@ -1,4 +1,4 @@
-"""The report's plots, as SVG whose colours come from the page's style sheet."""
+"""The report's plots as SVG. Their colours come from the page's style sheet."""
 
 from __future__ import annotations
 
@@ -9,24 +9,27 @@ from .axes import Axes, Scale, percent
 from .markup import Markup, tag
 
 _WIDTH = 460.0
-# A limit farther out than this, of the largest distance, would leave the plot all but empty.
+# A limit farther out than this many times the largest distance is only named: to show it would squeeze the histogram.
 _STRETCH = 2.0
 
 
 def distances(
     edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
 ) -> Markup:
-    """A histogram of distances in metres, drawn in mm, with a line at every limit; one far out is only pointed at.
+    """A histogram of distances, with a line at every limit; limits far out are only named.
 
     Args:
-        counted: what the counts are of.
+        edges: edges of the bins, m.
+        counts: counts in the bins.
+        limits: distances to mark, m.
+        counted: what is counted.
     """
     height, right = 240.0, _WIDTH - 12
     low, high = edges[0] * 1000, edges[-1] * 1000
     near = [limit for limit in limits if limit * 1000 < _STRETCH * high]
     low = 0.0 if limits else low - (edges[1] - edges[0]) * 1000
     high = max([high, *(limit * 1000 for limit in near)]) + (high - low) * 0.04
-    # No finer than whole episodes.
+    # At least 4, so that ticks are whole numbers.
     top = max(max(counts) * 1.08, 4.0)
     axes = Axes(_WIDTH, height, Scale(low, high, 44, right), Scale(0, top, height - 46, 26))
     parts = [
@@ -54,7 +57,7 @@ def distances(
 
 
 def bars(counts: Mapping[str, int], bad: bool = True) -> Markup:
-    """One horizontal bar a name, the longest first."""
+    """A horizontal bar for each name, the longest first."""
     row, left = 26.0, 130.0
     height = row * len(counts) + 8
     scale = Scale(0, max(counts.values()), 0, _WIDTH - left - 56)
@@ -72,7 +75,7 @@ def bars(counts: Mapping[str, int], bad: bool = True) -> Markup:
 
 
 def rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup:
-    """Rates with their intervals, one a line: name, rate, (low, high), all in 0..1."""
+    """A line for each rate, with its interval; rows are name, rate, (low, high), all in 0..1."""
     row, left, top = 30.0, 150.0, 6.0
     height = top + row * len(rows) + 26
     low = max(0.0, math.floor(min(interval[0] for _, _, interval in rows) * 10 - 0.5) / 10)

@@ -1,4 +1,4 @@
-"""A batch's report: one page with its rates, where things stood and what became of them."""
+"""A batch's report as one HTML page: its rates, where objects stood, and how trials failed."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def trials_page(report: Mapping[str, Any], box: tuple[Point, Point], made: str) 
     """The page as HTML.
 
     Args:
-        report: as `jobs.batch.run_batch` gives it.
+        report: the report of `trials.batch.run_batch`.
         box: the sampling box in `world`, as x and y ranges.
-        made: by what, and when; for the foot of the page.
+        made: a line for the foot of the page: by what it was made, and when.
     """
     good = [trial for trial in report["trials"] if trial["outcome"]["success"]]
     failed = [trial for trial in report["trials"] if not trial["outcome"]["success"]]
@@ -71,7 +71,7 @@ def _distances(report: Mapping[str, Any]) -> Markup | None:
 def _workspace(
     good: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]], box: tuple[Point, Point]
 ) -> Markup | None:
-    """Where each object stood at the start."""
+    """Plots of where each object stood at the start; None if no layout is known."""
     panels = []
     for name in dict.fromkeys(name for trial in (*good, *failed) for name in trial["layout"]):
         stood, fell = (

@@ -1,12 +1,13 @@
-"""Physics that breaks down. MuJoCo would write of it to the terminal and into a file in the working directory, and go
-on from a reset; here it is asked for, and told as why an attempt failed.
+"""Detects physics that breaks down, so that the attempt fails with this cause.
+
+MuJoCo alone would write a warning to the terminal and to a file in the working directory, and go on from a reset.
 """
 
 from __future__ import annotations
 
 import mujoco
 
-# After these MuJoCo resets the state, or lets go of the drives: what follows is no simulation of the attempt.
+# After these warnings MuJoCo resets the state or ignores the drives: what follows is no simulation of the attempt.
 _FATAL = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -16,15 +17,16 @@ _FATAL = (
 
 
 def keep_warnings_quiet() -> None:
-    """Let MuJoCo's warnings reach neither the terminal nor a MUJOCO_LOG.TXT in this process, unless a program that uses
-    this one hears them already. Every simulation counts its own, see `breakdown`.
+    """Keep MuJoCo's warnings in this process from the terminal and from MUJOCO_LOG.TXT.
+
+    A handler that the calling program has set stays. Every simulation counts its own warnings, see `breakdown`.
     """
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda text: None)
 
 
 def breakdown(data: mujoco.MjData) -> str | None:
-    """What broke a simulation since its reset, in MuJoCo's words; None if nothing did."""
+    """MuJoCo's text on what broke a simulation since its reset; None if nothing did."""
     for kind in _FATAL:
         counted = data.warning[int(kind)]
         if counted.number:

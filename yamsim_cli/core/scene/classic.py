@@ -1,7 +1,7 @@
 """A composed scene in the MJCF of MuJoCo 3.3, which all later versions and dm_control read too, with the same physics.
 
-MuJoCo writes MJCF of its own version. Here that is put into older terms: frames become part of their children's poses,
-and what has another default in another version is said. What 3.3 has no words for is refused.
+MuJoCo writes MJCF of its own version, which is translated here. Frames become part of their children's poses, and
+values whose defaults differ between versions are written out. A scene that 3.3 cannot express is refused.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
     """The MJCF of a scene for MuJoCo 3.3 and newer; numbers are written in full, so that none is rounded.
 
     Args:
-        model: what `spec` compiled to.
+        model: the compiled `spec`.
 
     Raises:
         UsageError: the scene holds something that 3.3 does not know.
@@ -44,7 +44,7 @@ def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
 
 
 def _as_authored(spec: mujoco.MjSpec) -> str:
-    """MuJoCo's own writing with every digit; as compiled, it would round to six."""
+    """MuJoCo's own MJCF of the scene with all digits; for a compiled spec it would round to six."""
     compiler = spec.compiler
     before = compiler.savecompiled, compiler.savecanonical
     try:
@@ -56,29 +56,29 @@ def _as_authored(spec: mujoco.MjSpec) -> str:
 
 
 def _say_defaults(root: Element, model: mujoco.MjModel) -> None:
-    """Write out what has another default in other versions.
+    """Write out the values whose defaults differ between versions.
 
-    All but `island`, which is on since 3.3.6 and solves the same equations in parts: where it is turned on, older
-    versions paint all that moves in its island's colour.
+    `island` is left out. It is on by default since 3.3.6, and only solves the same equations in parts. If it is
+    written, older versions colour each moving body by its island.
     """
     option = _child(root, "option")
     option.set("ccd_iterations", str(model.opt.ccd_iterations))
     # Since 3.8 a pair of convex geoms may touch at several points. Source: MuJoCo's changelog.
     several = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD
     _child(option, "flag").set("multiccd", "enable" if several else "disable")
-    # 4.0 has a third value for the headlight, which draws as 1 does.
+    # 4.0 has a third value for the headlight, which looks the same as 1.
     _child(_child(root, "visual"), "headlight").set("active", "1" if model.vis.headlight.active else "0")
 
 
 def _say_inertia(body: Element, model: mujoco.MjModel, number: int) -> None:
-    """Say that a body weighs nothing; MuJoCo 3.3.5 looks for the centre of massless geoms otherwise."""
+    """Write out that a body weighs nothing; otherwise MuJoCo 3.3.5 looks for the centre of its massless geoms."""
     if model.body_mass[number] == 0 and body.find("inertial") is None:
         place = {"pos": _text(model.body_ipos[number]), "quat": _text(model.body_iquat[number])}
         body.insert(0, ElementTree.Element("inertial", {**place, "mass": "0", "diaginertia": "0 0 0"}))
 
 
 def _say_direction(light: Element) -> None:
-    """The one word that 3.3.0 has for a light's type."""
+    """Write a light's type as the one attribute that 3.3.0 has for it."""
     kind = light.get("type")
     if kind in ("directional", "spot"):
         del light.attrib["type"]
@@ -86,7 +86,7 @@ def _say_direction(light: Element) -> None:
 
 
 def _unroll(parent: Element) -> None:
-    """Put every frame's pose and class into its children's, in place."""
+    """Replace every frame by its children, which take over its pose and class, in place."""
     for child in parent:
         _unroll(child)
     parent[:] = [item for child in parent for item in (_moved(child) if child.tag == "frame" else [child])]
@@ -112,7 +112,7 @@ def _moved(frame: Element) -> Iterator[Element]:
 
 
 def _reduce(root: Element, scene: str) -> None:
-    """Leave out what may be left out, and refuse what 3.3 does not know."""
+    """Remove the attributes that 3.3 does not need, and refuse those that it does not know."""
     for where, element in _walk(root):
         if where not in ATTRIBUTES:
             raise UsageError(_unknown(scene, f"<{element.tag}>"))
@@ -145,7 +145,7 @@ def _key(section: Element, element: Element) -> str:
 
 
 def _child(parent: Element, tag: str) -> Element:
-    """The child of that name; made where there is none."""
+    """The child with this tag; made if there is none."""
     found = parent.find(tag)
     return ElementTree.SubElement(parent, tag) if found is None else found
 
@@ -161,5 +161,5 @@ def _numbers(element: Element, name: str, default: str) -> Array:
 
 
 def _text(numbers: Iterable[float]) -> str:
-    """Numbers so that they read back as they are; minus nought is nought."""
+    """Numbers as text that reads back to the same values; -0 is written as 0."""
     return " ".join(repr(float(number) + 0.0).removesuffix(".0") for number in numbers)

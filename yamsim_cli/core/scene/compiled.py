@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.se3 import Array, quat_from_rotation
-from ..shown_meshes import Drawn
-from ..types import Layout
+from ..shown_meshes import ShownMeshes
+from ..types import Layout, Stand
 
 Ids = NDArray[np.int_]
 
@@ -37,33 +37,55 @@ for _part in (Kind.ARM, Kind.LEFT_FINGER, Kind.RIGHT_FINGER):
 
 
 @dataclass(frozen=True)
+class SceneFingers:
+    """Where an arm's two fingers lie in MuJoCo's arrays, and what they can do.
+
+    Attributes:
+        qpos, dof: addresses (2,) of the left and the right finger in `qpos` and `qvel`.
+        sign: whether each counts its opening up there (1) or down (-1), (2,).
+        ctrl: the drive's place in `ctrl`.
+        gain: of the drive, N/m; both fingers share its force.
+        ctrl_range: of what the drive can be told (2,), m.
+        stops: of one finger's opening (2,), m.
+        stroke: how far one finger opens in use, m.
+        pads: whether they can hold an object by friction.
+    """
+
+    qpos: Ids
+    dof: Ids
+    sign: Array
+    ctrl: int
+    gain: float
+    ctrl_range: Array
+    stops: tuple[float, float]
+    stroke: float
+    pads: bool
+
+
+@dataclass(frozen=True)
 class SceneArm:
     """Where one arm's parts lie in MuJoCo's arrays, and what it can do.
 
     Attributes:
         number: of the arm, in its rig.
         prefix: before every name of the arm's.
-        joint_qpos, joint_dof: addresses (6,) of the arm's joints in `qpos` and `qvel`.
-        gripper_qpos, gripper_sign: addresses (2,) of the left and right finger in `qpos`, and whether each counts its
-            opening up there (1) or down (-1).
-        arm_ctrl, gripper_ctrl: the drives' places in `ctrl`.
-        kp, kv: gains (6,) of the arm's drives, N m/rad and N m s/rad.
-        ctrl_range: (6, 2) of the arm's drives, rad.
+        flange: name of the body that turns with the last joint.
+        joint_qpos, joint_dof: addresses (dof,) of the arm's joints in `qpos` and `qvel`.
+        arm_ctrl: the places (dof,) of the joints' drives in `ctrl`.
+        kp, kv: gains (dof,) of these drives, N m/rad and N m s/rad.
+        ctrl_range: (dof, 2) of these drives, rad.
         weld: id of the equality by which its hand holds the object.
         T_base_in_world: pose (4, 4) of the arm's base.
-        joint_range, motor_speed, most_torque: of the arm's joints (6, 2) in rad, (6,) in rad/s and (6,) in N m.
-        grip_gain: of the gripper's drive, N/m; both fingers share its force.
-        grip_range: of what that drive can be told (2,), m.
+        joint_range, motor_speed, most_torque: of the joints (dof, 2) in rad, (dof,) in rad/s and (dof,) in N m.
+        fingers: None of an arm without any.
     """
 
     number: int
     prefix: str
+    flange: str
     joint_qpos: Ids
     joint_dof: Ids
-    gripper_qpos: Ids
-    gripper_sign: Array
     arm_ctrl: Ids
-    gripper_ctrl: int
     kp: Array
     kv: Array
     ctrl_range: Array
@@ -72,8 +94,27 @@ class SceneArm:
     joint_range: Array
     motor_speed: Array
     most_torque: Array
-    grip_gain: float
-    grip_range: Array
+    fingers: SceneFingers | None
+
+    @property
+    def dof(self) -> int:
+        """How many joints the arm has, fingers not counted."""
+        return len(self.joint_qpos)
+
+    @property
+    def drives(self) -> Ids:
+        """Where its drives are in `ctrl`, as recordings have them: the joints', then the gripper's if it has one."""
+        return self.arm_ctrl if self.fingers is None else np.append(self.arm_ctrl, self.fingers.ctrl)
+
+    @property
+    def recorded_qpos(self) -> Ids:
+        """Where its joints are in `qpos`, as recordings have them, then the left finger's opening if there is one."""
+        return self.joint_qpos if self.fingers is None else np.append(self.joint_qpos, self.fingers.qpos[0])
+
+    @property
+    def recorded_dof(self) -> Ids:
+        """The same in `qvel`."""
+        return self.joint_dof if self.fingers is None else np.append(self.joint_dof, self.fingers.dof[0])
 
 
 @dataclass(frozen=True)
@@ -88,7 +129,7 @@ class CompiledScene:
         cameras: names of the cameras to record, in order.
         geom_kind: `Kind` of every geom (ngeom,).
         geom_arm: number in `arms` of the arm that a geom belongs to, -1 for none (ngeom,).
-        drawn: asset set -> what is drawn of it, see `core.shown_meshes`.
+        shown_meshes: asset set -> what is shown of it, see `core.shown_meshes`.
     """
 
     model: mujoco.MjModel
@@ -98,7 +139,7 @@ class CompiledScene:
     cameras: tuple[str, ...]
     geom_kind: Ids
     geom_arm: Ids
-    drawn: Drawn
+    shown_meshes: ShownMeshes
 
     @property
     def arm(self) -> SceneArm:
@@ -107,8 +148,8 @@ class CompiledScene:
 
     @property
     def drives(self) -> Ids:
-        """Where the drives (nu,) are in `ctrl`, as recordings have them: each arm's six and gripper, the left first."""
-        return np.concatenate([[*arm.arm_ctrl, arm.gripper_ctrl] for arm in self.arms])
+        """Where each arm's drives (arms, drives) are in `ctrl`: its joints', then its gripper's if it has one."""
+        return np.array([arm.drives for arm in self.arms])
 
     @property
     def T_base_in_world(self) -> Array:
@@ -122,22 +163,17 @@ class CompiledScene:
         found: NDArray[np.bool_] = FORBIDDEN[kinds[:, 0], kinds[:, 1]] | two_arms
         return found
 
-    def start(self, data: mujoco.MjData, layout: Layout, joints: Array, gripper: Array | float) -> None:
+    def start(self, data: mujoco.MjData, layout: Layout, stands: Sequence[Stand]) -> None:
         """Reset `data` wholly and put all in place: bit for bit the same however `data` was used before."""
-        self.reset(data, self.start_qpos(layout, joints, gripper))
+        self.reset(data, self.start_qpos(layout, stands))
 
-    def start_qpos(self, layout: Layout, joints: Array, gripper: Array | float) -> Array:
-        """MuJoCo's positions (nq,) with the arms at `joints` and their fingers at `gripper`, and the objects placed.
-
-        Args:
-            joints: (arms, 6) in rad; or (6,) for every arm.
-            gripper: opening of one finger (arms,) in m; or one number for every arm.
-        """
+    def start_qpos(self, layout: Layout, stands: Sequence[Stand]) -> Array:
+        """MuJoCo's positions (nq,) with the arms and their fingers where they stand, and the objects placed."""
         qpos: Array = self.model.qpos0.copy()
-        openings = np.broadcast_to(gripper, len(self.arms))
-        for arm, angles, opening in zip(self.arms, np.broadcast_to(joints, (len(self.arms), 6)), openings, strict=True):
-            qpos[arm.joint_qpos] = angles
-            qpos[arm.gripper_qpos] = opening * arm.gripper_sign
+        for arm, stand in zip(self.arms, stands, strict=True):
+            qpos[arm.joint_qpos] = stand.joints
+            if arm.fingers is not None:
+                qpos[arm.fingers.qpos] = stand.opening * arm.fingers.sign
         for name, T in layout.T_in_world.items():
             address = self.object_qpos[name]
             qpos[address : address + 3] = T[:3, 3]
@@ -149,6 +185,5 @@ class CompiledScene:
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = qpos
         for arm in self.arms:
-            data.ctrl[arm.arm_ctrl] = qpos[arm.joint_qpos]
-            data.ctrl[arm.gripper_ctrl] = qpos[arm.gripper_qpos[0]]
+            data.ctrl[arm.drives] = qpos[arm.recorded_qpos]
         mujoco.mj_forward(self.model, data)

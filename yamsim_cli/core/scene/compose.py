@@ -1,77 +1,92 @@
-"""Any rig as one MjSpec: arms, base boards, mounts, and what stands around them."""
+"""Any scene as one MjSpec, made from its blueprint."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from ..assets import AssetStore, resolve_own
 from ..config.recording import SHADOW_REACH
-from ..config.rig import RigConfig
-from ..config.scene import SceneConfig
-from ..config.things import ObjectConfig
+from ..config.rig import RigCamera, RigConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
-from ..resources import Locations
+from ..resources import Locations, Meshes
+from .blueprint import Blueprint, TaskPhysics
 from .breakdown import keep_warnings_quiet
+from .cameras import add_camera
 from .fiducials import add_base_board
-from .robot import HOME, JOINTS, arm_spec, gripper
-from .robot import Meshes as Meshes
+from .quality import apply_quality
+from .robot import arm_spec, with_looks
 from .surroundings import add_background, add_lights, add_table
 from .things import add_object
+from .varied_model import add_variable_parts
+
+# Of each arm, after its prefix: the weld by which its hand can hold a thing.
+WELD = "grasp_weld"
 
 
-@dataclass(frozen=True)
-class Contents:
-    """What a composed scene is to hold beside its arms.
-
-    Attributes:
-        boards: base boards and mounts.
-        background: sky, floor and lights; without it, MuJoCo's headlight is left as it is. A table belongs to the
-            task and stays.
-        objects: free bodies to be added, for a task.
-    """
-
-    boards: bool = True
-    background: bool = True
-    objects: tuple[ObjectConfig, ...] = ()
-
-
-def mesh_sets(rig: RigConfig, objects: Sequence[ObjectConfig] = ()) -> tuple[str, ...]:
+def mesh_sets(blueprint: Blueprint) -> tuple[str, ...]:
     """Names of the asset sets whose meshes a scene shows."""
-    robots = {name for arm in rig.arms for name in gripper(arm).mesh_sets}
-    return tuple(sorted(robots | {item.mesh.set for item in objects}))
+    things = (*blueprint.objects, *blueprint.randomization.extras)
+    return tuple(sorted({*rig_mesh_sets(blueprint.rig), *(name for item in things for name in item.mesh_sets)}))
 
 
-def compose(
-    rig: RigConfig, scene: SceneConfig, contents: Contents, locations: Locations, meshes: Meshes
-) -> mujoco.MjSpec:
-    """Put a rig together.
+def rig_mesh_sets(rig: RigConfig) -> tuple[str, ...]:
+    """Names of the asset sets whose meshes a rig shows."""
+    robots = {name for arm in rig.arms for name in arm.robot.mesh_sets}
+    return tuple(sorted(robots | {name for camera in rig.cameras for name in camera.mesh_sets}))
+
+
+def _with_own(locations: Locations, blueprint: Blueprint) -> Meshes:
+    """Folders of mesh sets, and of those that things collide by: that is physics, whatever is shown."""
+    things = (*blueprint.objects, *blueprint.randomization.extras)
+    needed = {item.mesh.set for item in things if item.needs_meshes and locations.meshes.get(item.mesh.set) is None}
+    store = AssetStore(locations.assets)
+    return {**locations.meshes, **{name: resolve_own(store, name) for name in sorted(needed)}}
+
+
+def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
+    """Put a scene together: the one way in which any is made.
 
     The first arm's names stay as its model has them where its prefix is empty; another arm's carry its prefix.
 
     Args:
-        locations: where the robot models are.
-        meshes: asset set -> folder of its files, or None to show primitives.
+        locations: where the meshes are.
 
     Raises:
         ConfigError: a mount's STL cannot be read, or a board's dictionary does not exist.
+        ResourceError: a mesh that should be there cannot be read.
     """
+    rig, meshes = blueprint.rig, _with_own(locations, blueprint)
     bases = [rig.T_base_in_world(k) for k in range(len(rig.arms))]
     spec = _arms(rig, bases, locations, meshes)
-    spec.modelname = rig.name
+    spec.modelname = blueprint.name or rig.name
     spec.compiler.autolimits = True
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    if contents.boards:
+    if blueprint.boards:
         for arm, T in zip(rig.arms, bases, strict=True):
             add_base_board(spec, arm, T)
-    for item in contents.objects:
-        add_object(spec, item, meshes.get(item.mesh.set))
+    for item in blueprint.objects:
+        add_object(spec, item, meshes)
+    _add_surroundings(spec, blueprint, bases)
+    add_variable_parts(spec, blueprint.randomization, meshes)
+    if blueprint.pictures is not None:
+        apply_quality(spec, blueprint.pictures.quality, blueprint.pictures.size)
+    if blueprint.physics is not None:
+        _add_physics(spec, blueprint.physics, rig)
+    for camera in blueprint.cameras:
+        add_camera(spec, camera)
+    return spec
+
+
+def _add_surroundings(spec: mujoco.MjSpec, blueprint: Blueprint, bases: Sequence[Array]) -> None:
+    """What stands around the arms, and how MuJoCo is to show all of it."""
+    scene = blueprint.scene
     stand = np.mean([T[:3, 3] for T in bases], axis=0)
     middle = np.mean([stand, scene.table.position], axis=0) if scene.table else stand
-    if contents.background:
+    if blueprint.background:
         add_background(spec, scene)
         add_lights(spec, scene, middle)
     if scene.table:
@@ -86,23 +101,62 @@ def compose(
     visual.map.shadowclip = SHADOW_REACH + max(float(np.linalg.norm(T[:3, 3] - stand)) for T in bases)
     # Lights are directional, so a flat face is lit evenly, and cutting it up gives nothing.
     visual.quality.numquads = 1
-    return spec
+
+
+def hold_by_friction(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
+    """Step with contacts that hold a thing between two pads.
+
+    Args:
+        impratio: how much stiffer contacts are along a surface than across it.
+    """
+    # Source: MuJoCo's documentation of `impratio`, which asks for elliptic cones with it.
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = impratio
+
+
+def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig) -> None:
+    """The time step, contacts that hold where nothing else does, and the welds, which start inactive."""
+    spec.option.timestep = physics.timestep
+    if physics.impratio is not None:
+        hold_by_friction(spec, physics.impratio)
+    for arm in rig.arms:
+        spec.add_equality(
+            name=arm.prefix + WELD,
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=arm.prefix + arm.robot.flange,
+            name2=physics.carried,
+            active=False,
+        )
 
 
 def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
     """All arms in one spec: the one without a prefix is its root, since attaching would need one."""
-    specs = [arm_spec(arm, locations, meshes) for arm in rig.arms]
+    specs = [arm_spec(arm, meshes) for arm in rig.arms]
     root = mujoco.MjSpec()
     for arm, child, T in zip(rig.arms, specs, bases, strict=True):
         if not arm.prefix:
             root = child
-            root.body("arm").pos, root.body("arm").quat = T[:3, 3], quat_from_rotation(T[:3, :3])
+            base = root.body(arm.robot.base)
+            base.pos, base.quat = T[:3, 3], quat_from_rotation(T[:3, :3])
     for arm, child, T in zip(rig.arms, specs, bases, strict=True):
         if arm.prefix:
             frame = root.worldbody.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
             root.attach(child, frame=frame, prefix=arm.prefix)
+    for camera in rig.cameras:
+        if camera.housing:
+            _add_housing(root, rig, camera, locations, meshes)
     _share_files(root)
     return root
+
+
+def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locations: Locations, meshes: Meshes) -> None:
+    """Add what is seen, and touched, of one of a rig's own cameras."""
+    file = locations.file(f"robot_models/cameras/{camera.housing}.xml")
+    child = with_looks(mujoco.MjSpec.from_file(str(file)), camera.mesh_sets, meshes)
+    T = rig.T_cam_in_world(camera)
+    frame = root.worldbody.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
+    root.attach(child, frame=frame, prefix=f"{camera.name}_")
 
 
 def _share_files(spec: mujoco.MjSpec) -> None:
@@ -127,29 +181,30 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def add_home_key(
-    spec: mujoco.MjSpec, rig: RigConfig, start: Mapping[str, Array], joints: Sequence[float] = HOME
+    spec: mujoco.MjSpec, rig: RigConfig, start: Mapping[str, Array], joints: Sequence[Sequence[float]] | None = None
 ) -> mujoco.MjModel:
     """Add a keyframe `home` of the composed model's size, in which the arms rest, and compile.
 
     Args:
         start: object -> pose (4, 4) in `world`, there and in the model's own reset.
-        joints: of every arm (6,), rad.
+        joints: of each arm (dof,), rad; at rest if left out.
     """
     for name, T in start.items():
         body = spec.body(name)
         body.pos, body.quat = T[:3, 3], quat_from_rotation(T[:3, :3])
     model = compile_spec(spec)
     qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
-    for arm in rig.arms:
-        for name, angle in zip(JOINTS, joints, strict=True):
+    resting = [arm.robot.home for arm in rig.arms] if joints is None else joints
+    for arm, angles in zip(rig.arms, resting, strict=True):
+        for name, angle in zip(arm.robot.joint_names, angles, strict=True):
             qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
     load = _load(model, qpos)
-    for arm in rig.arms:
-        for name, angle in zip(JOINTS, joints, strict=True):
+    for arm, angles in zip(rig.arms, resting, strict=True):
+        for name, moved, angle in zip(arm.robot.joint_drives, arm.robot.joint_names, angles, strict=True):
             drive = model.actuator(arm.prefix + name)
             # A drive is a spring towards what it is told. What its arm's gravity compensation does not know of, such as
             # a camera on the wrist, would pull it off by some milliradians; finer than a nanoradian is rounding.
-            lead = round(load[model.joint(arm.prefix + name).dofadr[0]] / drive.gainprm[0], 9)
+            lead = round(load[model.joint(arm.prefix + moved).dofadr[0]] / drive.gainprm[0], 9)
             ctrl[drive.id] = np.clip(angle + lead, *drive.ctrlrange)
     spec.add_key(name="home", qpos=qpos, ctrl=ctrl)
     return compile_spec(spec)

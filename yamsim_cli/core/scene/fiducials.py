@@ -1,7 +1,7 @@
 """Base boards and their mounts in a scene: mocap bodies that stand where their arm's base stands.
 
-A mocap body's own pose is the base's, whether from the rig or from a photo; the geom inside carries the constant pose
-of board or mount on the base. Were that left to the body, moving it would stand the board upright beside the arm.
+A mocap body's own pose is that of the base, from the rig or from a photo. The geom inside it carries the constant pose
+of board or mount on the base. If the body carried both, moving it would stand the board upright beside the arm.
 """
 
 from __future__ import annotations
@@ -10,28 +10,28 @@ from pathlib import Path
 
 import mujoco
 
-from ..boards.image import board_texture
-from ..config.rig import T_BASE_MESH_IN_ARM, ArmConfig, BoardConfig, MountConfig
+from ..boards.board_image import board_texture
+from ..config.rig import ArmConfig, BoardConfig, MountConfig
 from ..errors import ConfigError
 from ..geometry.mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import stl_bytes
 from ..images.png import encode_png
-from .things import SEEN_GROUP
+from .thing_looks import SEEN_GROUP
 
 BOARD_BODY = "base_board"
 MOUNT_BODY = "base_mount"
 
-# Millimetres, as printers' files are.
+# Files for 3D printers are in millimetres.
 _STL_SCALE = (0.001, 0.001, 0.001)
 
 
 def add_base_board(spec: mujoco.MjSpec, arm: ArmConfig, T_base_in_world: Array) -> None:
     """Add an arm's board and mount, as far as it has them, as bodies `<prefix>base_board` and `<prefix>base_mount`."""
     if arm.mount is not None:
-        _add_mount(spec, arm.prefix, arm.mount, arm.board, T_base_in_world)
+        _add_mount(spec, arm, arm.mount, T_base_in_world)
     if arm.board is not None:
-        _add_board(spec, arm.prefix, arm.board, T_base_in_world)
+        _add_board(spec, arm, arm.board, T_base_in_world)
 
 
 def _mocap_body(spec: mujoco.MjSpec, name: str, T_base_in_world: Array) -> mujoco.MjsBody:
@@ -40,15 +40,15 @@ def _mocap_body(spec: mujoco.MjSpec, name: str, T_base_in_world: Array) -> mujoc
     )
 
 
-def _add_board(spec: mujoco.MjSpec, prefix: str, config: BoardConfig, T_base_in_world: Array) -> None:
-    board, name = config.board, f"{prefix}{BOARD_BODY}"
+def _add_board(spec: mujoco.MjSpec, arm: ArmConfig, config: BoardConfig, T_base_in_world: Array) -> None:
+    board, name = config.board, f"{arm.prefix}{BOARD_BODY}"
     file = f"textures/{config.name}.png"
     spec.assets = {**spec.assets, file: encode_png(board_texture(board))}
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
-    # Paper: no shine, so that no light washes a marker out.
+    # Paper does not shine, so that no light washes a marker out.
     material = spec.add_material(name=name, specular=0, shininess=0, texuniform=False)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
-    T = config.T_board_in_arm
+    T = arm.T_board_in_base
     _mocap_body(spec, name, T_base_in_world).add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -63,14 +63,12 @@ def _add_board(spec: mujoco.MjSpec, prefix: str, config: BoardConfig, T_base_in_
     )
 
 
-def _add_mount(
-    spec: mujoco.MjSpec, prefix: str, config: MountConfig, board: BoardConfig | None, T_base_in_world: Array
-) -> None:
-    name = f"{prefix}{MOUNT_BODY}"
-    T = T_BASE_MESH_IN_ARM
+def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_in_world: Array) -> None:
+    name = f"{arm.prefix}{MOUNT_BODY}"
+    T = arm.robot.T_base_mesh
     file = f"meshes/mounts/{config.name}.stl"
-    spec.assets = {**spec.assets, file: _mount_stl(config, board)}
-    # A user's STL is as it was drawn; our own plate comes mirrored already.
+    spec.assets = {**spec.assets, file: _mount_stl(config, arm.board)}
+    # A user's STL is mirrored here; yamsim's own plate is mirrored when it is made.
     scale = (-_STL_SCALE[0], *_STL_SCALE[1:]) if config.stl and config.mirror_x else _STL_SCALE
     spec.add_mesh(name=name, file=file, scale=scale)
     material = spec.add_material(name=name, rgba=(0.93, 0.93, 0.93, 1), specular=0.1, shininess=0.1)
@@ -88,14 +86,14 @@ def _add_mount(
 
 
 def _mount_stl(config: MountConfig, board: BoardConfig | None) -> bytes:
-    """The mount's mesh in millimetres, in the base mesh's frame: the user's file, or our own plain plate."""
+    """The mount's STL in millimetres, in the base mesh's frame: the user's file, or yamsim's own plain plate."""
     if config.stl is not None:
         try:
             return Path(config.stl).read_bytes()
         except OSError as error:
             raise ConfigError(f"mount {config.name!r}: stl {config.stl} cannot be read: {error.strerror}") from error
     if board is None:
-        raise ConfigError(f"mount {config.name!r} has no board to carry and no stl to draw; give one, or leave it out")
+        raise ConfigError(f"mount {config.name!r} has no board to carry and no stl to show; give one, or leave it out")
     size_mm = (board.board.width * 1000, board.board.height * 1000)
     vertices, faces = mount_mesh(
         config.x_mm, config.y_mm, config.z_mm, board.position_mm, size_mm, mirror_x=config.mirror_x

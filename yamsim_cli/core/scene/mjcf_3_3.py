@@ -1,4 +1,4 @@
-"""What MuJoCo 3.3 reads of MJCF, as far as composed scenes go, and what newer versions hold otherwise.
+"""The MJCF that MuJoCo 3.3 reads, as far as composed scenes use it, and where newer versions differ.
 
 Source: `mujoco.mj_printSchema` and the compiled defaults of the releases named below.
 """
@@ -11,9 +11,9 @@ _POSE = "pos quat axisangle euler xyaxes zaxis"
 _SOLVER = "solref solimp"
 _JOINT_SOLVER = "solreflimit solimplimit solreffriction solimpfriction"
 
-# Section and element -> the attributes that 3.3.0 and all that came later read, up to 4.0.0. Bodies may hold bodies,
-# and classes classes; what a class says of an element stands with the element. `gap` is not among them: since 3.9 it
-# means something else.
+# Section and element -> the attributes that 3.3.0 and all later versions up to 4.0.0 read. Bodies may hold bodies, and
+# classes may hold classes. An element's attributes in a class are the element's own. `gap` is left out: its meaning
+# changed in 3.9.
 ATTRIBUTES: Mapping[str, frozenset[str]] = {
     element: frozenset(names.split())
     for element, names in {
@@ -65,6 +65,13 @@ ATTRIBUTES: Mapping[str, frozenset[str]] = {
         "equality/connect": f"name class active anchor body1 body2 site1 site2 {_SOLVER}",
         "equality/weld": f"name class active anchor relpose torquescale body1 body2 site1 site2 {_SOLVER}",
         "equality/joint": f"name class active joint1 joint2 polycoef {_SOLVER}",
+        "tendon": "",
+        "tendon/spatial": "name class group limited range frictionloss springlength stiffness damping width material "
+        "rgba margin user solreflimit solimplimit",
+        "tendon/site": "site",
+        "tendon/fixed": "name class group limited range springlength stiffness damping frictionloss margin user "
+        " solreflimit solimplimit solreffriction solimpfriction",
+        "tendon/joint": "joint coef",
         "actuator": "",
         "actuator/general": "name class joint jointinparent tendon site refsite body slidersite cranksite "
         "cranklength gear group lengthrange ctrlrange ctrllimited forcerange forcelimited actrange actlimited actdim "
@@ -74,7 +81,7 @@ ATTRIBUTES: Mapping[str, frozenset[str]] = {
     }.items()
 }
 
-# Element -> where a class's word on it is looked up.
+# Element in a class -> the key of `ATTRIBUTES` with its attributes.
 CLASS_ELEMENTS: Mapping[str, str] = {
     **{name: f"worldbody/{name}" for name in ("joint", "geom", "site", "camera", "light")},
     **{name: f"asset/{name}" for name in ("mesh", "material")},
@@ -83,15 +90,19 @@ CLASS_ELEMENTS: Mapping[str, str] = {
     "general": "actuator/general",
 }
 
-# Attributes of which 3.3 knows fewer values: element -> attribute -> those that it reads.
+# Attributes for which 3.3 knows fewer values: element -> attribute -> the values that it reads.
 VALUES: Mapping[str, Mapping[str, frozenset[str]]] = {
+    # Distances to a mesh need a plugin there.
+    "worldbody/geom": {
+        "type": frozenset({"plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh"})
+    },
     "option": {"integrator": frozenset({"Euler", "RK4", "implicit", "implicitfast"})},
 }
 
-# Attributes that came after 3.3 and may be left out: element -> attribute -> the values for which that changes nothing
-# but looks; None: all. `input="pos"` (4.0) only names the one control of an actuator whose gain and bias say all else.
-# `castshadow` of geoms (4.0) and `colorspace` (3.3.3) are looks. `inheritrange` of `general` (3.16) is worked out by
-# whoever writes.
+# Attributes that came after 3.3 and may be left out: element -> attribute -> the values for which that changes only
+# looks, or None for all values. `castshadow` of geoms (4.0) and `colorspace` (3.3.3) are looks. `input="pos"` (4.0)
+# only names an actuator's single control, and its gain and bias hold everything else. `inheritrange` of `general`
+# (3.16) is already worked out when MuJoCo writes the file.
 OPTIONAL: Mapping[str, Mapping[str, frozenset[str] | None]] = {
     "worldbody/geom": {"castshadow": None},
     "asset/texture": {"colorspace": None},

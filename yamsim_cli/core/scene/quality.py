@@ -1,4 +1,4 @@
-"""What a quality asks of a composed scene."""
+"""Applies a render quality to a composed scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..config.recording import SHADOW_REACH, RenderConfig
 
 
 def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, int]) -> None:
-    """Let a scene be drawn with a quality; which meshes it shows was settled when it was composed.
+    """Set a scene up for rendering with a quality. Which meshes it shows was settled when it was composed.
 
     Args:
         size: width and height of the pictures, px.
@@ -17,7 +17,7 @@ def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, i
     visual.global_.offwidth, visual.global_.offheight = quality.fine_size(size)
     visual.quality.offsamples = quality.multisamples
     visual.quality.shadowsize = quality.shadow_map_px
-    # A scene is composed with the usual reach, and what its arms' distance adds to it.
+    # The composed scene has the default reach, and what the distance between its arms adds to it.
     visual.map.shadowclip += quality.shadow_reach_m - SHADOW_REACH
     visual.quality.numslices, visual.quality.numstacks = quality.slices, quality.slices // 2
     for number, light in enumerate(spec.lights):

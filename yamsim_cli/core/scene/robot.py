@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 
 import mujoco
@@ -13,67 +12,33 @@ from numpy.typing import NDArray
 from ..config.rig import ArmConfig
 from ..errors import ResourceError
 from ..geometry.se3 import Array
-from ..resources import Locations
-
-JOINTS = ("joint1", "joint2", "joint3", "joint4", "joint5", "joint6")
-FINGER_JOINTS = ("left_finger", "right_finger")
-ACTUATORS = (*JOINTS, "gripper")
-FINGERS = ("link_left_finger", "link_right_finger")
-
-# Asset set -> folder of its files, or None where they are not here.
-Meshes = Mapping[str, Path | None]
-
-# The arms' resting joints. Source: MuJoCo Menagerie i2rt_yam, keyframe `home`.
-HOME = (0.0, 1.047, 1.047, 0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Gripper:
-    """What is not in a gripper's MJCF.
-
-    Attributes:
-        mesh_sets: the asset sets that its MJCF takes meshes from, the arm's own links included.
-        full_opening: of one finger, m.
-    """
-
-    mesh_sets: tuple[str, ...]
-    full_opening: float
-
-
-# By model and gripper. Source of the openings: MuJoCo Menagerie i2rt_yam and yam_linear_4310, `left_finger` range.
-GRIPPERS = {
-    ("i2rt_yam", "crank"): Gripper(("i2rt_yam_crank",), 0.0375),
-    ("i2rt_yam", "linear_4310"): Gripper(("i2rt_yam_crank", "i2rt_yam_linear_4310"), 0.0475),
-}
+from ..resources import Meshes
+from ..robots.robot import Robot
 
 # Geom groups: what a viewer shows by default (2) and what it hides (3).
 _SEEN_GROUP = 2
 
 
-def gripper(arm: ArmConfig) -> Gripper:
-    """What there is to know of an arm's gripper."""
-    return GRIPPERS[arm.model, arm.gripper]
-
-
-def _load(arm: ArmConfig, locations: Locations) -> mujoco.MjSpec:
-    spec = mujoco.MjSpec.from_file(str(locations.file(f"robot_models/{arm.model}/yam_{arm.gripper}.xml")))
+def _load(arm: ArmConfig) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec.from_string(arm.robot.xml)
     if arm.grasp_offset is not None:
         spec.site("grasp_site").pos[2] = arm.grasp_offset
-    # A keyframe only fits the model it was written for; whoever composes a scene writes the scene's own.
-    for key in list(spec.keys):
-        spec.delete(key)
     return spec
 
 
-def arm_spec(arm: ArmConfig, locations: Locations, meshes: Meshes | None) -> mujoco.MjSpec:
+def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:
     """The whole arm, for scenes.
 
     Args:
         meshes: the visual meshes; without all of the arm's, the collision primitives are shown instead, with the same
             physics.
     """
-    spec = _load(arm, locations)
-    folders = {name: (meshes or {}).get(name) for name in gripper(arm).mesh_sets}
+    return with_looks(_load(arm), arm.robot.mesh_sets, meshes)
+
+
+def with_looks(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) -> mujoco.MjSpec:
+    """The same spec with its meshes where all of its sets are here; else with its collision primitives to be seen."""
+    folders = {name: (meshes or {}).get(name) for name in sets}
     if all(folders.values()):
         files: dict[str, bytes] = {}
         for mesh in spec.meshes:
@@ -110,24 +75,27 @@ def mesh_bytes(path: Path) -> bytes:
         ) from error
 
 
-def bare_arm(arm: ArmConfig, locations: Locations) -> mujoco.MjModel:
-    """The arm's kinematics alone: six joints in the base frame `arm`, no fingers, no geoms, no drives; nq = 6.
+def bare_arm(arm: ArmConfig) -> mujoco.MjModel:
+    """The arm's kinematics alone: its joints in the base frame, no fingers, no geoms, no drives; nq is its `dof`.
 
-    It has the model's sites, and a site `tool` on `link_6` that inverse kinematics places where it needs it.
+    It has the model's sites, and a site `tool` on the flange that inverse kinematics places where it needs it.
     """
-    spec = _load(arm, locations)
-    for equality in list(spec.equalities):
-        spec.delete(equality)
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
-    for finger in FINGERS:
-        spec.delete(spec.body(finger))
+    robot = arm.robot
+    spec = _load(arm)
+    for parts in (spec.equalities, spec.actuators, spec.sensors, spec.tendons, spec.excludes):
+        for part in list(parts):
+            spec.delete(part)
+    flange = spec.body(robot.flange)
+    moving = [joint.parent for joint in spec.joints if joint.name not in robot.joint_names]
+    for body in flange.bodies:
+        if any(_is_in(part, body) for part in moving):
+            spec.delete(body)
     for body in spec.bodies:
         for geom in list(body.geoms):
             spec.delete(geom)
     for mesh in list(spec.meshes):
         spec.delete(mesh)
-    spec.body("link_6").add_site(name="tool")
+    spec.body(robot.flange).add_site(name="tool")
     model = spec.compile()
     # Compiled at its body's own frame, the site would be marked as coinciding with it, and MuJoCo would ignore where it
     # is moved to later.
@@ -135,12 +103,21 @@ def bare_arm(arm: ArmConfig, locations: Locations) -> mujoco.MjModel:
     return model
 
 
-def fingers(model: mujoco.MjModel, prefix: str = "") -> tuple[NDArray[np.int_], Array]:
-    """Where an arm's two fingers are in `qpos` (2,), and what each is there when both are open by 1 m (2,).
+def finger_places(model: mujoco.MjModel, robot: Robot, prefix: str = "") -> tuple[NDArray[np.int_], Array]:
+    """Where a robot's fingers are in `qpos`, and what each is there when both are open by 1 m; (0,) without fingers.
 
     Some grippers' models count both openings up, some count the right finger's down.
     """
-    addresses = np.array([model.joint(prefix + name).qposadr[0] for name in FINGER_JOINTS])
-    # The coupling says: left = factor x right.
-    factor = float(model.eq_data[model.equality(f"{prefix}finger_coupling").id, 1])
-    return addresses, np.array([1.0, 1.0 / factor])
+    if robot.fingers is None:
+        return np.zeros(0, int), np.zeros(0)
+    addresses = np.array([model.joint(prefix + name).qposadr[0] for name in robot.fingers.joints])
+    return addresses, np.array(robot.finger_signs)
+
+
+def _is_in(body: mujoco.MjsBody, other: mujoco.MjsBody) -> bool:
+    """Whether a body is another one, or hangs on it."""
+    while body is not None and body.name != "world":
+        if body.name == other.name:
+            return True
+        body = body.parent
+    return False

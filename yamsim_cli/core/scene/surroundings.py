@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
 from ..geometry.stl import stl_bytes
-from .things import SEEN_GROUP
+from .thing_looks import SEEN_GROUP
+from .thing_shapes import contact_numbers
 
-# Half the floor's edge, and a tile's edge, m.
+# Half the length of the floor's edges, and the length of a tile's edges, m.
 _FLOOR = 5.0
 _TILE = 0.5
-# Height of the tiles over the floor that they lie on: enough for any depth buffer to tell them apart, m.
+# Height of the tiles above the floor, m: enough for a depth buffer to tell them apart.
 _TILE_HEIGHT = 0.001
 
 
 def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
-    """The sky and the tiled floor, which catches what falls."""
+    """Add the sky, and the tiled floor, which catches what falls."""
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -33,7 +34,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     )
     for name, colour in zip(("floor", "floor_tiles"), scene.floor_rgba, strict=True):
         spec.add_material(name=name, rgba=(*colour, 1), specular=0.1, shininess=0.1)
-    # What everything stands on would only cast dots of false shadow onto itself.
+    # The floor casts no shadow: it could only cast dots of false shadow onto itself.
     spec.worldbody.add_geom(
         name="safety_plane",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -42,7 +43,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         material="floor",
         castshadow=False,
     )
-    # A mesh, not a texture: without a GPU, looking up a checkerboard takes longer than all else about the floor.
+    # The tiles are a mesh and no texture: without a GPU, texture look-ups would take longer than the rest of the floor.
     file = "meshes/surroundings/floor_tiles.stl"
     spec.assets = {**spec.assets, file: stl_bytes(*_tiles())}
     spec.add_mesh(name="floor_tiles", file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
@@ -71,10 +72,10 @@ def _tiles() -> tuple[Array, NDArray[np.int32]]:
 
 
 def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] | Array) -> None:
-    """The scene's directional lights and what the camera itself sheds.
+    """Add the scene's directional lights, and the headlight that the camera itself sheds.
 
     Args:
-        centre: (3,) in `world`, around which shadows are sharpest.
+        centre: point (3,) in `world` around which shadows are sharpest.
     """
     headlight = spec.visual.headlight
     headlight.ambient = scene.ambient
@@ -95,7 +96,7 @@ def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] 
 
 
 def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[Array]) -> None:
-    """The table, its legs, and a post under each arm down to the floor; legs and posts are only seen.
+    """Add the table, its legs, and a post under each arm down to the floor. Legs and posts touch nothing.
 
     Args:
         floor: height of the floor, m.
@@ -110,8 +111,7 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
         pos=table.position,
         size=table.half_size,
         material=material.name,
-        friction=table.contact.friction,
-        condim=table.contact.condim,
+        **contact_numbers(table.contact),
         group=SEEN_GROUP,
         castshadow=False,
     )
@@ -120,7 +120,7 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
     inset = 0.03
     bottom = table.top - 2 * half_z
     posts = [(x + i * (half_x - inset), y + j * (half_y - inset), bottom, 0.02) for i in (-1, 1) for j in (-1, 1)]
-    # A hair below the base, so that the two surfaces do not flicker through each other.
+    # A millimetre below the base, so that the two surfaces do not flicker through each other.
     posts += [(T[0, 3], T[1, 3], T[2, 3] - 0.001, 0.06) for T in bases]
     for k, (px, py, top, half) in enumerate(posts):
         height = top - floor

@@ -1,19 +1,19 @@
-"""Procedural textures: images (size, size, 3) of uint8, from two colours."""
+"""Textures made of two colours: images (size, size, 3) of uint8."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..randomized import DrawnSurface
+from ..variation import SurfaceVariation
 
 SIZE = 256
-# How much finer each layer of noise is than the one before, and how many there are.
+# How many layers noise has. Each is twice as fine as the one before.
 _OCTAVES = 4
 
 
-def pattern(surface: DrawnSurface, size: int = SIZE) -> NDArray[np.uint8]:
-    """Draw a surface's pattern; its edges fit each other, so that it can be repeated, unless it is a gradient."""
+def pattern(surface: SurfaceVariation, size: int = SIZE) -> NDArray[np.uint8]:
+    """The image of a surface's pattern. Unless it is a gradient, opposite edges match, so that it can be repeated."""
     first, second = np.array(surface.colours) * 255.0
     match surface.texture:
         case "checker":

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from ..config.recording import RecordConfig
-from ..config.rig import RigConfig
-from ..config.scene import SceneConfig
 from ..errors import ResourceError, SimulationError, UsageError
 from ..files import move_aside, publish_file, refusal, staged_directory, write_file
+from ..geometry.se3 import Array
 from ..resources import Locations
-from ..scene.build import add_scene_camera, add_task_physics
-from ..scene.compose import Contents, Meshes, add_home_key, compose
-from ..scene.export import Reader, scene_files, zip_bytes
-from ..tasks.kinds import draw_layout
+from ..scene.blueprint import Blueprint
+from ..scene.compose import add_home_key, compose
+from ..scene.scene_files import Reader, scene_files, zip_bytes
+from ..tasks.kinds import sample_layout
 from ..types import EpisodeJob
 
 
@@ -33,29 +33,46 @@ class ComposeReport:
     moved_aside: Path | None
 
 
-def rig_spec(
-    rig: RigConfig, scene: SceneConfig, contents: Contents, locations: Locations, meshes: Meshes
-) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """A rig alone, with keyframe `home`: what `compose-xml`, `render-views` and `view` start from."""
-    spec = compose(rig, scene, contents, locations, meshes)
-    return spec, add_home_key(spec, rig, {})
+@dataclass(frozen=True)
+class Home:
+    """Where a composed scene is at rest, as its keyframe `home` has it.
+
+    Attributes:
+        T_in_world: object -> pose (4, 4) in `world`.
+        joints: of each arm, rad; None for home.
+    """
+
+    T_in_world: Mapping[str, Array] = field(default_factory=dict)
+    joints: Sequence[Sequence[float]] | None = None
 
 
-def task_spec(
-    config: RecordConfig, contents: Contents, locations: Locations, meshes: Meshes
-) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """A task's scene, its objects where the seed's first attempt has them, with keyframe `home`.
+def task_home(config: RecordConfig) -> Home:
+    """How a task begins: its objects where the seed's first attempt has them.
 
     Raises:
         SimulationError: the sampling box has no room for both objects.
     """
-    layout = draw_layout(config, EpisodeJob(config.seed, 0))
+    layout = sample_layout(config, EpisodeJob(config.seed, 0))
     if layout is None:
         raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for both objects")
-    spec = compose(config.rig, config.surroundings, contents, locations, meshes)
-    add_task_physics(spec, config)
-    add_scene_camera(spec, config)
-    return spec, add_home_key(spec, config.rig, layout.T_in_world, config.task.start_joints)
+    # An arm that has no part in it is where tasks of its own begin.
+    joints = [
+        config.start_joints if number in config.acting else arm.robot.start
+        for number, arm in enumerate(config.rig.arms)
+    ]
+    return Home(layout.T_in_world, joints)
+
+
+def at_home(
+    blueprint: Blueprint, locations: Locations, home: Home | None = None
+) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """A composed scene with keyframe `home`, and what it compiles to.
+
+    Args:
+        home: the arms at rest, and no objects, unless given.
+    """
+    spec, home = compose(blueprint, locations), home or Home()
+    return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints)
 
 
 def write_scene(

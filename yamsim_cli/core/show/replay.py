@@ -1,30 +1,29 @@
-"""Show a recorded episode: as a film of its images, drawn anew, or in a viewer; and its actions again in physics."""
+"""Show a recorded episode: as a film of its images, rendered anew, or in a viewer; and its actions again in physics."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..attempt.runner import EpisodeRunner
-from ..config.recording import RecordConfig
+from ..attempt.pictures import render
+from ..attempt.simulator import Simulator
 from ..dataset.compare import Comparison
 from ..dataset.lowdim import has_simulation
 from ..dataset.reader import StoredEpisode
 from ..dataset.recorded_images import RecordedImages, recorded_images
+from ..dataset.records import recorded_attempt
 from ..errors import DatasetError, UsageError, suggest
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..images.video import VideoWriter
-from ..resources import Locations
-from ..verify.remake import repeat_actions, vary
+from ..session import Session
+from ..verify.remake import repeat_actions
 from ..viewers.address import PageAddress
 from ..viewers.player import EpisodePlayer
 from .view import PERIOD, require_page, run_page, task_viewpoint
-
-Meshes = Mapping[str, Path | None]
 
 
 @dataclass(frozen=True)
@@ -59,26 +58,26 @@ def film_recorded(
 
 def film_rendered(
     episode: StoredEpisode,
-    runner: EpisodeRunner,
+    simulator: Simulator,
     cameras: Sequence[str],
     path: Path,
     frame_period: float,
     *,
     overwrite: bool,
 ) -> Film:
-    """Make a video of an episode drawn anew.
+    """Make a video of an episode rendered anew.
 
     Args:
-        runner: see `scene_config`.
+        simulator: of a session that `shown_again` gave.
 
     Raises:
         DatasetError: the episode was not simulated, or in another scene.
         UsageError, ResourceError: as for `film_recorded`.
     """
-    chosen = _choose(cameras, runner.scene.cameras)
-    vary(runner, episode)
-    drawn = (runner.draw(qpos, chosen) for qpos in positions(episode, runner))
-    images = (np.concatenate(list(image.values()), axis=1) for image in drawn)
+    chosen = _choose(cameras, simulator.scene.cameras)
+    attempt = recorded_attempt(episode.record)
+    seen = (render(simulator, attempt, qpos, chosen) for qpos in positions(episode, simulator))
+    images = (np.concatenate(list(image.values()), axis=1) for image in seen)
     return _film(images, chosen, path, frame_period, overwrite=overwrite)
 
 
@@ -100,17 +99,17 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
     return tuple(wanted) or (valid[0],)
 
 
-def scene_config(config: RecordConfig, size: tuple[int, int] | None = None) -> RecordConfig:
-    """A dataset's configuration to draw with: the wrist camera is there even if it was not recorded.
+def shown_again(session: Session, size: tuple[int, int] | None = None) -> Session:
+    """A dataset's session to look at it with: the wrist camera is there even if it was not recorded.
 
     Args:
         size: width and height of images in pixels, if not the recorded one.
     """
-    image = config.image.model_copy(update={"size_px": size}) if size else config.image
-    return config.model_copy(update={"image": image, "wrist": True})
+    image = session.config.image
+    return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
 
 
-def positions(episode: StoredEpisode, runner: EpisodeRunner) -> Array:
+def positions(episode: StoredEpisode, simulator: Simulator) -> Array:
     """MuJoCo's positions (frames, nq) of a simulated episode.
 
     Raises:
@@ -121,7 +120,7 @@ def positions(episode: StoredEpisode, runner: EpisodeRunner) -> Array:
         raise DatasetError(
             f"{episode.directory} holds no sim_qpos, so only its recorded images can be shown: --video without --render"
         )
-    nq = runner.scene.model.nq
+    nq = simulator.scene.model.nq
     for k, frame in enumerate(frames):
         if len(frame["sim_qpos"]) != nq:
             raise DatasetError(
@@ -131,24 +130,22 @@ def positions(episode: StoredEpisode, runner: EpisodeRunner) -> Array:
     return np.array([frame["sim_qpos"] for frame in frames])
 
 
-def repeat(episode: StoredEpisode, config: RecordConfig, locations: Locations) -> Comparison | None:
+def repeat(episode: StoredEpisode, session: Session) -> Comparison | None:
     """Let an episode's actions act again; None when it holds none that physics could repeat.
 
     Args:
-        config: the dataset's own.
+        session: of the dataset's own config.
 
     Raises:
         DatasetError: a file is damaged, or the episode is of another scene.
     """
-    with EpisodeRunner(config, locations, {}, draw=False) as runner:
-        return repeat_actions(runner, episode, episode.frames(), tolerance=0.0)
+    with Simulator(session.without_meshes()) as simulator:
+        return repeat_actions(simulator, episode, episode.frames(), tolerance=0.0)
 
 
 def play(
     episode: StoredEpisode,
-    config: RecordConfig,
-    locations: Locations,
-    meshes: Meshes,
+    session: Session,
     speed: float,
     address: PageAddress | None,
     ready: Callable[[str | None], None],
@@ -157,8 +154,7 @@ def play(
     """Play an episode in a loop until `stopped` says so.
 
     Args:
-        config: the dataset's own.
-        meshes: asset set -> folder of its files, or None for primitives.
+        session: of the dataset's own config.
         speed: how fast time passes; 1 is real time.
         address: of the browser page; None for MuJoCo's window.
         ready: called once, with the page's URL.
@@ -168,14 +164,12 @@ def play(
         UsageError: the address cannot be had.
         ResourceError: the viewer is not installed, or no window can be opened.
     """
-    record = episode.record
+    record, config = episode.record, session.config
     viewpoint = task_viewpoint(config)
-    with EpisodeRunner(scene_config(config), locations, meshes, draw=False) as runner:
-        states = positions(episode, runner)
-        vary(runner, episode)
-        player = EpisodePlayer(
-            f"{config.task.name} {record.episode}", runner.scene.model, states, record.frame_period_s, speed
-        )
+    with Simulator(shown_again(session)) as simulator:
+        states = positions(episode, simulator)
+        model = simulator.varied(recorded_attempt(record)).model
+        player = EpisodePlayer(f"{config.task.name} {record.episode}", model, states, record.frame_period_s, speed)
         if address is None:
             from ..viewers.window import run_window
 

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import mujoco
-
 from ..config.recording import RecordConfig, RenderConfig
-from ..config.rig import RigConfig
-from ..config.scene import SceneConfig
 from ..errors import ResourceError
 from ..images.image import Image
 from ..resources import Locations
-from ..scene.build import add_wrist_camera
-from ..scene.compose import Contents, Meshes, compile_spec
-from ..scene.quality import apply_quality
+from ..scene.blueprint import Blueprint, Pictures, task_blueprint
+from ..scene.cameras import station_camera, wrist_camera
+from ..session import Session
 from ..viewers.address import PageAddress
 from ..viewers.live import LiveRig
 from ..viewers.shown import Shown
 from ..viewers.viewpoint import Viewpoint, frame_rig, frame_workspace
 from ..vision.renderer import SceneRenderer
-from .compose import rig_spec, task_spec
+from .compose import at_home, task_home
 
 if TYPE_CHECKING:
     from ..viewers.bodies_page import BodiesPage
@@ -34,41 +31,38 @@ PERIOD = 1 / 30
 _PICTURE = (320, 240)
 
 
-def live_rig(
-    rig: RigConfig,
-    scene: SceneConfig,
-    contents: Contents,
-    locations: Locations,
-    meshes: Meshes,
-    quality: RenderConfig | None = None,
-) -> LiveRig:
+def live_rig(blueprint: Blueprint, locations: Locations, quality: RenderConfig | None = None) -> LiveRig:
     """Compose a rig and put it into keyframe `home`, ready to run.
 
     Args:
-        quality: of its cameras' pictures; None where none are drawn.
+        quality: of its wrist cameras' pictures; None where none are rendered.
     """
-    spec, _ = rig_spec(rig, scene, contents, locations, meshes)
-    return LiveRig(rig, _with_cameras(spec, rig, quality))
+    _, model = at_home(_with_cameras(blueprint, quality), locations)
+    return LiveRig(blueprint.rig, model)
 
 
-def live_task(
-    config: RecordConfig, contents: Contents, locations: Locations, meshes: Meshes, quality: RenderConfig | None = None
-) -> LiveRig:
+def live_task(session: Session, *, boards: bool = True, quality: RenderConfig | None = None) -> LiveRig:
     """A task's scene, with the layout of the seed's first attempt; see `live_rig`.
 
     Raises:
         SimulationError: the sampling box has no room for the objects.
     """
-    spec, _ = task_spec(config, contents, locations, meshes)
-    return LiveRig(config.rig, _with_cameras(spec, config.rig, quality), config.task.name)
+    config = session.config
+    blueprint = _with_cameras(task_blueprint(config, boards=boards), quality)
+    _, model = at_home(blueprint, session.locations, task_home(config))
+    return LiveRig(config.rig, model, config.task.name)
 
 
-def _with_cameras(spec: mujoco.MjSpec, rig: RigConfig, quality: RenderConfig | None) -> mujoco.MjModel:
-    for arm in rig.arms:
-        add_wrist_camera(spec, arm)
-    if quality is not None:
-        apply_quality(spec, quality, _PICTURE)
-    return compile_spec(spec)
+def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Blueprint:
+    """The same scene with all wrist cameras."""
+    pictures = Pictures(quality, _PICTURE) if quality is not None else None
+    rig = blueprint.rig
+    cameras = (
+        *blueprint.cameras,
+        *(wrist_camera(arm, _PICTURE) for arm in rig.arms),
+        *(station_camera(rig, camera, _PICTURE) for camera in rig.cameras),
+    )
+    return replace(blueprint, cameras=cameras, pictures=pictures)
 
 
 def task_viewpoint(config: RecordConfig) -> Viewpoint:
@@ -84,7 +78,7 @@ class LivePictures:
         self._live = live
         self._renderer: SceneRenderer | None = None
 
-    def draw(self, camera: str) -> Image:
+    def render(self, camera: str) -> Image:
         """An RGB image (240, 320, 3) of a camera.
 
         Raises:
@@ -93,7 +87,7 @@ class LivePictures:
         if self._renderer is None:
             self._renderer = SceneRenderer(self._live.model, _PICTURE)
         with self._live.lock:
-            return self._renderer.draw(self._live.data, camera)
+            return self._renderer.render(self._live.data, camera)
 
     def close(self) -> None:
         """Free the renderer."""
@@ -124,15 +118,15 @@ def view_in_browser(
         ResourceError: the viewer library is not installed.
     """
     require_page()
-    from ..viewers.page import Page
+    from ..viewers.rig_page import RigPage
 
-    drawn = LivePictures(live) if pictures else None
+    seen = LivePictures(live) if pictures else None
     try:
-        page = Page(live, viewpoint or frame_rig(live.rig), address, boards=boards, pictures=drawn)
+        page = RigPage(live, viewpoint or frame_rig(live.rig), address, boards=boards, pictures=seen)
         run_page(page, live, ready, stopped)
     finally:
-        if drawn is not None:
-            drawn.close()
+        if seen is not None:
+            seen.close()
 
 
 def require_page() -> None:

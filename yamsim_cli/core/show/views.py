@@ -2,41 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from ..config.recording import RenderConfig
-from ..config.rig import RigConfig
-from ..config.scene import SceneConfig
+from ..config.rig import ArmConfig, RigConfig
 from ..errors import ResourceError
 from ..files import refusal, write_file
 from ..geometry.camera import opencv_from_mujoco
-from ..geometry.se3 import quat_from_rotation
+from ..geometry.se3 import pose
 from ..images.image import Image
 from ..images.png import encode_png
 from ..resources import Locations
-from ..scene.compose import Contents, Meshes, compile_spec
+from ..scene.blueprint import Blueprint, Pictures
+from ..scene.cameras import WORLD, SceneCamera, add_camera
+from ..scene.compose import compile_spec
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
-from ..scene.quality import apply_quality
 from ..vision.renderer import SceneRenderer
 from ..vision.views import VIEWS, Camera, label, montage, place_camera, rig_points
-from .compose import rig_spec
+from .compose import at_home
 
 MONTAGE = "views.png"
 
 
 @dataclass(frozen=True)
 class ViewScene:
-    """A rig at rest, ready to be drawn from each view.
+    """A rig at rest, ready to be rendered from each view.
 
     Attributes:
         size: width and height of a view, px.
-        fine: the size in which it is drawn.
+        fine: the size in which it is rendered, before it is averaged.
     """
 
+    rig: RigConfig
     model: mujoco.MjModel
     data: mujoco.MjData
     cameras: dict[str, Camera]
@@ -47,37 +48,26 @@ class ViewScene:
         """A renderer of the views, to be closed by whoever asks for it.
 
         Raises:
-            ResourceError: nothing can draw here.
+            ResourceError: nothing can render here.
         """
         return SceneRenderer(self.model, self.size, self.fine)
 
 
-def set_stage(
-    rig: RigConfig,
-    scene: SceneConfig,
-    quality: RenderConfig,
-    size: tuple[int, int],
-    locations: Locations,
-    meshes: Meshes,
-) -> ViewScene:
+def set_up_views(blueprint: Blueprint, locations: Locations, quality: RenderConfig, size: tuple[int, int]) -> ViewScene:
     """Compose a rig with a camera for each view, placed by the rig's extent.
 
     Args:
         size: width and height of a view, px.
     """
-    spec, model = rig_spec(rig, scene, Contents(), locations, meshes)
+    rig = blueprint.rig
+    spec, model = at_home(replace(blueprint, pictures=Pictures(quality, size)), locations)
     cameras = _cameras(rig, model, _at_home(model), size)
     for view in VIEWS:
         T = cameras[view.name].T_cam_in_world
-        spec.worldbody.add_camera(
-            name=view.name,
-            pos=T[:3, 3],
-            quat=quat_from_rotation(opencv_from_mujoco(T[:3, :3])),
-            fovy=view.fovy_deg,
-        )
-    apply_quality(spec, quality, size)
+        T_mujoco = pose(T[:3, 3], opencv_from_mujoco(T[:3, :3]))
+        add_camera(spec, SceneCamera(view.name, WORLD, T_mujoco, view.fovy_deg))
     model = compile_spec(spec)
-    return ViewScene(model, _at_home(model), cameras, size, quality.fine_size(size))
+    return ViewScene(rig, model, _at_home(model), cameras, size, quality.fine_size(size))
 
 
 def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
@@ -87,18 +77,18 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
-def render_views(rig: RigConfig, stage: ViewScene) -> dict[str, Image]:
+def render_views(views: ViewScene) -> dict[str, Image]:
     """File name -> RGB image (height, width, 3): every view with its names written in, and the montage.
 
     Raises:
-        ResourceError: nothing can draw here.
+        ResourceError: nothing can render here.
     """
-    images: dict[str, Image] = {}
-    with stage.renderer() as renderer:
-        for name, camera in stage.cameras.items():
-            texts = {text: camera.pixel(point) for text, point in _names(rig, stage.data).items()}
+    rig, images = views.rig, dict[str, Image]()
+    with views.renderer() as renderer:
+        for name, camera in views.cameras.items():
+            texts = {text: camera.pixel(point) for text, point in _names(rig, views.model, views.data).items()}
             title = f"{rig.name}: {name.replace('_', ' ')}"
-            images[f"{name}.png"] = label(renderer.draw(stage.data, name), texts, title)
+            images[f"{name}.png"] = label(renderer.render(views.data, name), texts, title)
     images[MONTAGE] = montage(list(images.values()))
     return images
 
@@ -121,21 +111,35 @@ def write_views(images: dict[str, Image], out: Path) -> list[Path]:
 def _cameras(rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int]) -> dict[str, Camera]:
     every = list(range(1, model.nbody))
     near_base = [
-        model.body(f"{arm.prefix}{name}").id
+        body
         for arm in rig.arms
-        for name, there in ((BOARD_BODY, arm.board), (MOUNT_BODY, arm.mount), ("arm", True), ("link_1", True))
-        if there
+        for body in (
+            *(model.body(arm.prefix + name).id for name, there in _on_base(arm) if there),
+            model.body(arm.prefix + arm.robot.base).id,
+            _link(model, arm, 0),
+        )
     ]
     return {
         view.name: place_camera(view, rig_points(model, data, near_base if view.low else every), size) for view in VIEWS
     }
 
 
-def _names(rig: RigConfig, data: mujoco.MjData) -> dict[str, np.ndarray]:
+def _on_base(arm: ArmConfig) -> tuple[tuple[str, bool], ...]:
+    return (BOARD_BODY, arm.board is not None), (MOUNT_BODY, arm.mount is not None)
+
+
+def _link(model: mujoco.MjModel, arm: ArmConfig, joint: int) -> int:
+    """The body that turns with an arm's joint of that number, from the base on."""
+    return int(model.jnt_bodyid[model.joint(arm.prefix + arm.robot.joint_names[joint]).id])
+
+
+def _names(rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, np.ndarray]:
     """Text -> the point (3,) of `world` it belongs to."""
     names = {}
     for arm in rig.arms:
-        names[f"{arm.name} ({arm.side})"] = data.body(f"{arm.prefix}link_3").xpos + np.array([0, 0, 0.09])
+        names[f"{arm.name} ({arm.side})"] = data.xpos[_link(model, arm, arm.robot.dof // 2 - 1)] + np.array(
+            [0, 0, 0.09]
+        )
         if arm.board:
             ids = arm.board.board.ids
             # In front of the board, as the cameras see it: on it, the text would hide the markers.

@@ -1,4 +1,4 @@
-"""States of a simulation at any moments, whatever its steps are."""
+"""Collects states of a simulation at given times, also between its steps."""
 
 from __future__ import annotations
 
@@ -7,22 +7,21 @@ import numpy as np
 
 from ..geometry.se3 import Array
 
-# Times are sums of steps: so much of rounding is none.
+# Times are sums of steps, and are compared with this tolerance for rounding, s.
 _ROUNDING_S = 1e-9
 
 
 class Moments:
-    """Gathers MuJoCo's positions at given times while a simulation runs: give it to `sim.rollout.simulate` as `see`.
+    """Collects MuJoCo's positions at given times while a simulation runs; `sim.rollout.simulate` takes it as `see`.
 
-    A moment on a step is that step's state, bit for bit. One between two steps lies on the straight way from one state
-    to the other, as joints turn, and bodies turn and move.
+    At the time of a step, it is that step's state, bit for bit. Between two steps, joints and bodies are interpolated.
 
     Attributes:
-        qpos: positions (n, nq) at the times, as far as the simulation has come.
+        qpos: positions (n, nq) at the times; NaN for times that the simulation has not reached.
 
     Args:
-        model: of the simulation.
-        times: when (n,), in order, s.
+        model: the simulation's model.
+        times: the times (n,), in order, s.
     """
 
     def __init__(self, model: mujoco.MjModel, times: Array) -> None:
@@ -33,7 +32,7 @@ class Moments:
         self.qpos = np.full((len(times), model.nq), np.nan)
 
     def __call__(self, data: mujoco.MjData) -> None:
-        """Look at the start, or at the state after a step."""
+        """Take in the start, or the state after a step."""
         while self._next < len(self._times) and self._times[self._next] <= data.time + _ROUNDING_S:
             self.qpos[self._next] = self._at(self._times[self._next], data)
             self._next += 1

@@ -1,4 +1,4 @@
-"""What is watched while an attempt runs: the arms' limits, what they touch, and how the object is held."""
+"""Observes an attempt while it runs: the arms' limits, what they touch, and how the object is held."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from ..types import Margins, Motion, Phases
 
 
 def object_pose(data: mujoco.MjData, name: str) -> Array:
-    """Pose (4, 4) of a body in `world`, as of the last forward kinematics."""
+    """Pose (4, 4) of a body in `world`, by the last forward kinematics."""
     body = data.body(name)
     return pose(body.xpos, body.xmat.reshape(3, 3))
 
 
 class MotionMonitor:
-    """Looks at every physics step, and at the object at the start of every control tick in which it is held.
+    """Observes every physics step, and the object at the start of every control tick in which it is held.
 
     Args:
         data: the scene at the start.
         carried: name of the object.
-        phases: when it is held, by which arm.
-        steps: physics steps in all.
+        phases: when it is held, and by which arm.
+        steps: number of physics steps in all.
     """
 
     def __init__(
@@ -35,8 +35,9 @@ class MotionMonitor:
         self._scene = scene
         self._carried = carried
         self._phases = phases
-        shape = (len(scene.arms), steps, 6)
-        self._positions, self._velocities, self._torques = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self._positions, self._velocities, self._torques = (
+            [np.zeros((steps, arm.dof)) for arm in scene.arms] for _ in range(3)
+        )
         self._step = 0
         self._at_rest = object_pose(data, carried)
         self._in_hand: list[list[Array]] = [[] for _ in phases]
@@ -47,12 +48,12 @@ class MotionMonitor:
         self._timestep = float(scene.model.opt.timestep)
 
     def step(self, data: mujoco.MjData) -> None:
-        """Look at the state after a physics step."""
+        """Observe the state after a physics step."""
         scene, k = self._scene, self._step
         for number, arm in enumerate(scene.arms):
-            self._positions[number, k] = data.qpos[arm.joint_qpos]
-            self._velocities[number, k] = data.qvel[arm.joint_dof]
-            self._torques[number, k] = data.actuator_force[arm.arm_ctrl]
+            self._positions[number][k] = data.qpos[arm.joint_qpos]
+            self._velocities[number][k] = data.qvel[arm.joint_dof]
+            self._torques[number][k] = data.actuator_force[arm.arm_ctrl]
         self._step += 1
         if self._collision is None:
             geoms = data.contact.geom
@@ -62,22 +63,22 @@ class MotionMonitor:
                 self._collision = f"{names} touch after {data.time:.2f} s"
 
     def end_tick(self, data: mujoco.MjData) -> None:
-        """Look at the state after a control tick's last step."""
+        """Observe the state after a control tick's last step."""
         if self._breakdown is None and (text := breakdown(data)):
-            # By steps: MuJoCo has set its own clock back.
+            # The time is counted in steps, since MuJoCo has reset its own clock.
             self._breakdown = f"physics broke down within {self._step * self._timestep:.3f} s: {text}"
 
     def tick(self, tick: int, data: mujoco.MjData) -> None:
-        """Look at the object at the start of a control tick; poses have to be up to date."""
+        """Observe the object at the start of a control tick; poses have to be up to date."""
         if tick == min(phase.reached for phase in self._phases):
             self._at_rest = object_pose(data, self._carried)
         for phase, in_hand in zip(self._phases, self._in_hand, strict=True):
             if tick in phase.held:
-                self._look_at_hand(data, self._scene.arms[phase.arm], phase.arm, in_hand)
+                self._observe_hand(data, self._scene.arms[phase.arm], phase.arm, in_hand)
 
-    def _look_at_hand(self, data: mujoco.MjData, arm: SceneArm, number: int, in_hand: list[Array]) -> None:
+    def _observe_hand(self, data: mujoco.MjData, arm: SceneArm, number: int, in_hand: list[Array]) -> None:
         T_object = object_pose(data, self._carried)
-        in_hand.append((inverse(object_pose(data, f"{arm.prefix}link_6")) @ T_object)[:3, 3])
+        in_hand.append((inverse(object_pose(data, arm.flange)) @ T_object)[:3, 3])
         self._tilt = max(self._tilt, tilt(self._at_rest[:3, :3].T @ T_object[:3, :3]))
         geoms = data.contact.geom
         of_hand = (self._scene.geom_arm[geoms] == number).any(axis=1)
@@ -90,19 +91,25 @@ class MotionMonitor:
 
     @property
     def T_object_before_grasp(self) -> Array:
-        """Pose (4, 4) of the object in `world` when the hand had reached it; before that, where it was at the start."""
+        """Pose (4, 4) of the object in `world` when the hand had reached it; until then, its pose at the start."""
         return self._at_rest
 
     def motion(self) -> Motion:
-        """What came of all looks."""
+        """All that was observed."""
         arms = self._scene.arms
-        speed = np.array([arm.motor_speed for arm in arms])
-        torque = np.array([arm.most_torque for arm in arms])
-        low, high = (np.array([arm.joint_range[:, k] for arm in arms])[:, None] for k in (0, 1))
         margins = Margins(
-            velocity=float((np.abs(self._velocities).max(axis=1) / speed).max()),
-            torque=float((np.abs(self._torques).max(axis=1) / torque).max()),
-            joint=float(np.minimum(self._positions - low, high - self._positions).min()),
+            velocity=max(
+                float((np.abs(seen).max(axis=0) / arm.motor_speed).max())
+                for arm, seen in zip(arms, self._velocities, strict=True)
+            ),
+            torque=max(
+                float((np.abs(seen).max(axis=0) / arm.most_torque).max())
+                for arm, seen in zip(arms, self._torques, strict=True)
+            ),
+            joint=min(
+                float(np.minimum(seen - arm.joint_range[:, 0], arm.joint_range[:, 1] - seen).min())
+                for arm, seen in zip(arms, self._positions, strict=True)
+            ),
             slip=max((_moved(np.array(places)) for places in self._in_hand), default=0.0),
             tilt=self._tilt,
         )

@@ -1,4 +1,4 @@
-"""What stands in an arm's way, told before it gets there."""
+"""Finds what an arm would run into before it moves there."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 
-# What overlaps by less only touches, m.
+# Overlaps of less than this count as touching, m.
 _TOUCH = 5e-4
 
 
 class Obstruction:
-    """Tells what an arm would run into with its joints elsewhere; the task's objects are there to be moved.
+    """Finds what an arm would run into at other joints. The task's objects do not count, since they can be moved.
 
     Args:
-        arm: its number in the scene.
+        arm: the arm's number in the scene.
     """
 
     def __init__(self, scene: CompiledScene, arm: int) -> None:
@@ -29,11 +29,11 @@ class Obstruction:
         self._is_object = np.isin(model.body_rootid[model.geom_bodyid], objects)
 
     def depth(self, qpos: Array, joints: Array) -> tuple[float, str]:
-        """How deep the arm would be in something else, or in itself, m, and in what; 0 and "" where it is free.
+        """How deep the arm would be in something else or in itself, m, and in what; 0 and "" if it is free.
 
         Args:
             qpos: MuJoCo's positions (nq,) of everything else.
-            joints: the arm's (6,), rad.
+            joints: the arm's (dof,), rad.
         """
         data, model = self._data, self._scene.model
         data.qpos[:] = qpos

@@ -1,67 +1,95 @@
-"""Find places for distractors: on the table, clear of everything that moves at any time of an episode."""
+"""Finds places for distractors: on the table, and clear of everything that moves at any time of an attempt."""
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from ..config.randomization import Distractors
+from ..config.recording import RecordConfig
 from ..config.scene import Table
 from ..config.things import ObjectConfig
-from ..geometry.se3 import Array
+from ..geometry.se3 import Array, UprightPose
 from ..scene.compiled import CompiledScene
-from ..scene.randomize import SceneRandomizer
+from ..scene.varied_model import VariedModel
 from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob
-
-Place = tuple[float, float, float, float]
 
 # Tries for each distractor before it is left out.
 _TRIES = 12
 
 
-def place_distractors(
-    scene: CompiledScene,
-    randomizer: SceneRandomizer,
-    config: Distractors,
-    table: Table,
-    job: EpisodeJob,
-    states: Sequence[Array],
-) -> dict[str, Place]:
-    """Draw which distractors stand on the table, and where; they are put there.
-
-    They stand still and nothing comes near them, so it makes no difference to physics that they come last. One for
-    which no free place is found in 12 draws is left out: that is for the eye alone, and fails no attempt.
+class DistractorPlacer:
+    """Finds places for a recording's distractors, in a copy of its scene's model.
 
     Args:
-        states: MuJoCo's positions (nq,) throughout the episode.
-
-    Returns:
-        Distractor -> `[x, y, z, yaw]` in `world`, m and rad.
+        scene: as it was compiled, without any variation yet.
     """
-    rng = generator(job, Stream.DISTRACTORS)
-    wanted = int(rng.integers(config.count[0], config.count[1] + 1))
-    order = rng.permutation(len(config.objects))[:wanted]
-    data = mujoco.MjData(scene.model)
-    placed: dict[str, Place] = {}
-    discs: list[Array] = []
-    for item in (config.objects[k] for k in order):
-        for _ in range(_TRIES):
-            x, y, yaw = rng.uniform(*config.x), rng.uniform(*config.y), rng.uniform(-math.pi, math.pi)
-            disc = _discs(item, x, y, yaw)
-            if not _on_table(disc, table) or any(_gap(disc, other) < config.clearance for other in discs):
-                continue
-            place = (float(x), float(y), table.top + item.rest_height, float(yaw))
-            randomizer.place(item.name, place)
-            if _is_clear(scene, data, item.name, config.clearance, states):
-                placed[item.name] = place
-                discs.append(disc)
-                break
-            randomizer.place(item.name, None)
-    return placed
+
+    def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
+        self._distractors = config.randomization.distractors
+        self._table = config.table
+        self._model = copy.copy(scene.model)
+        self._varied = VariedModel(self._model, config.randomization, config.scene)
+
+    def places(self, job: EpisodeJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
+        """Distractor -> its place `[x, y, z, yaw]` in `world`, m and rad, sampled from an attempt's numbers.
+
+        Distractors stand still and nothing comes near them, so that physics is the same although they are placed last.
+        One for which no free place is found in 12 tries is left out. It would matter only for the pictures, so that the
+        attempt does not fail.
+
+        Args:
+            positions: MuJoCo's positions (nq,) at all times of the attempt.
+        """
+        config = self._distractors
+        if config is None:
+            return {}
+        for item in config.objects:
+            self._varied.place(item.name, None)
+        rng = generator(job, Stream.DISTRACTORS)
+        wanted = int(rng.integers(config.count[0], config.count[1] + 1))
+        order = rng.permutation(len(config.objects))[:wanted]
+        data = mujoco.MjData(self._model)
+        placed: dict[str, UprightPose] = {}
+        discs: list[Array] = []
+        for item in (config.objects[k] for k in order):
+            for _ in range(_TRIES):
+                x, y, yaw = rng.uniform(*config.x), rng.uniform(*config.y), rng.uniform(-math.pi, math.pi)
+                disc = _discs(item, x, y, yaw)
+                if not _on_table(disc, self._table) or any(_gap(disc, other) < config.clearance for other in discs):
+                    continue
+                place = (float(x), float(y), self._table.top + item.rest_height, float(yaw))
+                self._varied.place(item.name, place)
+                if self._is_clear(data, item.name, config.clearance, positions):
+                    placed[item.name] = place
+                    discs.append(disc)
+                    break
+                self._varied.place(item.name, None)
+        return placed
+
+    def _is_clear(self, data: mujoco.MjData, name: str, clearance: float, positions: Sequence[Array]) -> bool:
+        """Whether nothing that moves comes nearer to a distractor, by MuJoCo's own collision detection."""
+        model = self._model
+        body = model.body(name)
+        mocap = int(body.mocapid[0])
+        geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == body.id)
+        before = model.geom_margin[geoms].copy()
+        model.geom_margin[geoms] = clearance
+        data.mocap_pos[mocap], data.mocap_quat[mocap] = model.body_pos[body.id], model.body_quat[body.id]
+        try:
+            for qpos in positions:
+                data.qpos[:] = qpos
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_collision(model, data)
+                if np.isin(data.contact.geom, geoms).any():
+                    return False
+            return True
+        finally:
+            model.geom_margin[geoms] = before
 
 
 def _discs(item: ObjectConfig, x: float, y: float, yaw: float) -> Array:
@@ -78,24 +106,3 @@ def _on_table(discs: Array, table: Table) -> bool:
 def _gap(one: Array, other: Array) -> float:
     apart = np.linalg.norm(one[:, None, :2] - other[None, :, :2], axis=-1)
     return float((apart - one[:, None, 2] - other[None, :, 2]).min())
-
-
-def _is_clear(scene: CompiledScene, data: mujoco.MjData, name: str, clearance: float, states: Sequence[Array]) -> bool:
-    """Whether nothing that moves comes nearer to a distractor than `clearance`, by MuJoCo's own collision detection."""
-    model = scene.model
-    body = model.body(name)
-    mocap = int(body.mocapid[0])
-    geoms = np.flatnonzero(model.geom_bodyid == body.id)
-    before = model.geom_margin[geoms].copy()
-    model.geom_margin[geoms] = clearance
-    data.mocap_pos[mocap], data.mocap_quat[mocap] = model.body_pos[body.id], model.body_quat[body.id]
-    try:
-        for qpos in states:
-            data.qpos[:] = qpos
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_collision(model, data)
-            if np.isin(data.contact.geom, geoms).any():
-                return False
-        return True
-    finally:
-        model.geom_margin[geoms] = before

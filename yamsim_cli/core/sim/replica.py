@@ -1,4 +1,4 @@
-"""A copy of the scene that is put into recorded states to be looked at; it is never stepped."""
+"""A copy of the scene that is put into recorded states to read or render them, and is never stepped."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..scene.compiled import CompiledScene
 
 
 class Replica:
-    """Poses of everything in one recorded state, all in the base frame of the robot; of two arms, of the left one."""
+    """Joints and poses of one recorded state. Poses are in the robot's base; with two arms, in the left one's."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene
@@ -22,10 +22,10 @@ class Replica:
         self._fixed = np.flatnonzero(scene.model.body_mocapid >= 0)
 
     def show(self, qpos: Array) -> None:
-        """Take on a state (nq,): positions of all bodies, cameras and lights."""
+        """Take on a state (nq,), with the positions of all bodies, cameras and lights."""
         model = self.scene.model
         self.data.qpos[:] = qpos
-        # Where the model has them now.
+        # Mocap bodies are put where the model has them now.
         for body in self._fixed:
             number = int(model.body_mocapid[body])
             self.data.mocap_pos[number], self.data.mocap_quat[number] = model.body_pos[body], model.body_quat[body]
@@ -34,9 +34,13 @@ class Replica:
         mujoco.mj_camlight(model, self.data)
 
     def joints(self) -> Array:
-        """The six joints in rad and the opening of one finger in m, (7,) or (14,)."""
-        qpos, arms = self.data.qpos, self.scene.arms
-        return np.concatenate([part for arm in arms for part in (qpos[arm.joint_qpos], qpos[arm.gripper_qpos[:1]])])
+        """Each arm's joints in rad and the opening of one of its fingers in m, if it has any, (arms, drives)."""
+        return np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
+
+    def openings(self) -> Array:
+        """Of one finger of each arm (arms,), m; 0 where it has none."""
+        fingers = [arm.fingers for arm in self.scene.arms]
+        return np.array([self.data.qpos[one.qpos[0]] if one else 0.0 for one in fingers])
 
     def T_object_in_base(self, name: str) -> Array:
         """Pose (4, 4) of a body."""
@@ -44,10 +48,9 @@ class Replica:
         return self._T_world_in_base @ pose(body.xpos, body.xmat.reshape(3, 3))
 
     def T_grasp_in_base(self) -> Array:
-        """Pose of `grasp_site` (4, 4), or of each arm's (2, 4, 4)."""
+        """Pose of each arm's `grasp_site` (arms, 4, 4)."""
         sites = [self.data.site(f"{arm.prefix}grasp_site") for arm in self.scene.arms]
-        T = np.array([self._T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3)) for site in sites])
-        return T if len(T) > 1 else T[0]
+        return np.array([self._T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3)) for site in sites])
 
     def intrinsics(self, camera: str, size: tuple[int, int]) -> Intrinsics:
         """The pinhole camera that images of `size` (width, height) pixels are rendered with."""

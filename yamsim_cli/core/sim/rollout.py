@@ -1,4 +1,4 @@
-"""Run a joint path, or recorded actions, in physics, without drawing, and keep the states that will be drawn."""
+"""Simulates actions without rendering, and keeps the states to be rendered later."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ import numpy as np
 
 from ..config.task import Timing
 from ..geometry.se3 import Array
-from ..scene.compiled import CompiledScene, SceneArm
-from ..types import Actions, Holds, JointPath, Layout, Motion, Phases, StepState
+from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
+from ..types import Actions, JointPath, Layout, Motion, Phases, Stand, StepState
 from .monitor import MotionMonitor, object_pose
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """What physics made of a path, or of recorded actions.
+    """The result of a simulation.
 
     Attributes:
-        states: one a recorded frame, taken before its command acts.
-        T_object_before_grasp: pose (4, 4) of the object in `world` when the hand had reached it.
-        T_in_world: object name -> pose (4, 4) at the end.
-        object_speed: of the carried object at the end, m/s.
-        motion: what was seen on the way.
+        states: a state for each recorded frame, taken before its command acts.
+        T_at_start: object name -> pose (4, 4) in `world` at the start.
+        T_object_before_grasp: pose (4, 4) of the carried object in `world` when the hand had reached it.
+        T_in_world: object name -> pose (4, 4) in `world` at the end.
+        object_speed: speed of the carried object at the end, m/s.
+        motion: what was observed on the way.
     """
 
     states: tuple[StepState, ...]
+    T_at_start: dict[str, Array]
     T_object_before_grasp: Array
     T_in_world: dict[str, Array]
     object_speed: float
@@ -35,11 +37,11 @@ class Rollout:
 
 
 def drive_command(arm: SceneArm, path: JointPath, tick: int) -> Array:
-    """What an arm's drives (6,) are told on one tick, rad.
+    """What the drives (dof,) of an arm's joints are told on one tick, rad.
 
-    A drive pulls towards its command and brakes all motion: `kp (ctrl - q) - kv qvel`. So that the arm follows its
-    reference, neither lagging behind nor swinging past, the command is the reference in the middle of the tick and, on
-    top, what makes up for the brake (`kv / kp` of the velocity) and for the inertia (the torque over `kp`).
+    A drive pulls towards its command and damps all motion, with the torque `kp (ctrl - q) - kv qvel`. The command is
+    the reference in the middle of the tick, plus what makes up for the damping (`kv / kp` times the velocity) and for
+    the inertia (the torque over `kp`). So the arm neither lags behind its reference nor overshoots it.
     """
     reference = (path.joints[tick] + path.joints[tick + 1]) / 2
     command = reference + (arm.kv * path.velocities[tick] + path.torques[tick]) / arm.kp
@@ -47,43 +49,30 @@ def drive_command(arm: SceneArm, path: JointPath, tick: int) -> Array:
     return clipped
 
 
-def grip_command(arm: SceneArm, path: JointPath) -> Array:
-    """What an arm's gripper is told (n,), m: the opening, less what makes each finger press with half its force."""
-    clipped: Array = np.clip(path.gripper - 2 * path.grip / arm.grip_gain, *arm.grip_range)
+def grip_command(fingers: SceneFingers, path: JointPath) -> Array:
+    """What a gripper is told (n,), m: the opening, less what makes each finger press with half its force."""
+    clipped: Array = np.clip(path.gripper - 2 * path.grip / fingers.gain, *fingers.ctrl_range)
     return clipped
 
 
 def path_actions(scene: CompiledScene, paths: Sequence[JointPath]) -> Actions:
-    """What makes each of the scene's arms follow its path; all paths are of one length."""
+    """The actions that make each of the scene's arms follow its path; all paths have the same length."""
     ctrl = np.zeros((len(paths[0].gripper), scene.model.nu))
     for arm, path in zip(scene.arms, paths, strict=True):
         ctrl[:, arm.arm_ctrl] = [drive_command(arm, path, tick) for tick in range(len(ctrl))]
-        ctrl[:, arm.gripper_ctrl] = grip_command(arm, path)
-    magnet: tuple[Holds, ...] = paths[0].magnet
-    if len(paths) > 1:
-        magnet = tuple(zip(*(path.magnet for path in paths), strict=True))
-    joints = np.column_stack([part for path in paths for part in (path.joints[1:], path.gripper)])
-    return Actions(ctrl, magnet, joints)
+        if arm.fingers is not None:
+            ctrl[:, arm.fingers.ctrl] = grip_command(arm.fingers, path)
+    magnet = np.column_stack([path.magnet for path in paths])
+    asked = [
+        path.joints[1:] if arm.fingers is None else np.column_stack([path.joints[1:], path.gripper])
+        for arm, path in zip(scene.arms, paths, strict=True)
+    ]
+    return Actions(ctrl, magnet, np.stack(asked, axis=1))
 
 
-def roll_out(
-    scene: CompiledScene,
-    layout: Layout,
-    paths: Sequence[JointPath],
-    carried: str,
-    timing: Timing,
-    phases: Sequence[Phases],
-) -> Rollout:
-    """Simulate one attempt from a full reset; the same inputs give the same bits on one machine.
-
-    Args:
-        paths: of each of the scene's arms.
-        carried: name of the object that is picked up.
-        phases: when it is held, by which arm.
-    """
-    joints, openings = np.array([path.joints[0] for path in paths]), np.array([path.gripper[0] for path in paths])
-    start = scene.start_qpos(layout, joints, openings)
-    return simulate(scene, start, path_actions(scene, paths), carried, timing, phases)
+def path_start(scene: CompiledScene, layout: Layout, paths: Sequence[JointPath]) -> Array:
+    """MuJoCo's positions (nq,) from which the scene's arms can follow their paths."""
+    return scene.start_qpos(layout, [Stand(path.joints[0], float(path.gripper[0])) for path in paths])
 
 
 def simulate(
@@ -95,26 +84,27 @@ def simulate(
     phases: Sequence[Phases],
     see: Callable[[mujoco.MjData], None] | None = None,
 ) -> Rollout:
-    """Let actions act from a full reset at `start` (nq,), everything at rest; the same inputs give the same bits.
+    """The simulation of actions from a full reset at `start` (nq,), at rest. The same inputs give the same bits.
 
     Args:
         carried: name of the object that is picked up.
-        phases: when it is held, by which arm.
-        see: is shown the start, and the state after every physics step; it must not change it.
+        phases: when it is held, and by which arm.
+        see: called with the start, and with the state after every physics step, which it must not change.
     """
     model = scene.model
     data = mujoco.MjData(model)
     scene.reset(data, start)
+    T_at_start = _object_poses(scene, data)
     if see:
         see(data)
     steps = timing.physics_steps_per_tick
     watch = MotionMonitor(scene, data, carried, phases, steps * len(actions.ctrl))
     states: list[StepState] = []
     for tick, ctrl in enumerate(actions.ctrl):
-        # mj_step leaves the poses of the step before.
+        # After mj_step, poses are those of the step before.
         mujoco.mj_kinematics(model, data)
         watch.tick(tick, data)
-        for arm, holds in zip(scene.arms, np.atleast_1d(actions.magnet[tick]), strict=True):
+        for arm, holds in zip(scene.arms, actions.magnet[tick], strict=True):
             if holds and not data.eq_active[arm.weld]:
                 attach(scene.model, arm, data, carried)
             data.eq_active[arm.weld] = holds
@@ -133,19 +123,25 @@ def simulate(
     dof = scene.object_dof[carried]
     return Rollout(
         states=tuple(states),
+        T_at_start=T_at_start,
         T_object_before_grasp=watch.T_object_before_grasp,
-        T_in_world={name: object_pose(data, name) for name in scene.object_qpos},
+        T_in_world=_object_poses(scene, data),
         object_speed=float(np.linalg.norm(data.qvel[dof : dof + 3])),
         motion=watch.motion(),
     )
 
 
+def _object_poses(scene: CompiledScene, data: mujoco.MjData) -> dict[str, Array]:
+    return {name: object_pose(data, name) for name in scene.object_qpos}
+
+
 def attach(model: mujoco.MjModel, arm: SceneArm, data: mujoco.MjData, carried: str) -> None:
-    """Write the object's present pose relative to `link_6` into the weld, so that switching it on moves nothing."""
-    hand, item = data.body(f"{arm.prefix}link_6"), data.body(carried)
+    """Write the object's present pose relative to the flange into the weld, so that switching it on moves nothing."""
+    hand, item = data.body(arm.flange), data.body(carried)
     position, quat, inverse_quat = np.empty(3), np.empty(4), np.empty(4)
     mujoco.mju_negQuat(inverse_quat, hand.xquat)
     mujoco.mju_rotVecQuat(position, item.xpos - hand.xpos, inverse_quat)
     mujoco.mju_mulQuat(quat, inverse_quat, item.xquat)
-    # Anchor in the second body (3), position (3) and quaternion (4) of the second body in the first, torque scale (1).
+    # The anchor in the second body (3), the second body's position (3) and quaternion (4) in the first, and the torque
+    # scale (1).
     model.eq_data[arm.weld, :11] = [0, 0, 0, *position, *quat, 1]

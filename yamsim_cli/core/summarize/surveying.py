@@ -1,9 +1,8 @@
-"""Look through a dataset: workers open its files, this process puts together what they found."""
+"""Surveys a dataset: workers open its files, and this process puts together what they find."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
@@ -14,16 +13,14 @@ from ..dataset.checks.problem import Problems
 from ..dataset.survey import Survey, survey
 from ..errors import InterruptedJobError
 from ..images.jpeg import JpegReader
+from ..progress import Progress
 from ..resources import Locations
 from ..workers.executor import LostJobError
 from ..workers.processes import WorkerPool
 
-# Called with episodes done and in all.
-Progress = Callable[[int, int], None]
-
 
 class EpisodeChecker:
-    """Checks episodes in a worker's own process: what JPEGs make the decoder say goes to that process's stderr."""
+    """Checks episodes, in a worker's own process, since the decoder of JPEGs complains on its process's stderr."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -44,13 +41,13 @@ class EpisodeChecker:
 
 
 def survey_dataset(dataset: Path, locations: Locations, workers: int, progress: Progress) -> Survey:
-    """Open every file of a dataset. Nothing is changed.
+    """All that is found in a dataset. Every file is opened, and nothing is changed.
 
     Args:
-        workers: processes.
+        workers: number of processes.
 
     Raises:
-        DatasetError: there is no dataset at all.
+        DatasetError: there is no dataset.
         InterruptedJobError: stopped by the user.
         PartialJobError: no worker can be kept alive.
     """
@@ -80,7 +77,7 @@ def survey_dataset(dataset: Path, locations: Locations, workers: int, progress: 
 
 
 def _unchecked(error: LostJobError) -> tuple[EpisodeDirectory, EpisodeFacts]:
-    """What there is to say of an episode that ends every process that looks into it."""
+    """An episode that ends every process that opens it, and the fault that says so."""
     directory = error.job
     assert isinstance(directory, EpisodeDirectory)
     problems = Problems(directory.path.name)

@@ -1,4 +1,4 @@
-"""The kinds of task there are: a task's config names one, and the kind says what its demonstrations are made of."""
+"""The kinds of task. A task's config names one, and the kind has the functions that make its demonstrations."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from ..config.recording import GraspKind, RecordConfig
-from ..config.scene import Table
-from ..config.task import Sampling, TaskConfig
+from ..config.task import TaskConfig
 from ..config.things import GraspPoint
 from ..errors import ConfigError, suggest
 from ..geometry.se3 import Array
@@ -20,7 +19,7 @@ from .randomness import Stream, generator
 
 
 class Judge(Protocol):
-    """Tells how an attempt ended, see `pickplace.judge`."""
+    """A function that says how an attempt ended, see `pickplace.judge`."""
 
     def __call__(
         self,
@@ -29,22 +28,20 @@ class Judge(Protocol):
         poses: pickplace.Poses,
         speed: float,
         motion: Motion,
-        plan_error: float,
-        tilt: float,
         *,
-        planned: bool = True,
+        planned: bool,
     ) -> Outcome:
-        """Judge an attempt."""
+        """How an attempt ended."""
         ...
 
 
 @dataclass(frozen=True)
 class OneArmed:
-    """What one arm does, planned by `core.planning.choice`; both are functions of numbers alone.
+    """The parts of a task that one arm does and `core.planning.choice` plans; functions of numbers alone.
 
     Attributes:
-        grasp_points: where the object may be held, the best place first.
-        make_plan: what the hand does, once it is decided how the object is held.
+        grasp_points: gives the places where the object may be held, the best one first.
+        make_plan: gives what the hand does, once it is decided how it holds the object.
     """
 
     grasp_points: Callable[[TaskConfig, GraspKind], tuple[GraspPoint, ...]]
@@ -53,20 +50,21 @@ class OneArmed:
 
 @dataclass(frozen=True)
 class TaskKind:
-    """What demonstrations of one kind of task are made of; all are functions of numbers alone.
+    """The parts of one kind of task; functions of numbers alone.
 
     Attributes:
-        sample_layout: draws where things start, the object from the first box and the target from the second; None
-            where there is no room.
-        phases: when the object is in hand, and in whose; it follows from the config, whatever is drawn.
+        sample_layout: where things start, sampled; None where there is no room.
+        phases: when the object is in hand, and in whose; it follows from the config alone.
         ticks: how many control ticks an attempt has; likewise.
+        start_opening: how far each finger of the arms that act is open at the start, m; likewise.
         judge: tells how an attempt ended.
         one_armed: of a task that one arm does; any other has its planner in `core.planning.planners`.
     """
 
-    sample_layout: Callable[[TaskConfig, Table, np.random.Generator, Sampling, Sampling], Layout | None]
+    sample_layout: Callable[[RecordConfig, np.random.Generator], Layout | None]
     phases: Callable[[RecordConfig], tuple[Phases, ...]]
     ticks: Callable[[RecordConfig], int]
+    start_opening: Callable[[RecordConfig], float]
     judge: Judge
     one_armed: OneArmed | None = None
 
@@ -81,13 +79,15 @@ KINDS: Mapping[str, TaskKind] = {
         sample_layout=pickplace.sample_layout,
         phases=_one_arm_phases,
         ticks=lambda config: plans.ticks(config.task, config.grasp),
+        start_opening=lambda config: plans.start_opening(config.task, config.grasp),
         judge=pickplace.judge,
         one_armed=OneArmed(plans.grasp_points, plans.make_plan),
     ),
     "handover": TaskKind(
         sample_layout=pickplace.sample_layout,
-        phases=lambda config: handover.phases(config.task),
-        ticks=lambda config: handover.schedule(config.task).total,
+        phases=lambda config: handover.phases(config.task, config.grasp, *config.acting_scene_arms),
+        ticks=lambda config: handover.schedule(config.task, config.grasp).total,
+        start_opening=lambda config: handover.start_opening(config.task),
         judge=pickplace.judge,
     ),
 }
@@ -104,7 +104,6 @@ def kind_of(task: TaskConfig) -> TaskKind:
     return KINDS[task.kind]
 
 
-def draw_layout(config: RecordConfig, job: EpisodeJob) -> Layout | None:
+def sample_layout(config: RecordConfig, job: EpisodeJob) -> Layout | None:
     """Where things start in an attempt; None where there is no room for them."""
-    rng = generator(job, Stream.LAYOUT)
-    return kind_of(config.task).sample_layout(config.task, config.table, rng, config.object_box, config.target_box)
+    return kind_of(config.task).sample_layout(config, generator(job, Stream.LAYOUT))

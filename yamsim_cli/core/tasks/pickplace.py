@@ -1,4 +1,4 @@
-"""Pick an object up and put it onto another: where they start, and whether it worked."""
+"""Picking an object up and putting it onto another: sampling where they start, and judging how it ended."""
 
 from __future__ import annotations
 
@@ -7,40 +7,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.recording import GraspKind
+from ..config.recording import GraspKind, RecordConfig
 from ..config.scene import Table
-from ..config.task import Sampling, TaskConfig
+from ..config.task import TaskConfig
 from ..config.things import ObjectConfig
 from ..geometry.se3 import Array, pose, rotation_z
 from ..types import Cause, Layout, Motion, Outcome
 
-# The crank fingers' joint ends at 37.5 mm. Source: MuJoCo Menagerie i2rt_yam, `left_finger` range.
-OPEN = 0.0375
-
 # Objects start this far above what they lie on, so that no contact exists before the first step.
 SPAWN_GAP = 2e-4
 
-# Enough that a draw fails only for a box too small for both objects.
-_MAX_DRAWS = 1000
+# Tries to find a free place for the target. So many fail only if the box is too small for both objects.
+_MAX_TRIES = 1000
 
-# An object that moved this far before the grasp was knocked by the hand, and this far in the hand, slipped; m.
+# An object that moves farther than this before the grasp was knocked by the hand, m.
 KNOCK_DISTANCE = 0.02
+# An object that moves farther than this in the hand has slipped, m.
 SLIP_DISTANCE = 0.015
 
-# Contacts are soft in physics: what lies on something sinks in by a fraction of this, m.
+# Contacts are soft in physics: an object sinks into what it lies on by a fraction of this, m.
 _SUNK = 1e-3
 
-# Stops are soft in physics, rad.
+# Stops are soft in physics: a joint may be beyond its stop by this, rad.
 _STOP_SLACK = 0.01
 
 
 @dataclass(frozen=True)
 class Poses:
-    """What an episode is judged by, (4, 4) in `world`.
+    """The poses (4, 4) in `world` by which an attempt is judged.
 
     Attributes:
-        T_object_at_start, T_object_before_grasp, T_object_at_end: the second when the hand had reached it.
-        T_target_at_end: where it was put.
+        T_object_at_start: the object's pose at the start.
+        T_object_before_grasp: its pose when the hand had reached it.
+        T_object_at_end: its pose at the end.
+        T_target_at_end: the target's pose at the end.
     """
 
     T_object_at_start: Array
@@ -49,33 +49,24 @@ class Poses:
     T_target_at_end: Array
 
 
-def sample_layout(
-    task: TaskConfig,
-    table: Table,
-    rng: np.random.Generator,
-    object_box: Sampling | None = None,
-    target_box: Sampling | None = None,
-) -> Layout | None:
-    """Draw where the object and the target start.
-
-    Args:
-        object_box, target_box: where from, see `RecordConfig`; if not given, the task's own box.
+def sample_layout(config: RecordConfig, rng: np.random.Generator) -> Layout | None:
+    """Where the object and the target start, sampled.
 
     Returns:
-        The layout, or None when no free place for the target was found in 1000 draws.
+        The layout, or None when none of 1000 places for the target was free.
     """
-    box = task.sampling
-    object_box, target_box = object_box or box, target_box or box
-    T_object = _draw(task.object, object_box.x, object_box.y, box.object_yaw_deg, table, rng)
-    for _ in range(_MAX_DRAWS):
-        T_target = _draw(task.target, target_box.x, target_box.y, box.target_yaw_deg, table, rng)
+    task, table, box = config.task, config.table, config.task.sampling
+    object_box, target_box = config.object_box, config.target_box
+    T_object = _sample_pose(task.object, object_box.x, object_box.y, box.object_yaw_deg, table, rng)
+    for _ in range(_MAX_TRIES):
+        T_target = _sample_pose(task.target, target_box.x, target_box.y, box.target_yaw_deg, table, rng)
         apart = float(np.hypot(*(T_object[:2, 3] - T_target[:2, 3])))
-        if apart >= box.min_separation and _gap(task.object, T_object, task.target, T_target) >= box.clearance:
+        if apart >= box.min_separation and _gap(config, T_object, T_target) >= box.clearance:
             return Layout({task.object.name: T_object, task.target.name: T_target})
     return None
 
 
-def _draw(
+def _sample_pose(
     item: ObjectConfig,
     x: tuple[float, float],
     y: tuple[float, float],
@@ -87,15 +78,18 @@ def _draw(
     return pose(position, rotation_z(math.radians(rng.uniform(*yaw_deg))))
 
 
-def _gap(item: ObjectConfig, T_item: Array, other: ObjectConfig, T_other: Array) -> float:
-    """The gap in metres between two objects' outlines seen from above, the fingers around the first counted in.
+def _gap(config: RecordConfig, T_object: Array, T_target: Array) -> float:
+    """The gap in metres between the outlines of object and target seen from above, the fingers around the object, as
+    they come down on it, counted in.
 
-    Negative when they overlap.
+    It is negative if they overlap.
     """
-    fingers = item.grasp.fingers(OPEN) if item.grasp else ()
+    item, hand = config.task.object, config.picking_fingers
+    assert item.grasp is not None  # checked when the config was loaded
+    fingers = item.grasp.fingers(hand.opened, hand.radius)
     discs_a, discs_b = (
         np.array([[*(T @ (x, y, 0, 1))[:2], radius] for x, y, radius in discs])
-        for discs, T in ((item.footprint + fingers, T_item), (other.footprint, T_other))
+        for discs, T in ((item.footprint + fingers, T_object), (config.task.target.footprint, T_target))
     )
     centres = np.linalg.norm(discs_a[:, None, :2] - discs_b[None, :, :2], axis=-1)
     return float((centres - discs_a[:, None, 2] - discs_b[None, :, 2]).min())
@@ -107,20 +101,17 @@ def judge(
     poses: Poses,
     speed: float,
     motion: Motion,
-    plan_error: float,
-    tilt: float,
     *,
-    planned: bool = True,
+    planned: bool,
 ) -> Outcome:
-    """Tell how an episode ended.
+    """How an attempt ended, without the plan's own figures.
 
     Args:
-        poses: where object and target were and are.
-        speed: of the object at the end, m/s.
-        motion: what was seen on the way.
-        plan_error, tilt: the plan's own figures, m and rad.
-        planned: whether it is to be a demonstration, which touches nothing and keeps to all limits. Of a person or a
-            policy, only what becomes of the object is asked; how it moved is told by the margins.
+        poses: the poses of object and target.
+        speed: the object's speed at the end, m/s.
+        motion: what was observed on the way.
+        planned: whether it is a planned demonstration, which must touch nothing and keep all limits. A person or a
+            policy is judged only by the object; the margins tell how the arm moved.
     """
     dx, dy, dz = (float(d) for d in poses.T_object_at_end[:3, 3] - poses.T_target_at_end[:3, 3])
     dxy = math.hypot(dx, dy)
@@ -131,7 +122,7 @@ def judge(
         or _at_the_end(task, dxy, dz, speed)
         or (None, "")
     )
-    return Outcome(cause is None, cause, detail, dxy, dz, speed, plan_error, tilt, motion.margins)
+    return Outcome(cause is None, cause, detail, dxy, dz, speed, margins=motion.margins)
 
 
 def _before_the_grasp(poses: Poses) -> tuple[Cause, str] | None:
@@ -143,7 +134,7 @@ def _before_the_grasp(poses: Poses) -> tuple[Cause, str] | None:
 
 
 def _on_the_way(grasp: GraspKind, motion: Motion) -> tuple[Cause, str] | None:
-    """What makes a bad demonstration, wherever the object ends."""
+    """Cause and detail of what spoils a demonstration, wherever the object ends; None if nothing does."""
     margins = motion.margins
     if motion.collision is not None:
         return Cause.COLLIDED, motion.collision
@@ -165,7 +156,7 @@ def _at_the_end(task: TaskConfig, dxy: float, dz: float, speed: float) -> tuple[
     limits = task.success
     if speed > limits.max_speed:
         return Cause.UNSTABLE, f"still moving at {speed:.3f} m/s, at most {limits.max_speed:g}"
-    # Under what carries it, it lies beside the target, however near: on the table beside a can, say.
+    # Below the target's support it lies beside the target, however near, such as on the table beside a can.
     if dz < task.target.support_height - _SUNK:
         below = (task.target.support_height - dz) * 1000
         return Cause.DROPPED, f"{below:.0f} mm below the {task.target.name}, {dxy * 1000:.0f} mm beside its centre"

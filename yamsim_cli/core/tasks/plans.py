@@ -1,9 +1,8 @@
-"""What the hand does to pick an object up and put it onto another."""
+"""Plans of what the hand does to pick an object up and put it onto another."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +14,8 @@ from ..config.things import GraspPoint
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..types import Holds, Layout, Phases, Plan, Waypoint
 
-# A weld's fingers close, and open, in the last part of the way to the grasp, and to the place: the hand never stands
-# still to wait for them, and the weld lets go only once they are open.
+# With a weld, fingers close on the way to the grasp, and open on the way to the place, after this share of it. So the
+# hand never waits for them, and the weld lets go only when they are open.
 WELD_FINGERS_FROM = 0.7
 
 
@@ -25,9 +24,9 @@ class Hold:
     """One of the ways in which the hand may hold the object.
 
     Attributes:
-        point: where.
-        flipped: the other way round about the approach.
-        lean: of the hand from straight down, its fingers pointing away from the arm's base, rad.
+        point: where it holds the object.
+        flipped: whether the hand is turned by half a turn about its approach.
+        lean: angle of the hand from straight down, with the fingers pointing away from the arm's base, rad.
     """
 
     point: GraspPoint
@@ -36,7 +35,7 @@ class Hold:
 
 
 def grasp_points(task: TaskConfig, grasp: GraspKind) -> tuple[GraspPoint, ...]:
-    """Where the object may be held, the best place first."""
+    """The places where the object may be held, the best one first."""
     held = task.object.grasp
     assert held is not None  # checked when the config was loaded
     if grasp == "weld":
@@ -45,24 +44,34 @@ def grasp_points(task: TaskConfig, grasp: GraspKind) -> tuple[GraspPoint, ...]:
     return held.friction.points
 
 
+def start_opening(task: TaskConfig, grasp: GraspKind) -> float:
+    """How far each finger is open at the start, m: as it is before it takes the object by its first grasp point."""
+    taken = task.object.grasp
+    assert taken is not None  # checked when the config was loaded
+    return grasp_points(task, grasp)[0].opening + taken.clearance
+
+
 def phases(task: TaskConfig, grasp: GraspKind) -> Phases:
-    """When the object is in hand; it depends on nothing that is random."""
+    """When the object is in the hand; it does not depend on anything random."""
     way, grip = task.timing.ticks_per_waypoint, 0 if grasp == "weld" else task.timing.grip_ticks
     return Phases(reached=2 * way, held=range(2 * way + grip, 6 * way + grip))
 
 
 def ticks(task: TaskConfig, grasp: GraspKind) -> int:
-    """Control ticks of an attempt."""
-    # From the release, the fingers open as long as they took to close.
+    """The number of control ticks of an attempt."""
+    # After the release, the fingers take as long to open as they took to close.
     held = phases(task, grasp).held
     grip = held.start - 2 * task.timing.ticks_per_waypoint
     return held.stop + grip + task.timing.ticks_per_waypoint + task.timing.settle_ticks
 
 
-def phases_of(magnet: Sequence[Holds]) -> tuple[Phases, ...]:
-    """When the object was in each arm's hand where nothing was planned: while its weld held it, from first to last."""
-    held = np.array([np.atleast_1d(holds) for holds in magnet])
-    return tuple(_phase_of(np.flatnonzero(of_arm), len(held), arm) for arm, of_arm in enumerate(held.T))
+def phases_of(magnet: Holds) -> tuple[Phases, ...]:
+    """When the object was in each arm's hand, for attempts without a plan: from the first tick of its weld to the last.
+
+    Args:
+        magnet: whether each arm's weld holds on each tick (ticks, arms).
+    """
+    return tuple(_phase_of(np.flatnonzero(held), len(magnet), arm) for arm, held in enumerate(magnet.T))
 
 
 def _phase_of(on: NDArray[np.int_], ticks: int, arm: int) -> Phases:
@@ -72,9 +81,9 @@ def _phase_of(on: NDArray[np.int_], ticks: int, arm: int) -> Phases:
 
 
 def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_world: Array, hold: Hold) -> Plan:
-    """Pick up, carry and put down, held in one way.
+    """The plan to pick up, carry and put down, with the object held in one way.
 
-    The object is turned on its way as far as the arm turns about its base, so that the wrist hardly has to, and a hand
+    On its way, the object turns as far as the arm turns about its base. So the wrist hardly has to turn, and a hand
     that leans outwards does so all the way.
     """
     heights = task.heights
@@ -106,7 +115,7 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
         assert taken.friction is not None  # likewise
         waypoints = _gripped(task.timing, way, closed, opened, taken.friction.force)
     names = [waypoint.name for waypoint in waypoints]
-    # From the base to the object, as seen from the object.
+    # The direction from the base to the object, in the object's frame.
     outwards += yaw(T_base_in_world) - yaw(T_start)
     return Plan(
         object=task.object.name,
@@ -121,7 +130,7 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
 
 
 def _welded(timing: Timing, way: dict[str, Array], closed: float, opened: float) -> tuple[Waypoint, ...]:
-    """The fingers only look as if they held: they close, and open, on the way."""
+    """The waypoints with a weld: the fingers only seem to hold the object, and close and open on the way."""
 
     def waypoint(name: str, opening: float, *, stop: bool = True) -> Waypoint:
         return Waypoint(name, way[name], timing.ticks_per_waypoint, stop, opening, fingers_from=WELD_FINGERS_FROM)
@@ -138,7 +147,7 @@ def _welded(timing: Timing, way: dict[str, Array], closed: float, opened: float)
 
 
 def _gripped(timing: Timing, way: dict[str, Array], closed: float, opened: float, force: float) -> tuple[Waypoint, ...]:
-    """The hand stands still while the fingers close to a force, and while they open."""
+    """The waypoints with friction: the hand stands still while the fingers close to a force, and while they open."""
 
     def waypoint(name: str, opening: float, grip: float = 0.0, *, stop: bool = True) -> Waypoint:
         return Waypoint(name, way[name], timing.ticks_per_waypoint, stop, opening, grip)
@@ -157,22 +166,26 @@ def _gripped(timing: Timing, way: dict[str, Array], closed: float, opened: float
 
 
 def leaning(hold: Hold, outwards: float) -> Array:
-    """The pinch frame (4, 4) in the object's; `outwards` is the heading there of what leads away from the base, rad."""
+    """The pinch frame (4, 4) in the object's frame.
+
+    Args:
+        outwards: heading of the direction away from the base, in the object's frame, rad.
+    """
     T = hold.point.T_pinch_in_object(hold.flipped)
-    # About the horizontal axis to the right of `outwards`: what points down comes to point outwards.
+    # A turn about the horizontal axis to the right of `outwards` lets the fingers point outwards.
     axis = (math.sin(outwards), -math.cos(outwards), 0.0)
     T[:3, :3] = rotation_from_vector([hold.lean * part for part in axis]) @ T[:3, :3]
     return T
 
 
 def raised(T: Array, height: float) -> Array:
-    """The same pose (4, 4), so many metres higher."""
+    """The same pose (4, 4), `height` metres higher."""
     T_raised = T.copy()
     T_raised[2, 3] += height
     return T_raised
 
 
 def azimuth(T_in_world: Array, T_base_in_world: Array) -> float:
-    """Heading of a pose's place as seen from a base, in its frame, rad."""
+    """Heading from a base to a pose's position, in the base's frame, rad."""
     x, y = (inverse(T_base_in_world) @ T_in_world)[:2, 3]
     return math.atan2(y, x)

@@ -1,4 +1,4 @@
-"""Named random streams: each purpose draws from its own, so that using one more never changes what the others draw."""
+"""Named random streams. Each purpose samples from its own, so that one more never changes the others' samples."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Stream(IntEnum):
 
 
 def generator(job: EpisodeJob, stream: Stream, *of: int) -> np.random.Generator:
-    """The generator of one stream of one attempt; independent of every other attempt and stream.
+    """The generator of one stream of one attempt, independent of every other attempt and stream.
 
     Args:
-        of: numbers that split the stream further, such as those of a frame and of a camera.
+        of: numbers that split the stream further, such as those of a frame and a camera.
     """
-    # One more, since numpy takes no notice of zeros at the end.
+    # Numbers are increased by one, since numpy ignores zeros at the end.
     return np.random.default_rng([job.seed, job.attempt, int(stream), *(number + 1 for number in of)])

@@ -1,24 +1,26 @@
-"""What a person or a leader arm did, judged and drawn by a worker, and put into the dataset in order."""
+"""What a person or a leader arm did, judged and rendered by a worker, and put into the dataset in order."""
 
 from __future__ import annotations
 
 import functools
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from pathlib import Path
-from types import TracebackType
 from typing import Protocol
 
-from ..attempt.runner import EpisodeRunner
+from ..attempt.distractors import with_distractors
+from ..attempt.payload import payload, result
+from ..attempt.physics import repeat
+from ..attempt.runner import recording_simulator
+from ..attempt.simulator import Simulator
+from ..closing import Closing
 from ..config.recording import RecordConfig
 from ..dataset.records import AttemptRecord, attempt_record
-from ..geometry.se3 import Array
 from ..record.collect import Sink, episode_record
-from ..resources import Locations
-from ..types import Actions, EpisodeJob, EpisodePayload
+from ..session import Session
+from ..types import Actions, Attempt, EpisodePayload
 from ..workers.executor import Executor
 from ..workers.processes import WorkerPool
 
@@ -28,71 +30,60 @@ SOURCE = "teleop"
 _POLL_SECONDS = 0.1
 
 
-@dataclass(frozen=True)
-class Demonstration:
-    """An attempt that was driven from outside.
+@dataclass(frozen=True, eq=False)
+class DrivenAttempt:
+    """An attempt that was driven from outside, and what acted in it since its start."""
 
-    Attributes:
-        job: its number, and the seed that its layout came from.
-        layout: object -> start pose `[x, y, z, yaw]` in `world`, m and rad.
-        start: MuJoCo's positions (nq,) at the beginning.
-        actions: what acted since.
-    """
-
-    job: EpisodeJob
-    layout: Mapping[str, tuple[float, float, float, float]]
-    start: Array
+    attempt: Attempt
     actions: Actions
 
 
-class DemonstrationRunner:
-    """Judges a demonstration by its actions, as `verify` will, and draws it if it succeeded; a context manager."""
+class DrivenRunner(Closing):
+    """Judges driven attempts by their actions, as `verify` will, and renders those that succeeded.
 
-    def __init__(
-        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], *, draw: bool = True
-    ) -> None:
-        self._runner = EpisodeRunner(config, locations, meshes, draw=draw)
+    Args:
+        render: whether successes become files.
+    """
 
-    def run(self, demonstration: Demonstration) -> EpisodePayload:
-        """The attempt's payload; there was no plan whose errors could be told."""
-        outcome, rollout = self._runner.demonstrate(demonstration.job, demonstration.start, demonstration.actions)
-        outcome = replace(outcome, position_error=None, tilt=None)
-        return self._runner.payload(demonstration.job, demonstration.layout, outcome, rollout)
+    def __init__(self, session: Session, *, render: bool = True) -> None:
+        self._render = render
+        self._simulator = recording_simulator(session) if render else Simulator(session)
 
-    def __enter__(self) -> DemonstrationRunner:
-        return self
+    def run(self, driven: DrivenAttempt) -> EpisodePayload:
+        """What became of an attempt; there was no plan whose errors could be told."""
+        done = repeat(self._simulator, driven.attempt, driven.actions, planned=False)
+        if done.outcome.success:
+            done = replace(done, attempt=with_distractors(self._simulator, done.attempt, done.states))
+        return payload(self._simulator, done) if self._render else result(done)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._runner.close()
-
-
-DemonstrationExecutor = Executor[Demonstration, EpisodePayload]
+    def close(self) -> None:
+        """Free the renderer."""
+        self._simulator.close()
 
 
-def open_worker(
-    config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None]
-) -> WorkerPool[Demonstration, EpisodePayload]:
-    """A process beside this one, so that neither judging nor drawing holds the arm up."""
-    return WorkerPool(functools.partial(DemonstrationRunner, config, locations, dict(meshes)), 1)
+DrivenExecutor = Executor[DrivenAttempt, EpisodePayload]
+
+
+def open_worker(session: Session) -> WorkerPool[DrivenAttempt, EpisodePayload]:
+    """A process beside this one, so that neither judging nor rendering holds the arm up."""
+    return WorkerPool(functools.partial(DrivenRunner, session), 1)
 
 
 class Inbox(Protocol):
-    """Takes demonstrations."""
+    """Takes driven attempts."""
 
     @property
     def next_attempt(self) -> int:
         """The number of the attempt that comes next."""
         ...
 
-    def hand_in(self, demonstration: Demonstration) -> None:
+    def hand_in(self, driven: DrivenAttempt) -> None:
         """Take one, to be judged."""
         ...
 
 
-class Desk:
-    """Has demonstrations judged one after the other, and writes them in that order, in a thread of its own.
+class Desk(Closing):
+    """Has driven attempts judged one after the other, and writes them in that order, in a thread of its own.
 
     Flushing an episode to a disk can take longer than a control tick. A context manager: at its end, what is not judged
     yet is given up. While it is open, nobody else may use the sink or the executor.
@@ -105,7 +96,7 @@ class Desk:
         self,
         config: RecordConfig,
         sink: Sink,
-        executor: DemonstrationExecutor,
+        executor: DrivenExecutor,
         written: Callable[[int], None] = lambda attempt: None,
     ) -> None:
         self._config, self._sink, self._executor, self._written = config, sink, executor, written
@@ -127,10 +118,10 @@ class Desk:
         """The number of the attempt that comes next."""
         return self._first + self._handed_in
 
-    def hand_in(self, demonstration: Demonstration) -> None:
+    def hand_in(self, driven: DrivenAttempt) -> None:
         """Take one, to be judged."""
         self._handed_in += 1
-        self._futures.append(self._thread.submit(self._judge, demonstration))
+        self._futures.append(self._thread.submit(self._judge, driven))
 
     def news(self, timeout: float = 0.0) -> AttemptRecord | None:
         """The next one that is judged and written, waited for at most `timeout` seconds.
@@ -138,7 +129,7 @@ class Desk:
         Raises:
             OSError: the disk refused something.
             PartialJobError: the worker does not last.
-            ResourceError: nothing can be drawn here.
+            ResourceError: nothing can be rendered here.
         """
         if not self._futures:
             return None
@@ -151,11 +142,11 @@ class Desk:
         self.episodes += attempt.episode is not None
         return attempt
 
-    def _judge(self, demonstration: Demonstration) -> AttemptRecord | None:
+    def _judge(self, driven: DrivenAttempt) -> AttemptRecord | None:
         try:
             if self._ended.is_set():
                 return None
-            self._executor.submit(demonstration)
+            self._executor.submit(driven)
             payload = self._payload()
             return None if payload is None else self._write(payload)
         except BaseException:
@@ -182,12 +173,8 @@ class Desk:
         self._written(attempt.attempt)
         return attempt
 
-    def __enter__(self) -> Desk:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Give up what is not judged yet."""
         self._ended.set()
         # What is being written is written: never half an episode.
         self._thread.shutdown(wait=True, cancel_futures=True)

@@ -9,10 +9,10 @@ from ..config.recording import RecordConfig
 from ..geometry.se3 import Array, inverse, pose
 from ..planning.ik import IkSolver
 from ..planning.pursuit import Pursuit
-from ..resources import Locations
 from ..scene.compiled import CompiledScene
-from ..scene.robot import JOINTS, bare_arm, gripper
+from ..scene.robot import bare_arm
 from ..sim.obstruction import Obstruction
+from ..types import Stand
 
 _IK_ITERATIONS = 12
 # A target this far from where the hand can be is out of reach, m.
@@ -38,16 +38,17 @@ class DrivenArm:
         number: of the arm, in the scene.
     """
 
-    def __init__(self, config: RecordConfig, scene: CompiledScene, number: int, locations: Locations) -> None:
+    def __init__(self, config: RecordConfig, scene: CompiledScene, number: int) -> None:
         self._config = config
         self._arm = scene.arms[number]
         arm = config.rig.arms[self._arm.number]
         self.side = arm.side
-        self.widest = gripper(arm).full_opening
+        self._names = arm.robot.joint_names
+        self.widest = self._arm.fingers.stroke if self._arm.fingers else 0.0
         grasp = config.task.object.grasp
         assert grasp is not None  # checked when the config was loaded
         self._closed = min(grasp.opening, self.widest)
-        self._ik = IkSolver(bare_arm(arm, locations), self._arm.T_base_in_world)
+        self._ik = IkSolver(bare_arm(arm), self._arm.T_base_in_world)
         self._ik.hold(np.eye(4))
         self._pursuit = Pursuit(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
         self._obstruction = Obstruction(scene, number)
@@ -55,13 +56,12 @@ class DrivenArm:
             scene.model, f"{self._arm.prefix}pinch_site", f"{self._arm.prefix}grasp_site"
         )
 
-    def reset(self, stand: Array) -> None:
-        """Be at rest with the joints and the opening of `stand` (7,)."""
-        joints = stand[:6]
-        self._pursuit.reset(joints)
+    def reset(self, stand: Stand) -> None:
+        """Be at rest as it stands there."""
+        self._pursuit.reset(stand.joints)
         self._joint_target: Array | None = None
-        self._target = self._ik.pose_of(joints)
-        self.opening, self.magnet = float(stand[6]), False
+        self._target = self._ik.pose_of(stand.joints)
+        self.opening, self.magnet = stand.opening, False
         # One that rests with its fingers closed goes on so until it is asked for something.
         self._used = self.opening > 0.0
         self.apart, self.blocked = 0.0, ""
@@ -78,8 +78,8 @@ class DrivenArm:
 
     @property
     def asked(self) -> Array:
-        """The joints and the opening (7,) that it is asked for now."""
-        return np.append(self._pursuit.joints, self.opening)
+        """The joints, and the opening if it has fingers, that it is asked for now."""
+        return self._with_opening(self._pursuit.joints)
 
     @property
     def at_limit(self) -> tuple[str, ...]:
@@ -87,7 +87,7 @@ class DrivenArm:
         low, high = self._arm.joint_range.T
         joints = self._pursuit.joints
         near = (joints < low + _AT_LIMIT) | (joints > high - _AT_LIMIT)
-        return tuple(name for name, there in zip(JOINTS, near, strict=True) if there)
+        return tuple(name for name, there in zip(self._names, near, strict=True) if there)
 
     def aim(self, T_pinch_in_world: Array) -> None:
         """Give the hand another target (4, 4); one in the table is lifted out of it."""
@@ -99,7 +99,7 @@ class DrivenArm:
         self.aim(T_grasp_in_world @ self._T_pinch_in_grasp)
 
     def aim_joints(self, joints: Array) -> None:
-        """Give it six joints (rad) to go to; beyond a stop counts as at it."""
+        """Give it joints (dof,) in rad to go to; beyond a stop counts as at it."""
         reachable: Array = np.clip(joints, *self._arm.joint_range.T)
         self._used, self._joint_target, self._target = True, reachable, self._ik.pose_of(reachable)
 
@@ -123,7 +123,7 @@ class DrivenArm:
         self._joint_target = self._pursuit.joints.copy()
 
     def step(self, qpos: Array) -> Array:
-        """What its drives are told (7,) in the next tick, rad and m.
+        """What its drives are told in the next tick, rad and m.
 
         Args:
             qpos: MuJoCo's positions (nq,) now.
@@ -132,10 +132,17 @@ class DrivenArm:
         velocity = self._step_reference(qpos)
         # As `rollout.drive_command`, without what makes up for inertia: where a person goes next is not known.
         command = (before + self._pursuit.joints) / 2 + self._arm.kv * velocity / self._arm.kp
-        return np.append(command, self.opening)
+        return self._with_opening(command)
+
+    def stand(self, asked: Array) -> Stand:
+        """Joints and opening of what was `asked` once; without fingers there is no opening."""
+        return Stand(asked[: self._arm.dof], float(asked[-1]) if self._arm.fingers else 0.0)
+
+    def _with_opening(self, joints: Array) -> Array:
+        return joints.copy() if self._arm.fingers is None else np.append(joints, self.opening)
 
     def _step_reference(self, qpos: Array) -> Array:
-        """Go one tick towards the target unless something is in the way; the velocity (6,) that this means, rad/s."""
+        """Go one tick towards the target unless something is in the way; the velocity (dof,) that this means, rad/s."""
         pursuit = self._pursuit
         after = pursuit.towards(self._goal())
         depth, name = self._obstruction.depth(qpos, after)
@@ -143,12 +150,12 @@ class DrivenArm:
         if depth and depth >= self._obstruction.depth(qpos, pursuit.joints)[0]:
             self.blocked = name
             pursuit.halt()
-            return np.zeros(6)
+            return np.zeros(self._arm.dof)
         self.blocked = ""
         return pursuit.go(after)
 
     def _goal(self) -> Array:
-        """The joints (6,) to go to, rad."""
+        """The joints (dof,) to go to, rad."""
         if self._joint_target is not None:
             self.apart = 0.0
             return self._joint_target

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -13,34 +13,19 @@ import numpy as np
 
 from ..dataset.layout import RECORDINGS
 from ..geometry.se3 import Array
-from ..types import EpisodeJob
+from ..types import Attempt, EpisodeJob
 
 _STOP = "stop"
 
 
 @dataclass(frozen=True)
-class Opening:
-    """How a recording began.
-
-    Attributes:
-        job: its attempt.
-        layout: object -> start pose `[x, y, z, yaw]` in `world`, m and rad.
-        start: MuJoCo's positions (nq,).
-    """
-
-    job: EpisodeJob
-    layout: Mapping[str, tuple[float, float, float, float]]
-    start: Array
-
-
-@dataclass(frozen=True)
 class Tick:
-    """What acted in a control tick, the left arm first.
+    """What acted in a control tick.
 
     Attributes:
-        ctrl: what the drives were told (arms x 7), rad and m.
+        ctrl: what each arm's drives were told (arms, drives), rad and m.
         magnet: whether each arm's weld was to hold.
-        asked: the joints and the opening (arms x 7) that each arm was asked for, rad and m.
+        asked: the joints and the opening (arms, drives) that each arm was asked for, rad and m.
     """
 
     ctrl: Array
@@ -54,12 +39,15 @@ class Unfinished:
 
     Attributes:
         path: its file.
+        job: its attempt's numbers.
+        start: MuJoCo's positions (nq,) at its beginning.
         ticks: all that passed.
         stopped: the number of ticks after which it was stopped; None if it never was.
     """
 
     path: Path
-    opening: Opening
+    job: EpisodeJob
+    start: Array
     ticks: tuple[Tick, ...]
     stopped: int | None
 
@@ -79,7 +67,7 @@ class Journal:
         self._file: BinaryIO | None = None
         self._attempt = -1
 
-    def begin(self, opening: Opening) -> None:
+    def begin(self, attempt: Attempt) -> None:
         """Open the file of a recording.
 
         Raises:
@@ -87,22 +75,24 @@ class Journal:
         """
         self.end()
         self._folder.mkdir(exist_ok=True)
-        self._attempt = opening.job.attempt
+        assert attempt.start is not None, "what is driven has a start"
+        self._attempt = attempt.job.attempt
         # Unbuffered: what is still in this process's memory would die with it.
         self._file = self._place(self._attempt).open("wb", buffering=0)
         self._write(
             {
-                "seed": opening.job.seed,
-                "attempt": opening.job.attempt,
-                "layout": {name: list(pose) for name, pose in opening.layout.items()},
-                "start": opening.start.tolist(),
+                "seed": attempt.job.seed,
+                "attempt": attempt.job.attempt,
+                "layout": {name: list(place) for name, place in attempt.places.items()},
+                "start": attempt.start.tolist(),
             }
         )
 
     def add(self, tick: Tick) -> None:
         """Write a tick; nothing where nothing is recorded."""
         if self._file is not None:
-            self._write({"ctrl": tick.ctrl.tolist(), "magnet": list(tick.magnet), "asked": tick.asked.tolist()})
+            ctrl, asked = tick.ctrl.ravel().tolist(), tick.asked.ravel().tolist()
+            self._write({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": asked})
 
     def stop(self) -> None:
         """Write that the recording was stopped: what follows is the time in which all comes to rest."""
@@ -154,23 +144,15 @@ def _read(path: Path) -> Unfinished | None:
             # The last one may be cut off, and nothing follows it.
             break
     try:
-        opening = _opening(lines[0])
+        job, start = EpisodeJob(int(lines[0]["seed"]), int(lines[0]["attempt"])), np.array(lines[0]["start"], float)
         ticks = tuple(_tick(line) for line in lines[1:] if "ctrl" in line)
     except (IndexError, KeyError, TypeError, ValueError):
         return None
     stops = [k for k, line in enumerate(lines[1:]) if line.get("event") == _STOP]
-    return Unfinished(path, opening, ticks, stops[0] if stops else None)
-
-
-def _opening(line: Mapping[str, Any]) -> Opening:
-    layout = {str(name): _pose(pose) for name, pose in line["layout"].items()}
-    return Opening(EpisodeJob(int(line["seed"]), int(line["attempt"])), layout, np.array(line["start"], float))
-
-
-def _pose(values: Sequence[float]) -> tuple[float, float, float, float]:
-    x, y, z, yaw = values
-    return float(x), float(y), float(z), float(yaw)
+    return Unfinished(path, job, start, ticks, stops[0] if stops else None)
 
 
 def _tick(line: Mapping[str, Any]) -> Tick:
-    return Tick(np.array(line["ctrl"], float), tuple(bool(on) for on in line["magnet"]), np.array(line["asked"], float))
+    magnet = tuple(bool(on) for on in line["magnet"])
+    ctrl, asked = (np.array(line[key], float).reshape(len(magnet), -1) for key in ("ctrl", "asked"))
+    return Tick(ctrl, magnet, asked)

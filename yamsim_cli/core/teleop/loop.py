@@ -1,4 +1,4 @@
-"""Let a session run: by a stream, or on a page that a person drives it from."""
+"""Let arms be driven: by a stream, or on a page by a person."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from ..config.recording import RecordConfig
-from ..dataset.faults import explain
+from ..dataset.disk_faults import explain
 from ..dataset.layout import episode_name
 from ..dataset.records import AttemptRecord
 from ..dataset.writer import DatasetWriter, OpenMode
 from ..errors import PartialJobError
 from ..record.destination import as_said
-from ..resources import Locations
 from ..scene.build import noting_meshes
-from ..scene.compose import Meshes
+from ..session import Session
 from ..show.view import require_page, task_viewpoint
 from ..viewers.address import PageAddress
 from ..workers.stop import Stop
 from .desk import Desk, open_worker
+from .driven_scene import TIME_LIMIT, DrivenScene
 from .journal import Journal
-from .session import TIME_LIMIT, TeleopSession
 from .stream import Command, Player
 
 # A loop that fell behind by more goes on from where it is instead of racing, s.
@@ -109,21 +108,21 @@ class TeleopReport:
 
 @dataclass(frozen=True)
 class Seat:
-    """All that a session needs: the arm, and the desk that takes what was done with it."""
+    """All that whoever drives needs: the arms in their scene, and the desk that takes what was done with them."""
 
-    session: TeleopSession
+    scene: DrivenScene
     desk: Desk
     writer: DatasetWriter
 
     def look(self, timeout: float = 0.0) -> None:
-        """Let the session know what came of its demonstrations; raises as `Desk.news`."""
-        session, desk = self.session, self.desk
+        """Let the scene know what came of its attempts; raises as `Desk.news`."""
+        scene, desk = self.scene, self.desk
         news = desk.news(timeout)
-        session.episodes, session.waiting = desk.episodes, desk.waiting
+        scene.episodes, scene.waiting = desk.episodes, desk.waiting
         if news is not None:
-            session.failures += news.episode is None
+            scene.failures += news.episode is None
             end = f"failed: {news.outcome.detail}" if news.episode is None else episode_name(news.episode)
-            session.message = f"attempt {news.attempt}: {end}"
+            scene.message = f"attempt {news.attempt}: {end}"
 
     def finish(self, jitter: Jitter | None) -> TeleopReport:
         """Wait for what is not judged yet."""
@@ -131,7 +130,7 @@ class Seat:
             self.look(_PATIENCE)
         self.writer.finish()
         writer, trials = self.writer, tuple(self.desk.trials)
-        return TeleopReport(writer.path, writer.episodes, len(writer.attempts), self.session.discarded, trials, jitter)
+        return TeleopReport(writer.path, writer.episodes, len(writer.attempts), self.scene.discarded, trials, jitter)
 
 
 def check_page(address: PageAddress) -> None:
@@ -149,9 +148,7 @@ def check_page(address: PageAddress) -> None:
 
 @contextlib.contextmanager
 def open_seat(
-    config: RecordConfig,
-    locations: Locations,
-    meshes: Meshes,
+    session: Session,
     out: Path,
     mode: OpenMode,
     warn: Callable[[str], None],
@@ -167,7 +164,8 @@ def open_seat(
         UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
         PartialJobError: the disk refused something.
     """
-    config = noting_meshes(config, locations, meshes)
+    session = noting_meshes(session)
+    config = session.config
     with DatasetWriter(out, config.data_config(), mode) as writer:
         if writer.moved_aside:
             warn(f"What was in {out} is now in {writer.moved_aside}.")
@@ -181,12 +179,12 @@ def open_seat(
         try:
             journal = Journal(writer.path)
             with (
-                open_worker(config, locations, meshes) as worker,
+                open_worker(session) as worker,
                 Desk(as_said(config, writer), writer, worker, journal.drop) as desk,
             ):
-                session = TeleopSession(config, locations, meshes, desk, journal, time_limit)
-                _take_up(session, desk, journal, warn)
-                yield Seat(session, desk, writer)
+                scene = DrivenScene(session, desk, journal, time_limit)
+                _take_up(scene, desk, journal, warn)
+                yield Seat(scene, desk, writer)
         except OSError as error:
             raise PartialJobError(
                 f"{explain(error, out)}: {writer.episodes} episodes are whole in {out}; continue with --resume"
@@ -197,19 +195,19 @@ def open_seat(
             raise
 
 
-def _take_up(session: TeleopSession, desk: Desk, journal: Journal, warn: Callable[[str], None]) -> None:
+def _take_up(scene: DrivenScene, desk: Desk, journal: Journal, warn: Callable[[str], None]) -> None:
     """Have what killed sessions left judged, as far as it still fits the dataset."""
     for left in journal.unfinished():
-        attempt = left.opening.job.attempt
+        attempt = left.job.attempt
         if attempt < desk.next_attempt or not left.ticks:
             # It was written before the session was killed, or nothing ever happened in it.
             journal.drop(attempt)
         elif attempt > desk.next_attempt:
             warn(f"{left.path} is a recording that attempts are missing before; it stays as it is.")
         else:
-            seconds = len(left.ticks) * session.tick_seconds
+            seconds = len(left.ticks) * scene.tick_seconds
             warn(f"Attempt {attempt}, {seconds:.1f} s long, was left by a session that was killed: it is judged now.")
-            session.take_up(left)
+            scene.take_up(left)
 
 
 def run_stream(seat: Seat, commands: Sequence[Command], stop: Stop, *, realtime: bool) -> TeleopReport:
@@ -219,27 +217,27 @@ def run_stream(seat: Seat, commands: Sequence[Command], stop: Stop, *, realtime:
     Args:
         realtime: hold the ticks to the clock; else they follow each other as fast as they can, with the same result.
     """
-    session, player = seat.session, Player(commands)
-    pace = Pace(seat.session.tick_seconds) if realtime else None
+    scene, player = seat.scene, Player(commands)
+    pace = Pace(scene.tick_seconds) if realtime else None
     while not stop.asked:
         if pace is not None:
             pace.wait()
-        player.act(session, session.time)
+        player.act(scene, scene.time)
         if player.done:
             break
-        session.tick()
+        scene.tick()
         seat.look()
-    if session.recording and not stop.asked:
-        session.stop()
-    _leave(session)
+    if scene.recording and not stop.asked:
+        scene.stop()
+    _leave(scene)
     return seat.finish(pace.jitter if pace else None)
 
 
-def _leave(session: TeleopSession) -> None:
+def _leave(scene: DrivenScene) -> None:
     """What was stopped is handed in; what was not is discarded."""
-    session.settle()
-    if session.recording:
-        session.discard()
+    scene.settle()
+    if scene.recording:
+        scene.discard()
 
 
 def run_page(
@@ -256,17 +254,17 @@ def run_page(
     """
     from ..viewers.teleop_page import TeleopPage
 
-    page = TeleopPage(seat.session, task_viewpoint(config), address)
-    pace = Pace(seat.session.tick_seconds)
+    page = TeleopPage(seat.scene, task_viewpoint(config), address)
+    pace = Pace(seat.scene.tick_seconds)
     try:
         if not stop.asked:
             ready(page.url)
         while not stop.asked:
             pace.wait()
-            seat.session.tick()
+            seat.scene.tick()
             page.update()
             seat.look()
     finally:
         page.close()
-    _leave(seat.session)
+    _leave(seat.scene)
     return seat.finish(pace.jitter)

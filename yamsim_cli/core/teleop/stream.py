@@ -8,18 +8,15 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import FiniteFloat, ValidationError, field_validator, model_validator
+from pydantic import FiniteFloat, ValidationError, model_validator
 
-from ..config.base import Config, Quaternion
-from ..config.limits import Stops
 from ..config.recording import RecordConfig, Side
-from ..config.units import Place, PlacePoint, Within
+from ..documents.base import Config, Quaternion
+from ..documents.units import Place, PlacePoint, Within
 from ..errors import ConfigError
 from ..geometry.se3 import Array, pose_from_quat
-from ..resources import Locations
-from .session import TeleopSession
-
-_JOINTS, _OF_TWO = 6, 14
+from ..robots.stops import beyond_stops
+from .driven_scene import DrivenScene
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
 
@@ -48,7 +45,7 @@ class Command(Config):
     Attributes:
         t: seconds since the stream's beginning.
         arm: of two arms, which one this and what follows is for; at first, the one that does the task.
-        joints: six of the arm, rad; or 14 of both, the left one's first, as frames hold them.
+        joints: of the arm, rad; or all of both, openings included, the left one's first, as frames hold them.
         ee: `grasp_site` in the arm's base, or in the left one's of two, as frames hold it in `ee_pose`.
         gripper: opening of one finger, m.
         magnet: whether it is on.
@@ -70,15 +67,6 @@ class Command(Config):
             return None
         return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
 
-    @field_validator("joints")
-    @classmethod
-    def _six_or_all(cls, joints: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if joints is not None and len(joints) not in (_JOINTS, _OF_TWO):
-            raise ValueError(f"{len(joints)} numbers; give six of one arm, or 14 of two")
-        for opening in (joints or ())[_JOINTS :: _JOINTS + 1]:
-            _OPENING.check(opening)
-        return joints
-
     @model_validator(mode="after")
     def _one_target(self) -> Command:
         if self.joints is not None and self.ee is not None:
@@ -93,7 +81,7 @@ class Command(Config):
         return self
 
 
-def read_stream(file: Path, config: RecordConfig, locations: Locations) -> list[Command]:
+def read_stream(file: Path, config: RecordConfig) -> list[Command]:
     """All commands of a file, in order of time, for the arms of a recording.
 
     Raises:
@@ -106,7 +94,7 @@ def read_stream(file: Path, config: RecordConfig, locations: Locations) -> list[
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
         raise ConfigError(f"--input {file} cannot be read: {reason}") from error
     commands: list[Command] = []
-    arms = _Arms(config, locations)
+    arms = _Arms(config)
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
@@ -134,28 +122,38 @@ def _read(line: str, where: str) -> Command:
 class _Arms:
     """Whether commands, one after the other, are for arms that there are, and such as these can do."""
 
-    def __init__(self, config: RecordConfig, locations: Locations) -> None:
-        arms = config.rig.arms
-        self._stops = {arm.side: Stops(arm, locations) for arm in arms}
+    def __init__(self, config: RecordConfig) -> None:
+        rig = config.rig
+        self._arms = {rig.arms[k].side: rig.arms[k] for k in rig.recorded}
+        self._all = len(rig.arms) * rig.drives
         self._driven: Side = config.acting_arms[0].side
 
     def check(self, command: Command, where: str) -> None:
         """Raises:
         ConfigError: there is no such arm, or its joints cannot be so.
         """
-        if command.arm is not None and command.arm not in self._stops:
-            raise ConfigError(f"{where}: arm: there is only a {next(iter(self._stops))} one; leave it out")
+        if command.arm is not None and command.arm not in self._arms:
+            raise ConfigError(f"{where}: arm: there is only a {next(iter(self._arms))} one; leave it out")
         self._driven = command.arm or self._driven
         if command.joints is None:
             return
-        rows: dict[Side, tuple[float, ...]] = {self._driven: command.joints}
-        if len(command.joints) == _OF_TWO:
-            if len(self._stops) < 2:
-                raise ConfigError(f"{where}: joints: 14 numbers are of two arms, and there is one; give six")
-            rows = {"left": command.joints[:_JOINTS], "right": command.joints[_JOINTS + 1 : -1]}
+        joints = np.array(command.joints)
+        count, dof = len(joints), self._arms[self._driven].robot.dof
+        rows = {self._driven: joints}
+        if len(self._arms) > 1 and count == self._all:
+            rows = dict(zip(self._arms, joints.reshape(len(self._arms), -1), strict=True))
+        elif count != dof:
+            both = f", or {self._all} of both" if len(self._arms) > 1 else ""
+            raise ConfigError(f"{where}: joints: {count} numbers; give {dof} of the {self._driven} arm{both}")
         for side, row in rows.items():
-            if fault := self._stops[side].fault(np.array(row), _BEYOND):
+            robot = self._arms[side].robot
+            if fault := beyond_stops(self._arms[side].name, robot, row, _BEYOND):
                 raise ConfigError(f"{where}: joints: {fault}")
+            try:
+                for opening in row[robot.dof :]:
+                    _OPENING.check(float(opening))
+            except ValueError as error:
+                raise ConfigError(f"{where}: joints: {error}") from error
 
 
 class Player:
@@ -170,27 +168,27 @@ class Player:
         """Whether every command has acted."""
         return self._next == len(self._commands)
 
-    def act(self, session: TeleopSession, now: float) -> None:
+    def act(self, scene: DrivenScene, now: float) -> None:
         """Let those act whose time has come, `now` in seconds since the stream's beginning."""
         # A tick's beginning is a sum of many: what is meant for it must not miss it by rounding.
         while not self.done and self._commands[self._next].t <= now + 1e-9:
-            self._apply(session, self._commands[self._next])
+            self._apply(scene, self._commands[self._next])
             self._next += 1
 
-    def _apply(self, session: TeleopSession, command: Command) -> None:
+    def _apply(self, scene: DrivenScene, command: Command) -> None:
         if command.event is not None:
-            {"start": session.start, "stop": session.stop, "discard": session.discard}[command.event]()
+            {"start": scene.start, "stop": scene.stop, "discard": scene.discard}[command.event]()
         if command.arm is not None:
-            session.drive(command.arm)
+            scene.drive(command.arm)
         if command.joints is not None:
             joints = np.array(command.joints)
-            if len(joints) == _OF_TWO:
-                session.aim_all(joints.reshape(2, 7))
+            if joints.size > scene.dof:
+                scene.aim_all(joints.reshape(len(scene.sides), -1))
             else:
-                session.aim_joints(joints)
+                scene.aim_joints(joints)
         if (T := command.T_grasp_in_base) is not None:
-            session.aim_grasp(T)
+            scene.aim_grasp(T)
         if command.gripper is not None:
-            session.set_gripper(command.gripper)
+            scene.set_gripper(command.gripper)
         if command.magnet is not None:
-            session.set_magnet(command.magnet)
+            scene.set_magnet(command.magnet)

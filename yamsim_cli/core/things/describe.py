@@ -1,4 +1,4 @@
-"""An object's config, written from its scan."""
+"""Writes an object's config from its scan."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..config.document import dump_yaml
 from ..config.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..documents.document import dump_yaml
 from ..geometry.se3 import Array
 from .body import Body
 from .grasps import grasp
@@ -16,24 +16,24 @@ from .hollows import fit_hollow
 from .scan import Scan
 from .solids import SolidFit, fit_solid
 
-# Deeper vessels have things put in them, flatter ones on them, m.
+# Things are put in a vessel that is at least this deep, and on a flatter one, m.
 _IN = 0.03
 
-# Sliding and torsional friction (m) of everything.
+# Sliding and torsional friction (m) of all objects.
 _FRICTION = (0.8, 0.005)
 
-# Balls and capsules touch the table in points. So much rolling friction, as a share of the radius, keeps them still on
-# a slope of 3 degrees, as real fruit and felt stay where they are put.
+# Rolling friction of balls and capsules, as a share of the radius. They touch the table in points, and this keeps them
+# still on a slope of 3 degrees, as real fruit and felt balls stay where they are put.
 _ROLLING = 0.05
 
 
 @dataclass(frozen=True)
 class Thing:
-    """What a scan does not tell: what it is called, its mass in grams, its colour and its file.
+    """What a scan does not hold: the thing's name, its mass in grams, its colour and its file.
 
     Attributes:
         set, file: the asset set and the file in it.
-        source: where name and mass are from, for the comment on top.
+        source: where name and mass come from, for the comment on top of the config.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Thing:
 
 @dataclass(frozen=True)
 class Description:
-    """An object's config as YAML, its comment included, and how well its primitives fit the scan."""
+    """An object's config as YAML with a comment on top, its data, and how well its primitives fit the scan."""
 
     yaml: str
     data: dict[str, Any]
@@ -54,9 +54,10 @@ class Description:
 
 
 def describe(thing: Thing, scan: Scan) -> Description:
-    """Fit primitives to a scan that stands as the thing is to stand, and work the rest out from them.
+    """The config of a thing, from a scan that stands as the thing is to stand.
 
-    A vessel's origin is on its axis, level with its foot; another thing's is its centre of mass.
+    Primitives are fitted to the scan, and everything else follows from them. A vessel's origin is on its axis, level
+    with its foot. The origin of any other thing is its centre of mass.
     """
     solid, hollow = fit_solid(scan.points), fit_hollow(scan)
     if hollow and hollow[0].rms < solid.rms:
@@ -111,7 +112,7 @@ def _contact(parts: tuple[Primitive, ...]) -> dict[str, Any]:
 
 
 def _middle(part: Primitive) -> Array | None:
-    """A solid primitive's centre of mass (3,), m."""
+    """A solid primitive's centre of mass (3,), m; None for a ring."""
     match part:
         case Capsule():
             return np.add(part.start, part.end) / 2

@@ -1,4 +1,4 @@
-"""How far points lie from an object's primitives."""
+"""Distances of points from an object's primitives."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..geometry.se3 import Array
 def signed_distance(parts: Sequence[Primitive], points: Array) -> Array:
     """Distance (n,) of points (n, 3) from the surface of the primitives' union, m; negative inside.
 
-    Inside of several primitives at once it is no more than the depth in one of them.
+    Inside several primitives at once, it is the depth in the deepest one alone.
     """
     nearest: Array = np.min([_from_one(part, points) for part in parts], axis=0)
     return nearest
@@ -34,7 +34,7 @@ def _from_one(part: Primitive, points: Array) -> Array:
         case Box():
             distance = _outside_of(*(np.abs(_in_box(part, points)) - part.half_size).T)
         case Ring():
-            # In the plane of radius and height a ring is a rectangle under the line from its inner to its outer edge.
+            # In the plane of radius and height, a ring is a rectangle below the line from its inner to its outer edge.
             along = np.subtract(part.outer, part.inner)
             length = float(np.linalg.norm(along))
             rest = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]]) - part.inner
@@ -52,7 +52,7 @@ def _in_box(part: Box, points: Array) -> Array:
 
 
 def _outside_of(*along: Array) -> Array:
-    """Distance from a block, of the distances past its faces along each axis."""
+    """Distance from a block, given the distances past its faces along each axis."""
     past = np.array(along)
     distance: Array = np.linalg.norm(np.maximum(past, 0), axis=0) + np.minimum(past.max(axis=0), 0)
     return distance

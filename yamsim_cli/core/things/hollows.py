@@ -1,4 +1,4 @@
-"""Bowls, plates and cups: a floor and rings around an axis, fitted to the inside of a scan."""
+"""Fits a floor and rings to the inside of bowls, plates and cups."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from ..geometry.se3 import Array
 from .scan import Scan
 from .solids import SolidFit, measure
 
-# What is at least this deep, as a share of its height, and so round, is a vessel; m.
+# A vessel is at least this deep, as a share of its height.
 _DEEP = 0.3
+# A vessel's radius varies by no more than this to either side over all directions, m.
 _ROUND = 0.004
 
 # How far the inside may go down again on its way to the rim, m.
@@ -20,19 +21,18 @@ _DIP = 0.006
 
 # Directions, seen from the middle of the opening, in which the inside is measured.
 _BINS = 64
-# How far the straight pieces may stray from the profile, m, and how many there may be: coarser where it needs more.
+# How far straight pieces may be from the profile, m: the first of these with which there are few enough pieces.
 _TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)
 _PIECES = 6
 _SEGMENTS = 24
-# Thinner walls would let things through, m.
+# Thinnest wall, m: things could pass through a thinner one.
 _LEAST_WALL = 0.002
 
 
 def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
-    """Floor and rings of a round vessel that stands upright, about its axis; None if it is none.
+    """Floor and rings of a round vessel that stands upright, and the place (x, y) of its axis, m; None if it is none.
 
-    Returns:
-        The fit, in a frame whose origin is on the axis at the scan's own height; and where that axis is (x, y), m.
+    The fit's frame has its origin on the axis, and heights as in the scan.
     """
     low, high = np.percentile(scan.points, (0.2, 99.8), axis=0)
     axis = (low[:2] + high[:2]) / 2
@@ -61,18 +61,18 @@ def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array 
     inside = (normals[:, 2] > -0.1) & (outwards < 0.2)
     if not inside.any():
         return None
-    # From just over the opening every part of the inside is seen, the outermost last.
+    # Seen from just above the opening, the inside's parts come in order of this angle, the outermost last.
     angle = np.arctan2(radius[inside], rim + 0.002 - points[inside, 2])
     bins = (angle / angle.max() * (_BINS - 1)).astype(int)
     found = [(radius[inside][bins == k], points[inside, 2][bins == k]) for k in range(_BINS)]
     profile = np.array([(np.median(r), np.median(z)) for r, z in found if len(r) >= 3])
-    # A lid lies upside down: its middle is above its edge.
+    # This fails for a lid that lies upside down, whose middle is above its edge.
     rises = len(profile) >= 8 and (np.maximum.accumulate(profile[:, 1]) - profile[:, 1]).max() < _DIP
     return profile if rises else None
 
 
 def _simplified(profile: Array, tolerance: float) -> Array:
-    """The corners of straight pieces that stay within a tolerance of the profile."""
+    """The corners of straight pieces that are nowhere farther than a tolerance from the profile."""
     start, end = profile[0], profile[-1]
     along = (end - start) / np.linalg.norm(end - start)
     off = np.abs((profile - start) @ np.array([-along[1], along[0]]))
@@ -83,7 +83,7 @@ def _simplified(profile: Array, tolerance: float) -> Array:
 
 
 def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
-    """The first piece is the floor, flat; the others are rings."""
+    """The primitives of a profile: a flat floor for its first piece, and rings for the others."""
     top = float(corners[:2, 1].mean())
     edge = float(corners[1, 0])
     half = max((top - foot) / 2, wall / 4)
@@ -91,7 +91,7 @@ def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
     rings = [
         Ring(
             type="ring",
-            # Nothing may fall between the floor and the first ring.
+            # The first ring overlaps the floor, so that there is no gap to fall through.
             inner=(float(r0 if k else edge - wall / 2), float(z0 if k else top)),
             outer=(float(r1), float(z1)),
             thickness=wall,

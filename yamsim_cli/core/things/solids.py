@@ -1,29 +1,34 @@
-"""Solid primitives fitted to a scan: each kind's least squares of the signed distance, and of those the best."""
+"""Fits solid primitives to a scan: each kind by least squares of the signed distance, of which the best is taken."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ..config.primitives import Box, Capsule, Cylinder, Primitive, Sphere
+from ..geometry.least_squares import LeastSquares, descend
 from ..geometry.se3 import Array
 from .distance import signed_distance
 
-# How much better, m, a shape must fit for each number more that describes it.
+# How much better a shape must fit for each further number that describes it, m.
 _WORTH = 3e-4
 
-# What lies deeper under the planes that touch it all round is a dimple, which nothing ever touches, m.
+# Points deeper than this below all planes that touch the surface lie in a dimple, which nothing touches, m.
 _DIMPLE = 0.0015
+# How many of these planes are tried.
 _PLANES = 600
 
-# Ends that hang less than this over the ground are laid on it: what lies on the table touches it there.
+# Ends of a shape less than this above the ground are moved down to it, since the thing touches the table there, m.
 _LAID = 0.004
 
 _STEPS = 30
 _NUDGE = 1e-5
+# A step that makes the squares of the distances less by a smaller share is the last.
+_NO_GAIN = 1e-6
 
 Parts = tuple[Primitive, ...]
 Make = Callable[[Array], Parts]
@@ -31,7 +36,12 @@ Make = Callable[[Array], Parts]
 
 @dataclass(frozen=True)
 class SolidFit:
-    """Primitives, and how far a scan's surface is from theirs: root mean square and 99 % of it, m."""
+    """Primitives, and how well they fit.
+
+    Attributes:
+        rms: root mean square of the distances of the scan's surface from theirs, m.
+        most: largest of the nearest 99 % of these distances, m.
+    """
 
     parts: Parts
     rms: float
@@ -39,20 +49,22 @@ class SolidFit:
 
 
 def measure(parts: Parts, points: Array) -> SolidFit:
-    """How well primitives fit points (n, 3) of a surface."""
+    """The fit of given primitives to points (n, 3) of a surface."""
     distance = np.abs(signed_distance(parts, points))
     return SolidFit(parts, float(np.sqrt(np.mean(distance**2))), float(np.percentile(distance, 99)))
 
 
 def fit_solid(points: Array) -> SolidFit:
-    """The ball, cylinder, block, or row of up to three capsules that comes closest to a surface (n, 3), m.
+    """The ball, cylinder, block, or row of up to three capsules that fits points (n, 3) of a surface best, m.
 
     Dimples and holes, such as an apple's, do not count.
     """
     points = _outside(points)
     best: tuple[float, SolidFit] | None = None
     for make, start in _candidates(points):
-        parts = _laid(make(_least_squares(make, start, points)), float(points[:, 2].min()))
+        fitted = descend(_ShapeProblem(make, points), start, _STEPS)
+        assert fitted is not None  # distances can always be told
+        parts = _laid(make(fitted[0]), float(points[:, 2].min()))
         fit = measure(parts, points)
         cost = fit.rms + fit.most / 4 + _WORTH * len(start)
         if best is None or cost < best[0]:
@@ -84,7 +96,7 @@ def _candidates(points: Array) -> Iterator[tuple[Make, Array]]:
 
 
 def _sphere(p: Array, most: float) -> Parts:
-    """No wider than the scan: fingers have to fit around it."""
+    """A sphere with a radius of at most `most`: it must not be wider than the scan, so that fingers fit around it."""
     return (Sphere(type="sphere", centre=_vector(p[:3]), radius=min(_size(p[3]), most)),)
 
 
@@ -98,7 +110,7 @@ def _box(p: Array) -> Parts:
 
 
 def _capsules(p: Array) -> Parts:
-    """A row: places (x, y, z) of all joints, and a radius for each capsule."""
+    """A row of capsules, from the places (x, y, z) of all joints, and then a radius for each capsule."""
     count = (len(p) - 3) // 4
     joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
     return tuple(
@@ -115,7 +127,7 @@ def _extent(points: Array, yaw: float) -> tuple[Array, Array]:
 
 
 def _row(points: Array, count: int) -> Array:
-    """Where a row of capsules starts from: slices of equal length along the longest horizontal axis."""
+    """Numbers to start the fit of a row of capsules with: slices of equal length along the longest horizontal axis."""
     centre = points.mean(axis=0)
     along = np.linalg.svd(points[:, :2] - centre[:2], full_matrices=False)[2][0]
     across = np.array([-along[1], along[0]])
@@ -138,29 +150,55 @@ def _row(points: Array, count: int) -> Array:
     return np.concatenate([*joints, last, radii])
 
 
-def _least_squares(make: Make, start: Array, points: Array) -> Array:
-    """Levenberg's method with numeric derivatives: the numbers that make the squares of the distances least."""
-    p, damping = start, 1e-3
-    rest = signed_distance(make(p), points)
-    for _ in range(_STEPS):
-        slope = np.column_stack(
-            [(signed_distance(make(p + nudge), points) - rest) / _NUDGE for nudge in _NUDGE * np.eye(len(p))]
-        )
-        normal = slope.T @ slope
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope.T @ rest)
-        new = signed_distance(make(p + step), points)
-        if new @ new < rest @ rest:
-            done = rest @ rest - new @ new < 1e-6 * (rest @ rest)
-            p, rest, damping = p + step, new, damping / 5
-            if done:
-                break
-        else:
-            damping *= 5
-    return p
+@dataclass(frozen=True)
+class _Shape:
+    """Numbers of a shape, and how far points are from its surface (n,)."""
+
+    make: Make
+    points: Array
+    numbers: Array
+
+    @cached_property
+    def distance(self) -> Array:
+        return signed_distance(self.make(self.numbers), self.points)
+
+    @property
+    def cost(self) -> float:
+        return float(self.distance @ self.distance)
+
+    @cached_property
+    def _slope(self) -> Array:
+        """Derivative (n, k) of the distances by the numbers, by small differences."""
+        nudged = (replace(self, numbers=self.numbers + nudge).distance for nudge in _NUDGE * np.eye(len(self.numbers)))
+        return np.column_stack([(distance - self.distance) / _NUDGE for distance in nudged])
+
+    @property
+    def normal(self) -> Array:
+        return self._slope.T @ self._slope
+
+    @property
+    def gradient(self) -> Array:
+        return -self._slope.T @ self.distance
+
+
+class _ShapeProblem(LeastSquares[Array, _Shape]):
+    """Least squares of points' distances from a shape, over the shape's numbers."""
+
+    def __init__(self, make: Make, points: Array) -> None:
+        self._make, self._points = make, points
+
+    def linearized(self, state: Array, before: _Shape | None) -> _Shape:
+        return _Shape(self._make, self._points, state)
+
+    def moved(self, state: Array, step: Array) -> Array:
+        return state + step
+
+    def settled(self, state: Array, known: _Shape, step: Array, gain: Array) -> bool:
+        return bool(0 < gain < _NO_GAIN * known.cost)
 
 
 def _laid(parts: Parts, ground: float) -> Parts:
-    """The parts as they lie on the ground: what nearly touches it does, and nothing goes below it."""
+    """The parts on the ground: what nearly touches it is moved to touch it, and nothing is below it."""
     laid: list[Primitive] = []
     for part in parts:
         match part:

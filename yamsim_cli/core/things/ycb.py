@@ -1,8 +1,8 @@
-"""What is known of the YCB objects beside their scans.
+"""Masses, colours and names of the YCB objects, which their scans do not hold.
 
 Source of the masses: B. Calli, A. Walsman, A. Singh, S. Srinivasa, P. Abbeel, A. M. Dollar, "Benchmarking in
 Manipulation Research: Using the Yale-CMU-Berkeley Object and Model Set", IEEE Robotics & Automation Magazine 22(3),
-2015, its table of objects. A real one's may differ: cans and boxes are weighed full.
+2015, its table of objects. The mass of a real object may differ: cans and boxes are weighed full.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 Rgba = tuple[float, float, float, float]
 
-#: Id -> mass, g. Sets of cups, blocks and bricks count one by one.
+# Id -> mass, g. Of sets of cups, blocks and bricks, it is the mass of one.
 MASS_G: Mapping[str, float] = {
     "002_master_chef_can": 414,
     "003_cracker_box": 411,
@@ -76,7 +76,7 @@ MASS_G: Mapping[str, float] = {
     "077_rubiks_cube": 94,
 }
 
-#: Id -> the colour of most of it: the scans have none. Ours, by eye.
+# Id -> the object's main colour. The scans have no colours; these are estimates by eye.
 RGBA: Mapping[str, Rgba] = {
     "005_tomato_soup_can": (0.72, 0.13, 0.10, 1),
     "007_tuna_fish_can": (0.16, 0.30, 0.55, 1),
@@ -105,11 +105,11 @@ RGBA: Mapping[str, Rgba] = {
 
 GREY: Rgba = (0.6, 0.6, 0.6, 1)
 
-#: Names for those whose id has none for one of them.
+# Names of single objects whose ids name the set.
 _ONE_OF = {"cups": "cup", "colored_wood_blocks": "wood_block"}
 
 
 def plain_name(ycb_id: str) -> str:
-    """What an object is called in data and in language: `apple` for 013_apple."""
+    """An object's name in data and in language: `apple` for 013_apple."""
     name = ycb_id.partition("_")[2]
     return _ONE_OF.get(name, name)

@@ -1,4 +1,4 @@
-"""Run a task many times without drawing, and count."""
+"""Run a task many times in physics alone, and count."""
 
 from __future__ import annotations
 
@@ -10,35 +10,32 @@ from pathlib import Path
 from typing import Any
 
 from ..attempt.runner import EpisodeRunner
-from ..config.recording import RecordConfig
 from ..dataset.records import MarginsRecord, attempt_record, plain
 from ..errors import ResourceError
 from ..files import write_file
-from ..resources import Locations
+from ..progress import Progress
+from ..session import Session
 from ..types import EpisodeJob, EpisodePayload
 from ..workers.processes import WorkerPool
-from .tally import Progress, run_trials, tally, what_ran
+from .tally import run_trials, tally, what_ran
 
 
-def run_batch(
-    config: RecordConfig, locations: Locations, thresholds: Sequence[float], progress: Progress
-) -> dict[str, Any]:
-    """Run `config.episodes` trials, the same that `record` would make with the same seed.
+def run_batch(session: Session, thresholds: Sequence[float], progress: Progress) -> dict[str, Any]:
+    """Run as many trials as the config has `episodes`, the same that `record` would make with the same seed.
 
     Args:
         thresholds: in metres, by which the outcomes are scored beside the task's own.
 
     Returns:
-        JSON-ready: what `tally` counts, margins, rig, task, grasp,
-        arms (those that act), seconds, trials.
+        JSON-ready: what `tally` counts, margins, rig, task, grasp, arms (those that act), seconds, trials.
 
     Raises:
         InterruptedJobError: stopped by the user; nothing is lost but the time.
     """
     began = time.monotonic()
+    config = session.config
     n = config.episodes
-    # Meshes are looks; without drawing nobody looks.
-    factory = functools.partial(EpisodeRunner, config, locations, {}, draw=False)
+    factory = functools.partial(EpisodeRunner, session.without_meshes(), render=False)
     workers = min(config.workers, n)
     with WorkerPool[EpisodeJob, EpisodePayload](factory, workers) as pool:
         payloads = run_trials(pool, config.seed, n, progress)

@@ -1,23 +1,26 @@
-"""Films of batch trials: made again from their numbers and drawn, which a batch itself does not do."""
+"""Films of trials: made again from their numbers and rendered, which a batch itself does not do."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from ..attempt.runner import EpisodeRunner
-from ..config.recording import RecordConfig
+from ..attempt.physics import Simulated
+from ..attempt.pictures import render
+from ..attempt.planned import demonstrate
+from ..attempt.sampling import sample
+from ..attempt.simulator import Simulator
+from ..closing import Closing
+from ..config.recording import SCENE_CAMERA
 from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
 from ..files import move_aside
 from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.video import VideoWriter, require_encoder
-from ..resources import Locations
-from ..scene.build import SCENE_CAMERA
-from ..sim.rollout import Rollout
+from ..progress import Progress
+from ..session import Session
 from ..types import Cause, EpisodeJob
 from ..vision.views import label
 from ..workers.executor import Executor, Factory, J
@@ -29,9 +32,6 @@ _NEVER_MOVED = (Cause.NO_LAYOUT, Cause.UNREACHABLE)
 # On the way from a worker to the film: hardly any loss beside that of the film itself.
 _JPEG_QUALITY = 95
 
-# Called with films done and in all.
-Progress = Callable[[int, int], None]
-
 
 @dataclass(frozen=True)
 class FilmedTrial:
@@ -41,33 +41,28 @@ class FilmedTrial:
     path: Path
 
 
-class Drawer:
-    """Draws what happened in physics; a context manager that owns a renderer."""
+class TrialFilmer(Closing):
+    """Renders what happened in physics; a context manager, since it owns a renderer."""
 
-    def __init__(self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None]) -> None:
-        self._runner = EpisodeRunner(config, locations, meshes, draw=False)
+    def __init__(self, session: Session) -> None:
+        self._simulator = Simulator(session)
 
-    def _drawn(self, rollout: Rollout | None) -> list[bytes]:
+    def _film(self, done: Simulated) -> list[bytes]:
         """Its frames as JPEGs; none of what never moved."""
-        states = rollout.states if rollout else ()
-        drawn = (self._runner.draw(state.qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for state in states)
-        return [encode_jpeg(image, _JPEG_QUALITY) for image in drawn]
+        shown = (render(self._simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
+        return [encode_jpeg(images[SCENE_CAMERA], _JPEG_QUALITY) for images in shown]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._runner.close()
+    def close(self) -> None:
+        """Free the renderer."""
+        self._simulator.close()
 
 
-class TrialDrawer(Drawer):
-    """Makes trials again and draws them, whatever their outcome."""
+class PlannedFilmer(TrialFilmer):
+    """Makes trials again as their plans have them, and renders them whatever their outcome."""
 
     def run(self, job: EpisodeJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
-        return self._drawn(self._runner.simulate(job)[2])
+        return self._film(demonstrate(self._simulator, sample(self._simulator, job)))
 
 
 class TrialFilms:
@@ -141,9 +136,7 @@ def film_trials(
     trials: Sequence[dict[str, Any]],
     limit: int,
     films: TrialFilms,
-    config: RecordConfig,
-    locations: Locations,
-    meshes: Mapping[str, Path | None],
+    session: Session,
     progress: Progress,
 ) -> list[FilmedTrial]:
     """Film trials of a batch, failures first; those in which nothing moved cannot be shown.
@@ -151,19 +144,18 @@ def film_trials(
     Args:
         trials: as `run_batch` reports them.
         limit: of how many at most.
-        meshes: asset set -> folder of its files, or None for primitives.
 
     Raises:
         InterruptedJobError: stopped by the user; finished films stay.
-        ResourceError: nothing can draw here, or the films cannot be written.
+        ResourceError: nothing can render here, or the films cannot be written.
     """
     moving = [trial for trial in trials if trial["outcome"]["cause"] not in _NEVER_MOVED]
     chosen = sorted(moving, key=lambda trial: trial["outcome"]["success"])[:limit]
     if not chosen:
         return []
-    factory = functools.partial(TrialDrawer, config, locations, dict(meshes))
+    factory = functools.partial(PlannedFilmer, session)
     jobs = [EpisodeJob(trial["seed"], trial["trial"]) for trial in chosen]
-    return film_jobs(factory, chosen, jobs, films, config.workers, progress)
+    return film_jobs(factory, chosen, jobs, films, session.config.workers, progress)
 
 
 def film_jobs(
@@ -177,23 +169,23 @@ def film_jobs(
     """Film trials whose frames the jobs give, at least one of them. Raises as `film_trials`."""
     try:
         with WorkerPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
-            return films.write(drawn_in_order(trials, jobs, pool, progress))
+            return films.write(frames_in_order(trials, jobs, pool, progress))
     except KeyboardInterrupt:
         raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None
 
 
-def drawn_in_order(
+def frames_in_order(
     trials: Sequence[dict[str, Any]], jobs: Sequence[J], pool: Executor[J, list[bytes]], progress: Progress
 ) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
-    """Trials with the frames that their jobs give, in the order given, whichever is drawn first."""
+    """Trials with the frames that their jobs give, in the order given, whichever is finished first."""
     waiting = list(reversed(range(len(jobs))))
     numbers = {id(job): number for number, job in enumerate(jobs)}
-    drawn: dict[int, list[bytes]] = {}
+    finished: dict[int, list[bytes]] = {}
     for number, trial in enumerate(trials):
-        while number not in drawn:
+        while number not in finished:
             while pool.idle and waiting:
                 pool.submit(jobs[waiting.pop()])
             job, frames = pool.result()
-            drawn[numbers[id(job)]] = frames
-        yield trial, drawn.pop(number)
+            finished[numbers[id(job)]] = frames
+        yield trial, finished.pop(number)
         progress(number + 1, len(trials))

@@ -11,13 +11,11 @@ from ..config.task import Success
 from ..dataset.records import OutcomeRecord
 from ..dataset.statistics import spread, wilson95
 from ..errors import InterruptedJobError, SimulationError
+from ..progress import Progress
 from ..types import EpisodeJob
 from ..workers.executor import Executor, LostJobError
 
 R = TypeVar("R")
-
-# Called with trials done and trials wanted.
-Progress = Callable[[int, int], None]
 
 
 def run_trials(

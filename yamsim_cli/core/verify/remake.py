@@ -5,21 +5,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from ..attempt.runner import EpisodeRunner, start_poses, versions
-from ..config.recording import RecordConfig
+from ..attempt.frames import frames as made_frames
+from ..attempt.payload import versions
+from ..attempt.physics import repeat
+from ..attempt.pictures import image_files
+from ..attempt.planned import demonstrate
+from ..attempt.sampling import sample
+from ..attempt.simulator import Simulator
+from ..closing import Closing
 from ..dataset.actions import recorded_actions
 from ..dataset.compare import Comparison, Difference, compare_frames, compare_values
 from ..dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
 from ..dataset.reader import StoredEpisode, open_episode
-from ..dataset.records import OutcomeRecord
+from ..dataset.records import OutcomeRecord, recorded_attempt
 from ..errors import DatasetError
 from ..images.jpeg import decode_jpeg
-from ..resources import Locations
+from ..session import Session
 from ..shown_meshes import differences, shown
 from ..types import EpisodeJob
 
@@ -68,19 +73,16 @@ class Verdict:
         return not self.problems and all(check.first is None for check in self.checks.values())
 
 
-class EpisodeVerifier:
+class EpisodeVerifier(Closing):
     """Makes episodes of one dataset again; a context manager, since it may own a renderer.
 
     Args:
-        config: the dataset's own.
-        meshes: asset set -> folder of its files, or None for primitives; they matter to images alone.
+        session: of the dataset's own config; its meshes matter to images alone.
     """
 
-    def __init__(
-        self, config: RecordConfig, locations: Locations, meshes: Mapping[str, Path | None], limits: Limits
-    ) -> None:
-        self._runner = EpisodeRunner(config, locations, meshes, draw=False)
-        self._said = config.meshes
+    def __init__(self, session: Session, limits: Limits) -> None:
+        self._simulator = Simulator(session)
+        self._said = session.config.meshes
         self._limits = limits
 
     def run(self, job: tuple[int, Path]) -> Verdict:
@@ -100,7 +102,7 @@ class EpisodeVerifier:
                 checks |= self._from_seed(episode, frames)
             else:
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
-            if repeated := repeat_actions(self._runner, episode, frames, self._limits.values):
+            if repeated := repeat_actions(self._simulator, episode, frames, self._limits.values):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
@@ -111,51 +113,45 @@ class EpisodeVerifier:
 
     def _from_seed(self, episode: StoredEpisode, frames: Frames) -> dict[str, Comparison]:
         """The whole attempt again, from its two numbers."""
-        record = episode.record
-        layout, outcome, rollout = self._runner.simulate(EpisodeJob(record.seed, record.attempt))
-        made = self._runner.frames(rollout.states) if rollout else []
+        record, simulator = episode.record, self._simulator
+        done = demonstrate(simulator, sample(simulator, EpisodeJob(record.seed, record.attempt)))
+        made = made_frames(simulator, done.attempt, done.states)
         once = compare_values(
             {"outcome": _judgement(record.outcome), "start": _arrays(record.layout)}
             | {"randomized": asdict(record.randomized)},
-            {"outcome": _judgement(OutcomeRecord.of(outcome)), "start": _arrays(start_poses(layout))}
-            | {"randomized": asdict(self._runner.randomized)},
+            {"outcome": _judgement(OutcomeRecord.of(done.outcome)), "start": _arrays(done.attempt.places)}
+            | {"randomized": asdict(done.attempt.variation)},
             self._limits.values,
         )
         checks = {SEED: _together(compare_frames(frames, made, self._limits.values), once)}
-        if self._limits.images is not None and rollout:
-            drawn = self._runner.images([state.qpos for state in rollout.states])
-            checks[IMAGES] = _compare_images(episode, drawn, self._limits.images)
+        if self._limits.images is not None and done.states:
+            images = image_files(simulator, done.attempt, [state.qpos for state in done.states])
+            checks[IMAGES] = _compare_images(episode, images, self._limits.images)
         return checks
 
     def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
         then, now = dict(episode.record.versions), versions()
         if self._limits.images is not None:
-            then["renderer"], now["renderer"] = episode.record.renderer, self._runner.renderer.description
-            for name, drawn in (episode.record.meshes or {}).items():
-                then[f"meshes {name}"] = shown(drawn)
-                now[f"meshes {name}"] = shown(self._runner.scene.drawn.get(name))
+            then["renderer"], now["renderer"] = episode.record.renderer, self._simulator.renderer.description
+            for name, text in (episode.record.meshes or {}).items():
+                then[f"meshes {name}"] = shown(text)
+                now[f"meshes {name}"] = shown(self._simulator.scene.shown_meshes.get(name))
         return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
 
     def _other_meshes(self, episode: StoredEpisode) -> list[str]:
         said, own = self._said, episode.record.meshes
         return differences(own, said, ("here", "there")) if said is not None and own is not None else []
 
-    def __enter__(self) -> EpisodeVerifier:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._runner.close()
+    def close(self) -> None:
+        """Free the renderer."""
+        self._simulator.close()
 
 
-def repeat_actions(
-    runner: EpisodeRunner, episode: StoredEpisode, frames: Frames, tolerance: float
-) -> Comparison | None:
+def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames, tolerance: float) -> Comparison | None:
     """An episode's actions again in physics, from where it began, and how far that leads from what it holds.
 
     Args:
-        runner: of the configuration that the episode was recorded with.
+        simulator: of the config that the episode was recorded with.
         tolerance: see `dataset.compare`.
 
     Returns:
@@ -164,26 +160,20 @@ def repeat_actions(
     Raises:
         DatasetError: the episode is of another scene.
     """
-    model = runner.scene.model
+    model = simulator.scene.model
     recorded = recorded_actions(frames, model.nq, model.nu)
     if recorded is None:
         return None
-    vary(runner, episode)
+    start, actions = recorded
     stored = episode.record.outcome
-    planned = episode.record.source == "record"
-    outcome, rollout = runner.repeat(*recorded, stored.plan_error_m or 0.0, stored.tilt_rad or 0.0, planned=planned)
+    attempt = recorded_attempt(episode.record, start)
+    done = repeat(simulator, attempt, actions, planned=episode.record.source == "record")
     # What the plan knew of itself, its actions cannot tell.
-    judged = OutcomeRecord.of(outcome).model_copy(
+    judged = OutcomeRecord.of(done.outcome).model_copy(
         update={"plan_error_m": stored.plan_error_m, "tilt_rad": stored.tilt_rad}
     )
     once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, tolerance)
-    return _together(compare_frames(frames, runner.frames(rollout.states), tolerance), once)
-
-
-def vary(runner: EpisodeRunner, episode: StoredEpisode) -> None:
-    """Let a runner's scene be as it was in a recorded episode."""
-    record = episode.record
-    runner.vary(EpisodeJob(record.seed, record.attempt), record.randomized)
+    return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
@@ -214,28 +204,28 @@ def _together(frames: Comparison, once: Comparison) -> Comparison:
     return Comparison(frames.largest | once.largest, first)
 
 
-def _compare_images(episode: StoredEpisode, drawn: Mapping[str, bytes], limit: float) -> Comparison:
+def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: float) -> Comparison:
     """Recorded JPEGs against new ones: `largest` holds each camera's largest mean difference of pixels, of 255."""
     result = Comparison()
     record = episode.record
     for k in range(record.frames):
         for camera in record.cameras:
             name = image_name(camera, k)
-            stored, made = episode.read(name), drawn.get(name, b"")
+            stored, made = episode.read(name), images.get(name, b"")
             apart = 0.0 if stored == made else _pixels_apart(stored, made)
             result.largest[camera] = max(result.largest.get(camera, 0.0), 255.0 if apart is None else apart)
             if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first is None:
                 shown = [f"{len(data)} bytes" for data in (stored, made)]
                 result.first = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
     if limit == 0.0 and result.first is None:
-        result.first = _first_other_truth(episode, drawn)
+        result.first = _first_other_truth(episode, images)
     return result
 
 
-def _first_other_truth(episode: StoredEpisode, drawn: Mapping[str, bytes]) -> Difference | None:
+def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> Difference | None:
     """The first file of ground truth that is not the same byte for byte; None if all are."""
     for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
-        stored, made = episode.read(name), drawn.get(name, b"")
+        stored, made = episode.read(name), images.get(name, b"")
         if stored != made:
             return Difference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
     return None

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..config.recording import RecordConfig
 from ..errors import InterruptedJobError, ranges
-from ..resources import Locations
+from ..progress import Progress
+from ..session import Session
 from ..workers.processes import WorkerPool
 from .remake import ACTIONS, CHECKS, SEED, EpisodeVerifier, Limits, Verdict
-
-# Called with episodes done and in all.
-Progress = Callable[[int, int], None]
 
 
 def verify(
     episodes: Sequence[tuple[int, Path]],
-    config: RecordConfig,
-    locations: Locations,
-    meshes: Mapping[str, Path | None],
+    session: Session,
     limits: Limits,
     workers: int,
     progress: Progress,
@@ -32,8 +27,7 @@ def verify(
 
     Args:
         episodes: number and directory of each.
-        config: the dataset's own.
-        meshes: asset set -> folder of its files, or None for primitives; they matter to images alone.
+        session: of the dataset's own config; its meshes matter to images alone.
 
     Returns:
         JSON-ready: episodes, agree, max_error, first_divergence, divergences, problems, checks, versions_changed,
@@ -43,7 +37,7 @@ def verify(
         InterruptedJobError: stopped by the user.
     """
     began = time.monotonic()
-    factory = functools.partial(EpisodeVerifier, config, locations, dict(meshes), limits)
+    factory = functools.partial(EpisodeVerifier, session, limits)
     verdicts: list[Verdict] = []
     waiting = list(reversed(episodes))
     try:

@@ -1,4 +1,4 @@
-"""Where a browser page listens."""
+"""The address that a browser page listens on."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class PageAddress:
     """The address of a browser page.
 
     Attributes:
-        port: to listen on; 0 takes a free one.
-        host: an address or name of this machine; `0.0.0.0` for all of them.
+        port: the port to listen on; 0 takes a free one.
+        host: an address or name of this machine; `0.0.0.0` for all of its addresses.
     """
 
     port: int = 0
@@ -22,7 +22,7 @@ class PageAddress:
 
     @property
     def is_private(self) -> bool:
-        """Whether nobody but this machine's users can reach it."""
+        """Whether only users of this machine can reach it."""
         try:
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
@@ -30,7 +30,7 @@ class PageAddress:
 
     @property
     def url_host(self) -> str:
-        """The host as a URL on this machine has it."""
+        """The host in a URL for this machine's own browser."""
         if self.host in ("0.0.0.0", "::"):
             return LOOPBACK
         return f"[{self.host}]" if ":" in self.host else self.host

@@ -1,4 +1,4 @@
-"""What every browser page has: bodies that move, a button to stop them, and one address that it listens on."""
+"""The base of all browser pages: bodies that move, and a button to pause them."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from .shapes import add_bodies
 from .shown import Shown
 from .viewpoint import FOV_DEG, Viewpoint
 
-# Of positions in m, and of quaternions.
+# Decimals of positions (m) and quaternions that are sent.
 _DECIMALS = 5
 
-# How often a page is told that it is still connected, and how long it believes that, s.
+# How often a page is told that it is connected, and how long after the last time it says that it is not, s.
 _BEAT_SECONDS = 1.0
 _SILENCE_SECONDS = 5.0
 
 
 class _LocalServer(viser.ViserServer):
-    """viser's server without its way out: any client can ask it for a tunnel to a public address."""
+    """viser's server without its tunnel to a public address, for which any client could ask."""
 
     def request_share_url(self, verbose: bool = True) -> None:
         return None
 
 
 class BodiesPage:
-    """A page on which the bodies of `shown` stand where they are; closing it frees its port.
+    """A page that shows the bodies of `shown` as they move. Closing it frees its port.
 
     Raises:
-        UsageError: the address cannot be had.
+        UsageError: the page cannot listen on the address.
     """
 
     def __init__(self, shown: Shown, viewpoint: Viewpoint, address: PageAddress) -> None:
-        # A browser drops connections as it pleases; without a handler, each one would be a traceback on stderr.
+        # Browsers drop connections at any time. Without a handler, each would print a traceback on stderr.
         logging.getLogger("websockets").addHandler(logging.NullHandler())
         self._shown = shown
         self._server = _serve(address, f"yamsim: {shown.title}")
@@ -55,12 +55,12 @@ class BodiesPage:
         self._pause_button.on_click(self._toggle_pause)
 
     def update(self) -> None:
-        """Send what has changed since the last call to whoever watches."""
-        # An arm at rest trembles by less than anyone sees; sent, each tremble would be drawn.
+        """Send what has changed since the last call to all clients."""
+        # An arm at rest trembles by less than anyone can see. Rounding keeps that from being sent.
         positions, quaternions = (np.round(poses, _DECIMALS) for poses in self._shown.body_poses())
         with self._server.atomic():
             for body, frame in self._bodies.frames.items():
-                # viser drops a pose that has not changed.
+                # viser does not send a pose that has not changed.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
         if self._pause_button.label != (label := "Play" if self._shown.paused else "Pause"):
             self._pause_button.label = label
@@ -83,10 +83,10 @@ class BodiesPage:
 
 
 def _disconnected(beat: int) -> str:
-    """A notice that comes up by itself, on the panel and across the page, unless another one replaces it in time.
+    """A notice that appears by itself, on the panel and across the page, unless another one replaces it in time.
 
-    A page whose server is gone shows the last thing that it was sent, such as a recording that goes on; and what it
-    would have to be told now, nobody can tell it any more.
+    A page whose server is gone still shows the last state that it was sent, such as a recording that goes on. Nobody
+    can tell it otherwise then, so that the notice has to be there before.
     """
     name = f"yamsim-gone-{beat}"
     hidden = "visibility: hidden; overflow: hidden; max-height: 0"
@@ -104,7 +104,7 @@ def _serve(address: PageAddress, title: str) -> viser.ViserServer:
     check_free(address)
     server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
     if address.port and server.get_port() != address.port:
-        # Somebody was faster; viser then takes the next free port, which is not what was asked for.
+        # Another program took the port meanwhile. viser then takes the next free one, which nobody asked for.
         server.stop()
         raise _taken(address, "it is in use")
     server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -113,7 +113,7 @@ def _serve(address: PageAddress, title: str) -> viser.ViserServer:
 
 
 def check_free(address: PageAddress) -> None:
-    """Make sure that a page can listen there.
+    """Make sure that a page can listen on an address.
 
     Raises:
         UsageError: it cannot.
@@ -125,7 +125,7 @@ def check_free(address: PageAddress) -> None:
         raise UsageError(f"--host {address.host} is not valid ({reason}): give an address of this machine") from error
     with socket.socket(family, kind) as probe:
         if os.name == "posix":
-            # As the server does: connections of an earlier page that are still winding down are not in the way.
+            # The server sets this, too: connections of an earlier page that are still closing are not in the way.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(place)

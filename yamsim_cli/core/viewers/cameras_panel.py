@@ -1,4 +1,4 @@
-"""The cameras of a live rig on its page: their pictures, drawn when asked for, and their views to look through."""
+"""The cameras of a live rig on its page: buttons to take their pictures, and to look through them."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ..geometry.se3 import quat_from_rotation
 from .live import LiveRig
 
 
-class Pictures(Protocol):
-    """Draws what cameras see; asked by one thread alone."""
+class CameraPictures(Protocol):
+    """Renders what cameras see. Only one thread calls it."""
 
-    def draw(self, camera: str) -> NDArray[np.uint8]:
+    def render(self, camera: str) -> NDArray[np.uint8]:
         """An RGB image (height, width, 3) of uint8.
 
         Raises:
-            ResourceError: nothing can be drawn here.
+            ResourceError: nothing can be rendered here.
         """
         ...
 
 
 class CamerasPanel:
-    """A folder of the page; empty where the rig has no camera."""
+    """A folder of the page; there is none if the rig has no camera."""
 
-    def __init__(self, server: viser.ViserServer, live: LiveRig, pictures: Pictures | None) -> None:
+    def __init__(self, server: viser.ViserServer, live: LiveRig, pictures: CameraPictures | None) -> None:
         self._gui = server.gui
         self._live = live
         self._pictures = pictures
@@ -48,15 +48,15 @@ class CamerasPanel:
                 self._add_view(camera)
 
     def update(self) -> None:
-        """Draw the pictures that were asked for; from the thread that owns OpenGL."""
+        """Take the pictures that were asked for; to be called from the thread that owns OpenGL."""
         if not self._wanted or self._pictures is None:
             return
         self._wanted = False
         for camera in self._cameras:
             try:
-                image = self._pictures.draw(camera)
+                image = self._pictures.render(camera)
             except ResourceError as error:
-                # Asked for once more, it would fail once more.
+                # It would fail again, so nobody can ask again.
                 self._pictures, self._button.disabled = None, True
                 with self._folder:
                     self._gui.add_markdown(f"No pictures: {error}")

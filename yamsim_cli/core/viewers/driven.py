@@ -1,4 +1,4 @@
-"""What a page needs of an arm that a person drives."""
+"""The interface between a page and the arm that a person drives on it."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from .shown import Shown
 
 @dataclass(frozen=True)
 class DriveStatus:
-    """How things stand, for a person to read.
+    """The state of a session, for a person to read.
 
     Attributes:
-        arm: which arm is driven, "left" or "right"; empty where there is but one.
-        recording: whether what happens is recorded, and since how many seconds.
-        episodes, failures, waiting: successes in the dataset, attempts that failed, and those not judged yet.
-        apart: how far the target is out of the arm's reach, m; 0 where the hand can be there.
-        at_limit: joints that have come to a stop.
-        blocked: what is in the arm's way; empty where nothing is.
-        gripper_open, magnet, holds: what was asked of the gripper and the magnet, and whether it holds the object.
-        message: what came of the last thing that was asked for.
+        arm: which arm is driven, "left" or "right"; empty for a lone arm.
+        recording: whether a recording goes on.
+        seconds: length of the recording so far, s.
+        episodes, failures, waiting: numbers of episodes in the dataset, of failed attempts, and of those to be judged.
+        apart: how far the target is out of the arm's reach, m; 0 if the hand can be there.
+        at_limit: joints that are at a stop.
+        blocked: what is in the arm's way; empty if nothing is.
+        gripper_open, magnet: what the gripper and the magnet were told.
+        holds: whether the magnet holds the object.
+        message: the result of the last command.
     """
 
     arm: str
@@ -40,21 +42,21 @@ class DriveStatus:
 
     @property
     def free(self) -> bool:
-        """Whether the hand can go where it is told."""
+        """Whether the hand can follow its target."""
         return not (self.apart or self.at_limit or self.blocked)
 
 
 class Driven(Shown, Protocol):
-    """An arm that follows a target, or one of two arms. Its methods may be called from any thread."""
+    """A lone arm, or one of two arms, that follows a target. Its methods may be called from any thread."""
 
     @property
     def target(self) -> Array:
-        """Where the pinch frame, between the finger tips, is to be: pose (4, 4) in `world`."""
+        """The target pose (4, 4) of the pinch frame between the finger tips, in `world`."""
         ...
 
     @property
     def status(self) -> DriveStatus:
-        """How things stand."""
+        """The state of the session."""
         ...
 
     def switch_arm(self) -> None:
@@ -62,29 +64,29 @@ class Driven(Shown, Protocol):
         ...
 
     def aim(self, T_pinch_in_world: Array) -> None:
-        """Give the hand another target (4, 4)."""
+        """Set the hand's target (4, 4)."""
         ...
 
     def toggle_gripper(self) -> None:
-        """Open the gripper, or close it to what the object needs."""
+        """Open the gripper, or close it as far as the object needs."""
         ...
 
     def set_magnet(self, on: bool) -> None:
-        """Switch the magnet, which holds the object where the hand is at it."""
+        """Switch the magnet on or off. It takes the object only if the hand is near it."""
         ...
 
     def start(self) -> None:
-        """Record from the attempt's beginning."""
+        """Start the attempt anew, and record it."""
         ...
 
     def stop(self) -> None:
-        """End the recording, to be judged."""
+        """End the recording, which is then judged."""
         ...
 
     def leave(self) -> None:
-        """Nobody watches any more: a recording stands still until somebody plays on."""
+        """Note that nobody watches any more: a recording pauses until somebody resumes it."""
         ...
 
     def discard(self) -> None:
-        """End the recording as if it had never been."""
+        """End the recording, and forget it."""
         ...

@@ -16,7 +16,7 @@ from .viewpoint import Viewpoint
 
 
 class Images(Protocol):
-    """The images that belong to an episode's frames."""
+    """The images of an episode's frames."""
 
     cameras: tuple[str, ...]
 
@@ -30,7 +30,7 @@ class Images(Protocol):
 
 
 class EpisodePage(BodiesPage):
-    """The page of one player; its slider says which frame is shown, and takes it there, pictures and all."""
+    """The page of one player. Its slider shows which frame is shown, and moves to another frame and its pictures."""
 
     def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: Images) -> None:
         super().__init__(player, viewpoint, address)
@@ -43,14 +43,14 @@ class EpisodePage(BodiesPage):
         self.update()
 
     def update(self) -> None:
-        """Send what has changed since the last call to whoever watches."""
+        """Send what has changed since the last call to all clients."""
         super().update()
         frame = self._player.frame
-        # viser's setter takes more types than its getter gives, which mypy has no words for.
+        # viser's setter takes more types than its getter returns, which mypy cannot express.
         self.slider.value = frame  # type: ignore[misc]
         state = ", paused" if self._player.paused else ""
         self._status.content = f"{frame * self._player.frame_period:.2f} s{state}"
-        # Nobody watching, nothing is read.
+        # Images are read only if somebody watches, and once at the start.
         if frame != self._pictured and (self._server.get_clients() or self._pictured is None):
             self._pictured = frame
             self._show_pictures(frame)
@@ -60,7 +60,7 @@ class EpisodePage(BodiesPage):
             try:
                 image = self._images.read(camera, frame)
             except DatasetError as error:
-                # The scene needs no picture to be played.
+                # The scene can be played without pictures.
                 self._status.content += f"  \n{error}"
                 continue
             if camera in self.pictures:
@@ -69,6 +69,6 @@ class EpisodePage(BodiesPage):
                 self.pictures[camera] = self._server.gui.add_image(image, label=camera, format="jpeg", jpeg_quality=80)
 
     def _seek(self, event: Any) -> None:
-        # Moved by nobody's hand, the slider only says what is shown.
+        # Without a client, the page itself has moved the slider.
         if event.client is not None:
             self._player.seek(self.slider.value)

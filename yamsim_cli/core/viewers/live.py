@@ -1,4 +1,4 @@
-"""A composed rig whose physics keeps up with the clock while somebody watches it and moves its joints."""
+"""A rig simulated in real time, whose joints a person moves while watching."""
 
 from __future__ import annotations
 
@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import mujoco
 
-from ..config.rig import RigConfig
+from ..config.rig import ArmConfig, RigConfig
 from ..geometry.se3 import Array, quat_from_rotation
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
-from ..scene.robot import ACTUATORS, JOINTS
 
-# Longest stretch of time that is made up for in one go, s. After a stall, such as a machine that slept, physics goes on
-# from where it was instead of racing through what it missed.
+# Most time that physics makes up for at once, s. After a stall, such as a sleep of the machine, it goes on from where
+# it was instead of racing through the time that it missed.
 _LONGEST_CATCH_UP = 0.1
 
 
@@ -22,10 +21,11 @@ class Drive:
     """One position drive that a person can set.
 
     Attributes:
-        arm, name: whose it is, and its name without the arm's prefix.
+        arm: name of its arm.
+        name: its own name, without the arm's prefix.
         actuator: its index in `ctrl`.
-        low, high, home: its range and its place in keyframe `home`, in `unit`.
-        unit: `rad`, or `m` for the gripper's opening of one finger.
+        low, high, home: its range, and its command in keyframe `home`, in `unit`.
+        unit: `rad`, or `m` for a gripper, whose command is the opening of one finger.
     """
 
     arm: str
@@ -38,11 +38,11 @@ class Drive:
 
 
 class LiveRig:
-    """Owns a rig's state. Its methods may be called from any thread.
+    """The state of a simulated rig. Its methods may be called from any thread.
 
     Args:
         model: a compiled rig, with or without a task's objects, whose first keyframe is `home`.
-        title: for the page's tab; the rig's name unless given.
+        title: title of the page's tab; the rig's name unless given.
     """
 
     def __init__(self, rig: RigConfig, model: mujoco.MjModel, title: str = "") -> None:
@@ -50,7 +50,7 @@ class LiveRig:
         self.title = title or rig.name
         self.model = model
         self.data = mujoco.MjData(model)
-        self.drives = tuple(_drive(model, arm.name, arm.prefix, name) for arm in rig.arms for name in ACTUATORS)
+        self.drives = tuple(_drive(model, arm, name) for arm in rig.arms for name in arm.robot.drives)
         # A viewer's controls live in threads of their own.
         self.lock = threading.RLock()
         self.paused = False
@@ -64,32 +64,32 @@ class LiveRig:
         return float(self.data.time)
 
     def reset(self) -> None:
-        """Back to keyframe `home`, at rest, every drive holding its place."""
+        """Go back to keyframe `home`, at rest, with every drive holding its place."""
         with self.lock:
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
             self._follow_bases()
             mujoco.mj_forward(self.model, self.data)
 
     def command(self, drive: Drive, value: float) -> None:
-        """Tell a drive where to go, in its unit; what is beyond its range counts as the end of it."""
+        """Tell a drive where to go, in its unit; a value outside its range is clipped."""
         with self.lock:
             self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
 
     def place(self, margin: float) -> None:
-        """Put the arms at another distance (m) from each other; boards and mounts go with them."""
+        """Change the distance (m) between the arms; boards and mounts move with them."""
         with self.lock:
             self.rig = self.rig.model_copy(update={"margin": margin})
             for k, arm in enumerate(self.rig.arms):
                 T = self.rig.T_base_in_world(k)
-                base = self.model.body(f"{arm.prefix}arm")
+                base = self.model.body(arm.prefix + arm.robot.base)
                 base.pos[:], base.quat[:] = T[:3, 3], quat_from_rotation(T[:3, :3])
             self._follow_bases()
             mujoco.mj_forward(self.model, self.data)
 
     def _follow_bases(self) -> None:
-        """Boards and mounts stand where their arm's base stands; a reset of the model's would leave them behind."""
+        """Move boards and mounts to their arm's base. A reset of the model would put them where they were compiled."""
         for arm in self.rig.arms:
-            base = self.model.body(f"{arm.prefix}arm")
+            base = self.model.body(arm.prefix + arm.robot.base)
             for body in (BOARD_BODY, MOUNT_BODY):
                 number = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, arm.prefix + body)
                 if number >= 0:
@@ -97,7 +97,7 @@ class LiveRig:
                     self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base.pos, base.quat
 
     def advance(self, now: float) -> None:
-        """Step physics up to `now`, s on a steady clock; while paused, time passes without a step."""
+        """Step physics up to `now`, s on a steady clock; while paused, no step is made."""
         with self.lock:
             elapsed = 0.0 if self._last is None else now - self._last
             self._last = now
@@ -116,8 +116,8 @@ class LiveRig:
             return self.data.xpos.copy(), self.data.xquat.copy()
 
 
-def _drive(model: mujoco.MjModel, arm: str, prefix: str, name: str) -> Drive:
-    actuator = model.actuator(prefix + name).id
+def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> Drive:
+    actuator = model.actuator(arm.prefix + name).id
     low, high = (float(end) for end in model.actuator_ctrlrange[actuator])
     home = float(model.key_ctrl[0, actuator])
-    return Drive(arm, name, actuator, low, high, home, "rad" if name in JOINTS else "m")
+    return Drive(arm.name, name, actuator, low, high, home, "rad" if name in arm.robot.joint_drives else "m")

@@ -1,4 +1,4 @@
-"""Recorded states, shown one after the other at their own pace and over again."""
+"""Plays recorded states in a loop, at their own pace."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ..geometry.se3 import Array
 
 
 class EpisodePlayer:
-    """Owns the state of a scene that is only looked at. Its methods may be called from any thread.
+    """The state of a scene that is played and not simulated. Its methods may be called from any thread.
 
     Args:
-        title: for the page's tab.
+        title: title of the page's tab.
         model: the scene.
-        positions: MuJoCo's positions (frames, nq), one row a frame.
-        frame_period: of simulated time from one frame to the next, s.
+        positions: MuJoCo's positions (frames, nq), a row for each frame.
+        frame_period: simulated time from one frame to the next, s.
         speed: how fast time passes; 1 is real time.
     """
 
@@ -28,7 +28,7 @@ class EpisodePlayer:
         self.data = mujoco.MjData(model)
         self.frame_period = frame_period
         self.paused = False
-        # A page's controls live in threads of their own.
+        # A page's controls act in threads of their own.
         self.lock = threading.RLock()
         self._positions = positions
         self._speed = speed
@@ -43,7 +43,7 @@ class EpisodePlayer:
 
     @property
     def frame(self) -> int:
-        """The frame that is shown."""
+        """Number of the frame that is shown."""
         return min(int(self._time / self.frame_period), self.frames - 1)
 
     @property
@@ -52,18 +52,18 @@ class EpisodePlayer:
         return self._time
 
     def reset(self) -> None:
-        """Back to the first frame."""
+        """Go back to the first frame."""
         self.seek(0)
 
     def seek(self, frame: int) -> None:
-        """Show one frame, and go on from there."""
+        """Show one frame, and play on from there."""
         with self.lock:
-            # In its middle, where rounding does not matter.
+            # The middle of the frame, where rounding does not matter.
             self._time = (frame + 0.5) * self.frame_period
             self._show()
 
     def advance(self, now: float) -> None:
-        """Show the frame of time `now`, s on a steady clock; while paused, time passes and nothing moves."""
+        """Play up to `now`, s on a steady clock; while paused, nothing moves."""
         with self.lock:
             elapsed = 0.0 if self._last is None else now - self._last
             self._last = now

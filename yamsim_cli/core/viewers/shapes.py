@@ -1,4 +1,4 @@
-"""A compiled scene as nodes of a viser page: one frame a body, the body's visible geoms fixed in it."""
+"""Adds a compiled scene to a viser page: a frame for each body, with the body's geoms fixed in it."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import trimesh
 import viser
 
 from ..geometry.se3 import Array
 
-# As in MuJoCo's own viewer: groups 0 to 2 are shown, collision primitives behind meshes lie in 3.
+# Groups below this are shown, as in MuJoCo's own viewer. Collision primitives behind meshes are in group 3.
 _SEEN_GROUPS = 3
 
-# MuJoCo's default colour of a geom; any other one that a geom has goes before its material's.
+# MuJoCo's default colour of a geom. Any other colour of a geom overrides its material's.
 _NO_RGBA = (0.5, 0.5, 0.5, 1.0)
 
-# A viser image lies in its xy plane with y down the picture; in a MuJoCo plane, y points up it.
+# Quaternion of an image in a plane: viser's images have y pointing down the picture, MuJoCo's planes up.
 _IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)
 
-# Primitives that collide are seen through, to what they stand for.
+# Collision primitives are transparent, so that what they stand for is seen behind them.
 _COLLISION_PAINT = {"color": (230, 120, 30), "opacity": 0.6}
 
 Paint = dict[str, Any]
@@ -33,9 +34,9 @@ class BodyNodes:
     """A page's nodes.
 
     Attributes:
-        frames: body -> its frame in `world`, for bodies that have something to show. Frames start at the origin.
-        looks: parents of the geoms that are seen, one a body; what belongs to the world itself is not among them.
-        colliders: parents of the primitives that collide behind what is seen, one a body; hidden at first.
+        frames: body -> its frame in `world`, for bodies with geoms. Frames start at the origin.
+        looks: parent nodes of the visible geoms, one per body, without those of the world itself.
+        colliders: parent nodes of collision primitives behind visible geoms, one per body; hidden at first.
     """
 
     frames: dict[int, viser.FrameHandle]
@@ -44,7 +45,7 @@ class BodyNodes:
 
 
 def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> BodyNodes:
-    """Put every geom into the page."""
+    """The nodes of a model, all of whose geoms are added to a page."""
     frames: dict[int, viser.FrameHandle] = {}
     groups: dict[tuple[int, bool], viser.FrameHandle] = {}
     for geom in range(model.ngeom):
@@ -76,35 +77,68 @@ def _colour(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:
 
 
 def _rgb(colour: Array) -> tuple[int, int, int]:
-    """A colour of 0 to 1 as the 0 to 255 that viser takes."""
+    """A colour of 0 to 1 in viser's range of 0 to 255."""
     red, green, blue = (round(255 * float(part)) for part in colour[:3])
     return red, green, blue
 
 
 def _add_mesh(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
     mesh = model.geom_dataid[geom]
+    if "opacity" not in paint and (printed := _printed(model, geom)) is not None:
+        scene.add_mesh_trimesh(name, printed, **_placed(model, geom))
+        return
     vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
     scene.add_mesh_simple(
         name,
         model.mesh_vert[vertices],
         model.mesh_face[faces],
-        # Machined parts: shared vertices would round every edge off.
+        # Smooth shading would round off every edge of a machined part.
         flat_shading=True,
         **paint,
         **_placed(model, geom),
     )
 
 
+def _printed(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """A mesh with its material's picture; None where it has none."""
+    from PIL import Image
+
+    mesh, material = int(model.geom_dataid[geom]), int(model.geom_matid[geom])
+    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+    if texture < 0 or model.mesh_texcoordadr[mesh] < 0:
+        return None
+    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+    coordinates = model.mesh_texcoord[model.mesh_texcoordadr[mesh] :][: model.mesh_texcoordnum[mesh]]
+    # Corners that share a place and a spot of the picture are one: normals then go on over edges as they do in MuJoCo.
+    corners = np.stack(
+        [model.mesh_face[first : first + count], model.mesh_facetexcoord[first : first + count]], axis=-1
+    )
+    pairs, index = np.unique(corners.reshape(-1, 2), axis=0, return_inverse=True)
+    uv = coordinates[pairs[:, 1]] * model.mat_texrepeat[material]
+    material_of: Any = trimesh.visual.material.PBRMaterial
+    look = material_of(
+        baseColorTexture=Image.fromarray(_texture(model, texture)),
+        baseColorFactor=np.rint(255 * model.mat_rgba[material]).astype(np.uint8),
+        metallicFactor=0.0,
+        roughnessFactor=0.7,
+    )
+    # MuJoCo tells places in a picture from its upper edge, glTF's writer from its lower one.
+    visual_of: Any = trimesh.visual.TextureVisuals
+    visual = visual_of(uv=np.column_stack([uv[:, 0], 1 - uv[:, 1]]), material=look)
+    return trimesh.Trimesh(vertices[pairs[:, 0]], index.reshape(-1, 3), visual=visual, process=False)
+
+
 def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, paint: Paint) -> None:
-    """A printed board where the material's texture covers the plane once; a floor where it repeats."""
+    """Add a plane: a printed board if its texture covers it once, or a floor if its texture repeats."""
     material = model.geom_matid[geom]
     texture = model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB] if material >= 0 else -1
     width, height = 2 * model.geom_size[geom, :2]
     if texture >= 0 and not model.mat_texuniform[material]:
         position, wxyz = model.geom_pos[geom], np.empty(4)
         mujoco.mju_mulQuat(wxyz, model.geom_quat[geom], np.array(_IMAGE_IN_PLANE))
-        # PNG: a marker's edges must stay sharp.
+        # As PNG, since a marker's edges must stay sharp.
         scene.add_image(
             name,
             _texture(model, texture),

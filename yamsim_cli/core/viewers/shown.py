@@ -1,4 +1,4 @@
-"""What a viewer needs of whatever it shows."""
+"""The interface between a viewer and what it shows."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class Shown(Protocol):
     """A model whose state changes while it is watched. Its methods may be called from any thread.
 
     Attributes:
-        title: for the page's tab.
-        model, data: what MuJoCo's own window draws.
+        title: title of the page's tab.
+        model, data: the model and its state, as MuJoCo's own window shows them.
         paused: whether it stands still.
     """
 
@@ -29,11 +29,11 @@ class Shown(Protocol):
         ...
 
     def advance(self, now: float) -> None:
-        """Move on up to `now`, s on a steady clock."""
+        """Move on to `now`, s on a steady clock."""
         ...
 
     def reset(self) -> None:
-        """Back to where it began."""
+        """Go back to the beginning."""
         ...
 
     def body_poses(self) -> tuple[Array, Array]:

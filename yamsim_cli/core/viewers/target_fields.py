@@ -1,4 +1,4 @@
-"""A target as numbers on a page, which a person can type over."""
+"""Fields on a page that show the hand's target, and in which a person can type another."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import viser
 
 from ..geometry.se3 import Array, rotation_z
 
-# What is typed counts once no digit has come for so long, s: on the way to 0.15, nobody wants 0.
+# Typed numbers count once no key was pressed for so long, s: whoever types 0.15 does not want 0 on the way.
 _QUIET = 1.0
 
 
 class TargetFields:
-    """Fields that follow the target until someone types; from then they are that person's until it is taken.
+    """Fields that follow the target until someone types. From then they keep what was typed until it is taken.
 
-    Not safe to call from several threads at once, but for the typing itself, which comes from the server's own.
+    Not to be called from several threads at once. Only the typing itself comes from the server's own thread.
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._place = gui.add_vector3("target (m)", (0.0, 0.0, 0.0), step=0.001)
         self._heading = gui.add_number("heading (deg)", 0.0, min=-180.0, max=180.0, step=0.1)
         self._shown: tuple[tuple[float, ...], float] = ((0.0, 0.0, 0.0), 0.0)
-        # When the last digit came, on a steady clock; None where nothing is left to be taken.
+        # When the last key was pressed, on a steady clock; None if there is nothing to take.
         self._typed_at: float | None = None
-        # In the server's own loop: what was typed is known before anything that was done after it.
+        # Coroutines run in the server's own loop, so that typing is noted before anything that is done after it.
         self._place.on_update(self._type)
         self._heading.on_update(self._type)
 
@@ -37,16 +37,16 @@ class TargetFields:
 
     @property
     def ready(self) -> bool:
-        """Whether there is something to take, and whoever typed it has finished."""
+        """Whether there is something to take, and the typing has ended."""
         typed_at = self._typed_at
         return typed_at is not None and time.monotonic() - typed_at >= _QUIET
 
     def take(self, target: Array) -> Array:
-        """The target (4, 4) in `world` that the numbers ask for, where the last one was `target`."""
+        """The target (4, 4) in `world` by the typed numbers, where the last one was `target`."""
         self._typed_at = None
         (x, y, z), heading = self._place.value, self._heading.value
         (shown_place, shown_heading), T = self._shown, target.copy()
-        # What was left alone stays as it is, to the last digit.
+        # Numbers that were not changed keep the target's full precision.
         for axis, (number, shown) in enumerate(zip((x, y, z), shown_place, strict=True)):
             if number != shown:
                 T[axis, 3] = number
@@ -56,18 +56,18 @@ class TargetFields:
         return T
 
     def show(self, target: Array) -> None:
-        """Follow the target, unless someone is typing."""
+        """Show the target, unless someone is typing."""
         x, y, z = (round(float(part), 3) for part in target[:3, 3])
         numbers = ((x, y, z), round(float(np.degrees(heading_of(target))), 1))
-        # Compared with what was shown, not with what is in the fields: what has just been typed is not known of yet.
+        # Compared with what was shown and not with the fields: they may have been typed in just now, unnoted yet.
         if self.typed or numbers == self._shown:
             return
         self._shown = numbers
-        # viser's setters take more types than their getters give, which mypy has no words for.
+        # viser's setters take more types than their getters return, which mypy cannot express.
         self._place.value, self._heading.value = numbers  # type: ignore[misc]
 
     async def _type(self, event: Any) -> None:
-        # Without a client, it was `show`.
+        # Without a client, it was `show` that changed them.
         if event.client is not None:
             self._typed_at = time.monotonic()
 

@@ -20,10 +20,10 @@ from .viewpoint import Viewpoint
 
 _FREE, _STOPPED, _RECORDING = (46, 139, 87), (200, 40, 40), (200, 40, 40)
 
-# What a key moves the target by: m, and rad about the vertical.
+# How far a key moves the target, m, or turns it about the vertical, rad.
 _STEP, _TURN = 0.01, np.radians(5.0)
 
-# Key, what it does, and how it moves the target: along the world's axes, and about the vertical.
+# Key, description, and how it moves the target: the shift along the world's axes, and the turn about the vertical.
 _MOVES = (
     ("I", "Target away from the base", (_STEP, 0, 0), 0.0),
     ("K", "Target towards the base", (-_STEP, 0, 0), 0.0),
@@ -42,13 +42,13 @@ _KEYS = (
 
 
 class TeleopPage(BodiesPage):
-    """The page of a driven arm: a gizmo for its hand's target, the recording's buttons, what is in the way."""
+    """The page of a driven arm: a gizmo for its hand's target, buttons for recording, and what is in the way."""
 
     def __init__(self, arm: Driven, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
         self._arm = arm
         self._dragged = False
-        # Many acts read the target and give the one that follows from it: one after the other.
+        # Many actions read the target and set a new one that follows from it, so they run one after the other.
         self._acting = threading.Lock()
         self._notice = self._server.gui.add_html("")
         self._add_recording()
@@ -63,7 +63,7 @@ class TeleopPage(BodiesPage):
         self.update()
 
     def update(self) -> None:
-        """Send what has changed since the last call to whoever watches."""
+        """Send what has changed since the last call to all clients."""
         super().update()
         with self._acting:
             if self._fields.ready:
@@ -104,9 +104,9 @@ class TeleopPage(BodiesPage):
         self._server.gui.add_command(name, hotkey=key).on_trigger(self._in_turn(act))
 
     def _in_turn(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-        """What a button or a key does, after all that was done before it."""
+        """A callback of a button or a key that runs after everything that was pressed before it."""
 
-        # In the server's own loop: in threads, two quick keys could overtake each other, or one be lost.
+        # A coroutine runs in the server's own loop. In threads, two quick keys could overtake each other, or be lost.
         async def act_in_turn(_: Any) -> None:
             with self._acting:
                 self._take_typed()
@@ -124,7 +124,7 @@ class TeleopPage(BodiesPage):
         else:
             self._arm.start()
 
-    # In the server's own loop, so that one who comes back is counted first.
+    # A coroutine runs in the server's own loop, where a client that comes back is counted first.
     async def _left(self, _: viser.ClientHandle) -> None:
         if not self._server.get_clients():
             self._arm.leave()
@@ -142,7 +142,7 @@ class TeleopPage(BodiesPage):
         down = np.array([0.0, 0.0, -1.0])
         self._arm.aim(pose(target[:3, 3], np.column_stack([np.cross(y, down), y, down])))
 
-    # In the server's own loop, so that a drag's steps stay in order.
+    # A coroutine runs in the server's own loop, so that a drag's steps stay in order.
     async def _drag(self, event: viser.TransformControlsEvent) -> None:
         with self._acting:
             self._take_typed()
@@ -165,13 +165,13 @@ class TeleopPage(BodiesPage):
         state = f"**recording {status.seconds:.1f} s**" if status.recording else "not recording"
         if self._arm.paused:
             state += ", paused"
-        waiting = f", {status.waiting} being judged and drawn" if status.waiting else ""
+        waiting = f", {status.waiting} being judged and rendered" if status.waiting else ""
         done = f"{counted(status.episodes, 'episode')}, {status.failures} failed{waiting}"
         self._status.content = f"{whose}{state}  \n{done}  \n{status.message}"
 
 
 def _notice(status: DriveStatus) -> str:
-    """What keeps the hand from where it is told to be, in red; else, in green, that it follows."""
+    """HTML on what keeps the hand from its target, in red; or that it follows, in green."""
     reasons = []
     if status.blocked:
         reasons.append(f"{status.blocked} is in the way")

@@ -1,4 +1,4 @@
-"""Where a viewer's camera starts."""
+"""Where a viewer's camera is at first."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ..geometry.se3 import Array
 
 FOV_DEG = 45.0
 
-# What has to be in the picture around one base: the middle of an arm's workspace seen from it (m), and how far it
-# reaches from there (m). An arm at rest and its board fill it.
+# A ball that has to be in the picture for each base: its centre in the base's frame, and its radius, m. It contains an
+# arm at rest and its board.
 _MIDDLE = (0.12, 0.0, 0.17)
 _REACH = 0.34
 
@@ -24,9 +24,9 @@ class Viewpoint:
 
     Attributes:
         look_at: the point (3,) in `world`, m.
-        distance: from it, m.
+        distance: distance from the point, m.
         azimuth_deg: heading of the line of sight about world z, from +x.
-        elevation_deg: of the line of sight over the horizon; below 0 looks down.
+        elevation_deg: angle of the line of sight above the horizon; a negative one looks down.
     """
 
     look_at: Array
@@ -43,10 +43,11 @@ class Viewpoint:
 
 
 def frame_workspace(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
-    """From the front, to one side and above, what stands around a point of `world` (m): a table and the arms at it.
+    """A view of a table and its arms, from the front, to one side and above.
 
     Args:
-        span: between the outermost arms' places, m.
+        x, y, z: the point in `world` to look at, m.
+        span: distance between the outermost arms' places, m.
     """
     radius = _REACH + 0.12 + span / 2
     distance = radius / math.sin(math.radians(FOV_DEG / 2))
@@ -54,7 +55,7 @@ def frame_workspace(x: float, y: float, z: float, span: float = 0.0) -> Viewpoin
 
 
 def frame_rig(rig: RigConfig) -> Viewpoint:
-    """From the front, to one side and above, every arm and board of the rig in the picture."""
+    """A view of all arms and boards of a rig, from the front, to one side and above."""
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
     middles = np.array([(T @ (*_MIDDLE, 1.0))[:3] for T in bases])
     look_at: Array = middles.mean(axis=0)

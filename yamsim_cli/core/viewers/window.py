@@ -1,4 +1,4 @@
-"""MuJoCo's own window on whatever moves."""
+"""MuJoCo's own window."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from .viewpoint import Viewpoint
 
 _KEY_SPACE = 32
 
-# A window that has been told to close draws one more picture at most.
+# How long a window's thread may take to end after it was told to close, s. It renders at most one more picture.
 _CLOSE_SECONDS = 5.0
 
 
 def run_window(
     shown: Shown, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
 ) -> None:
-    """Show it until the window is closed or `stopped` says so.
+    """Show a model until the window is closed, or `stopped` returns True.
 
-    The window's Control sliders drive a live rig's joints; space pauses, and its reset, or backspace, goes home.
+    The window's Control sliders drive a live rig's joints. Space pauses; the window's reset, or backspace, goes home.
 
     Args:
-        period: between two pictures, s.
-        ready: called when the window is open, unless it is no longer wanted.
+        period: time between two pictures, s.
+        ready: called when the window is open, unless `stopped` returns True by then.
 
     Raises:
         ResourceError: no window can be opened here.
@@ -47,7 +47,7 @@ def run_window(
             then = shown.time
             viewer.sync()
             if shown.time < then:
-                # The window's own reset puts every joint at zero, where the arms are folded into themselves.
+                # The window's own reset puts every joint at zero, where the arms intersect themselves.
                 shown.reset()
             time.sleep(max(0.0, began + period - time.monotonic()))
 
@@ -69,19 +69,19 @@ def _window(shown: Shown) -> Iterator[Any]:
         yield viewer
     finally:
         viewer.close()
-        # The thread that draws must be gone before the interpreter is, or it draws from memory that is no more.
+        # The window's thread must end before the interpreter does, or it reads memory that is freed.
         for thread in set(threading.enumerate()) - others:
             thread.join(_CLOSE_SECONDS)
 
 
 def _check_display() -> None:
-    """Open a window nobody sees: where that fails, MuJoCo's viewer would wait for its own for ever."""
+    """Open an invisible window first. Where that fails, MuJoCo's viewer would wait for its own window for ever."""
     try:
         import glfw
     except ImportError as error:
         raise ResourceError(f"MuJoCo's window needs GLFW ({error}): use --web") from error
 
-    # It stays: by default, GLFW's remarks on what a desktop does not support would go to stderr.
+    # The callback stays set. By default, GLFW's remarks on what a desktop does not support would go to stderr.
     reasons = ["GLFW gives no reason"]
     glfw.set_error_callback(lambda _, text: reasons.append(os.fsdecode(text)))
     window = None

@@ -1,4 +1,4 @@
-"""What a camera and its cable do to a picture: brightness and contrast, Gaussian noise, and salt and pepper."""
+"""Changes pictures as a camera and its cable would: brightness and contrast, Gaussian noise, salt and pepper."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ import numpy as np
 
 from ..config.randomization import PictureRanges
 from ..images.image import Image
-from ..randomized import Randomized
 from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob
+from ..variation import Variation
 
 _GREY = 127.5
-# A picture begins anywhere in so small a part of the stock.
+# The stock of noise is longer than a picture by this fraction of the picture: each picture starts at its own place.
 _MORE = 4
 
 
 class PictureAugmenter:
-    """Changes the pictures of one attempt, each by numbers that follow from its frame and camera alone.
+    """Changes the pictures of one attempt, each by random numbers that follow from its frame and camera alone.
 
-    Drawing a million normal numbers takes a third of the time that drawing the picture does: so a stock of them is
-    drawn once, and each picture begins at a place of its own in it.
+    Sampling a million normal numbers takes a third of the time that rendering the picture does. So a stock of them is
+    sampled once, and each picture takes a part of it that begins at its own place.
     """
 
-    def __init__(self, ranges: PictureRanges, drawn: Randomized, job: EpisodeJob, size: tuple[int, int]) -> None:
+    def __init__(self, ranges: PictureRanges, variation: Variation, job: EpisodeJob, size: tuple[int, int]) -> None:
         self._ranges = ranges
-        self._drawn = drawn
+        self._variation = variation
         self._job = job
         self._values = size[0] * size[1] * 3
         self._stock: tuple[Image, Image] | None = None
@@ -33,9 +33,9 @@ class PictureAugmenter:
     def apply(self, image: Image, frame: int, camera: int) -> None:
         """Change an image (height, width, 3) in place."""
         self._tone(image, generator(self._job, Stream.TONE, frame, camera))
-        if self._drawn.noise:
+        if self._variation.noise:
             self._noise(image, generator(self._job, Stream.NOISE, frame, camera))
-        if self._drawn.salt_pepper:
+        if self._variation.salt_pepper:
             self._salt_pepper(image, generator(self._job, Stream.SALT_PEPPER, frame, camera))
 
     def _tone(self, image: Image, rng: np.random.Generator) -> None:
@@ -47,12 +47,12 @@ class PictureAugmenter:
 
     def _noise(self, image: Image, rng: np.random.Generator) -> None:
         if self._stock is None:
-            sigma = np.float32(self._drawn.noise)
+            sigma = np.float32(self._variation.noise)
             normal = generator(self._job, Stream.NOISE, 0).standard_normal(
                 self._values + self._values // _MORE, np.float32
             )
             noise = np.clip(np.rint(normal * sigma), -127, 127).astype(np.int16)
-            # In two parts: adding and taking away what is of the image's own type is six times as quick.
+            # Split in two: adding and subtracting arrays of the image's own type is six times as fast.
             self._stock = np.maximum(noise, 0).astype(np.uint8), np.maximum(-noise, 0).astype(np.uint8)
         start = int(rng.integers(self._values // _MORE))
         more, less = (part[start : start + self._values].reshape(image.shape) for part in self._stock)
@@ -61,6 +61,6 @@ class PictureAugmenter:
 
     def _salt_pepper(self, image: Image, rng: np.random.Generator) -> None:
         pixels = image.reshape(-1, 3)
-        assert self._drawn.salt_pepper is not None
-        count = int(rng.binomial(len(pixels), self._drawn.salt_pepper))
+        assert self._variation.salt_pepper is not None
+        count = int(rng.binomial(len(pixels), self._variation.salt_pepper))
         pixels[rng.integers(len(pixels), size=count)] = 255 * rng.integers(2, size=(count, 1))

@@ -1,4 +1,4 @@
-"""Ground truth of one picture: depth, segmentation, poses, keypoints and boxes, from one pass without light."""
+"""Ground truth of one picture: depth, segmentation, poses, keypoints and boxes, from one rendering without light."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from .renderer import SceneRenderer
 
 Depth = NDArray[np.uint16]
 
-# Nearer than this to the camera's plane, a point has no useful place in the image, m.
+# A point closer than this to the camera's plane has no useful place in the image, m.
 _NEAREST = 0.01
-# Farther than a uint16 of millimetres goes is as good as nothing.
+# Largest distance that a uint16 of millimetres holds; what is farther counts as nothing.
 _FARTHEST_MM = 65535
 
 
 @dataclass(frozen=True)
 class FrameTruth:
-    """The truth about one picture.
+    """The ground truth of one picture.
 
     Attributes:
         depth_mm: distance z along the camera's axis (height, width), mm; 0 for nothing, or beyond 65 m.
-        labels: number of what is seen at each pixel (height, width), see `SceneLabels`.
-        arrays: the rest by key, see `dataset.truth.ARRAYS`, without the axis of frames.
+        labels: the label seen at each pixel (height, width), see `SceneLabels`.
+        arrays: everything else by key, see `dataset.truth_files.ARRAYS`, without the axis of frames.
     """
 
     depth_mm: Depth
@@ -43,7 +43,7 @@ class FrameTruth:
 def measure_frame(
     data: mujoco.MjData, camera: str, renderer: SceneRenderer, scene: SceneLabels, T_base_in_world: Array
 ) -> FrameTruth:
-    """Measure what the picture of a camera shows; `data` has all positions, as for drawing it."""
+    """The ground truth of a camera's picture; `data` holds all positions, as for rendering it."""
     labels, distance = renderer.label(data, camera, scene.of_geom)
     depth = whole_mm(distance)
     K = renderer.intrinsics(camera).K
@@ -67,7 +67,7 @@ def measure_frame(
 
 def whole_mm(distance: NDArray[np.float32]) -> Depth:
     """A renderer's distances z (height, width) in m as whole mm; 0 for nothing, or beyond 65 m."""
-    # The sky is 0 already.
+    # The distance of the sky is 0 already.
     millimetres = np.rint(distance * 1000.0)
     return np.where(millimetres <= _FARTHEST_MM, millimetres, 0).astype(np.uint16)
 
@@ -83,10 +83,10 @@ def _poses(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array
 def instance_boxes(
     labels: Image, instance_of: NDArray[np.int64], instances: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The smallest box (n, 4) around what is seen of each instance, and how many pixels (n,) that is.
+    """The smallest box (n, 4) around the visible pixels of each instance, and the number (n,) of these pixels.
 
-    A box is `[x0, y0, x1, y1]`, the last column and row left out, so that x1 - x0 is its width; zeros where nothing of
-    the instance is seen.
+    A box is `[x0, y0, x1, y1]`. Column x1 and row y1 lie outside, so that x1 - x0 is its width. It is all zeros if
+    nothing of the instance is visible.
     """
     counts = np.bincount(labels.ravel(), minlength=len(instance_of))[: len(instance_of)]
     boxes, pixels = np.zeros((instances, 4), np.int32), np.zeros(instances, np.int32)
@@ -104,7 +104,7 @@ def instance_boxes(
 def _keypoints(
     points: tuple[Keypoint, ...], data: mujoco.MjData, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: Depth
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Pixel (n, 2), distance z (n,) and visibility (n,) of each point; zeros for what lies behind the camera."""
+    """Pixel (n, 2), distance z (n,) and visibility (n,) of each point; zeros for points behind the camera."""
     places, depths = np.zeros((len(points), 2)), np.zeros(len(points))
     visibility = np.full(len(points), Visibility.OUTSIDE, np.uint8)
     height, width = labels.shape
@@ -125,11 +125,11 @@ def _keypoints(
 def is_seen(
     point: Keypoint, p: Array, normal: Array | None, K: Array, pixel: tuple[int, int], labels: Image, depth_mm: Depth
 ) -> bool:
-    """Whether nothing hides a point (3,) in the camera.
+    """Whether nothing hides a point, at `p` (3,) in the camera's frame, from the camera.
 
-    A point inside the arm is seen if its pixel shows one of the links around it, and that close to it. A point on a
-    surface is seen if its pixel shows its own body at the depth that the surface's tangent plane has there. A corner
-    lies on the edge of the print, where half the time its pixel is not its own: any pixel that touches it will do.
+    A point inside the arm is visible if its pixel shows one of the links around it, at nearly its depth. A point on a
+    surface is visible if its pixel shows its own body, at the depth of the surface's tangent plane there. A corner lies
+    on the edge of the print, so that half the time its own pixel shows something else: any neighbouring pixel counts.
     """
     if normal is None:
         cover = float(p[2]) - depth_mm[pixel[1], pixel[0]] / 1000.0

@@ -1,4 +1,4 @@
-"""What a scene's ground truth speaks of: a number for every body that is seen, and points on the arm and its boards."""
+"""What a scene's ground truth names: a label for every visible body, and keypoints on the arms and their boards."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ..config.rig import ArmConfig, RigConfig
 from ..dataset.truth_files import BACKGROUND, KeypointRecord, LabelRecord, TruthLabels
 from ..geometry.se3 import Array
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
-from ..scene.robot import JOINTS
 
 TABLE, POSTS = "table", "posts"
 
-# From where a ray is sent back along a joint's axis, to find where that leaves the arm; no link is as wide, m.
+# To find where a joint's axis leaves the arm, a ray is sent back along the axis from this far away, m. No link is as
+# wide.
 _OUTSIDE = 0.3
-# Groups that are drawn, see `scene.objects`.
+# Geoms of groups below this are visible, see `scene.things`.
 _SEEN_GROUPS = 3
-# Numbers are told apart by one byte of a colour, in which nothing takes a number more.
+# Labels are rendered as one byte of a colour, in which 0 stands for nothing.
 _MOST_LABELS = 254
 
 
@@ -33,8 +33,8 @@ class Keypoint:
         record: its name and kind.
         body: id of the body.
         position: in the body's frame (3,), m.
-        normal: of the surface there, out of it, in the body's frame (3,); None for a point inside.
-        labels: one of which is seen at the point's pixel if nothing hides it.
+        normal: the surface's outward normal there, in the body's frame (3,); None for a point inside.
+        labels: if nothing hides the point, its pixel shows one of these labels.
     """
 
     record: KeypointRecord
@@ -46,13 +46,13 @@ class Keypoint:
 
 @dataclass(frozen=True)
 class SceneLabels:
-    """What is known of a compiled scene beforehand.
+    """The labels and keypoints of a compiled scene.
 
     Attributes:
         names: the names of everything below.
-        of_geom: geom -> number in segmentation images (ngeom,).
-        instance_of: number -> index of its instance, -1 for the background.
-        links, objects: ids of the bodies whose poses are told.
+        of_geom: geom -> its label in segmentation images (ngeom,).
+        instance_of: label -> index of its instance, -1 for the background.
+        links, objects: ids of the bodies whose poses are recorded.
     """
 
     names: TruthLabels
@@ -64,13 +64,13 @@ class SceneLabels:
 
 
 def scene_labels(model: mujoco.MjModel, rig: RigConfig, objects: Sequence[str], *, boards: bool) -> SceneLabels:
-    """Number what a scene shows: each link, object, board and mount, the table, and what carries it.
+    """The labels of a scene: one for each link, object, board and mount, for the table, and for all posts together.
 
     Args:
         objects: names of the bodies that stand on the table.
         boards: whether the scene has its rig's boards and mounts.
     """
-    links = {body: arm.name for arm in rig.arms for body in _subtree(model, model.body(f"{arm.prefix}arm").id)}
+    links = {body: arm.name for arm in rig.arms for body in _subtree(model, model.body(arm.prefix + arm.robot.base).id)}
     others = {model.body(name).id: name for name in objects}
     printed = {model.body(name).id: name for arm in rig.arms for name in _board_bodies(arm)} if boards else {}
     bodies = links | others | printed
@@ -83,6 +83,9 @@ def scene_labels(model: mujoco.MjModel, rig: RigConfig, objects: Sequence[str], 
     of_geom = np.zeros(model.ngeom, np.uint8)
     for geom in range(model.ngeom):
         name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
+        if body not in number:
+            # What moves on a thing is part of it.
+            body = int(model.body_rootid[body])
         of_geom[geom] = number.get(body, {"table": 1}.get(name, 2 if name.startswith("post_") else BACKGROUND))
     instances = list(dict.fromkeys(label.instance for label in names[1:]))
     keypoints = (*_joints(model, rig, number), *(_corners(model, rig, number) if boards else ()))
@@ -118,10 +121,10 @@ def _board_bodies(arm: ArmConfig) -> Iterator[str]:
 
 
 def _joints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[Keypoint]:
-    """Each joint's centre, and where its axis leaves the surface of the two links it joins, on either side."""
+    """Each joint's centre, and the points on either side where its axis leaves the two links that it joins."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    for name in (arm.prefix + joint for arm in rig.arms for joint in JOINTS):
+    for name in (arm.prefix + joint for arm in rig.arms for joint in arm.robot.joint_names):
         joint = model.joint(name)
         link = int(model.jnt_bodyid[joint.id])
         pair = (link, int(model.body_parentid[link]))
@@ -141,7 +144,7 @@ def _joints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> It
 def _first_hit(
     model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int], start: Array, direction: Array
 ) -> tuple[int, Array, Array] | None:
-    """Body, point and normal in `world` where a ray first meets what is seen of some bodies, if it does on its way."""
+    """Body, point and normal in `world` where a ray first hits a visible geom of some bodies; None if it hits none."""
     best, nearest = None, _OUTSIDE
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
@@ -164,7 +167,7 @@ def _corners(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> I
         if arm.board is None:
             continue
         name = f"{arm.prefix}{BOARD_BODY}"
-        body, T, board = model.body(name).id, arm.board.T_board_in_arm, arm.board.board
+        body, T, board = model.body(name).id, arm.T_board_in_base, arm.board.board
         for side, x, y in (("top_left", -1, 1), ("top_right", 1, 1), ("bottom_right", 1, -1), ("bottom_left", -1, -1)):
             record = KeypointRecord(name=f"{name}_{side}", body=name, kind="corner")
             position = (T @ (x * board.width / 2, y * board.height / 2, 0.0, 1.0))[:3]

@@ -1,4 +1,4 @@
-"""Through a real lens: projection with distortion, viewing rays, and ideal pictures bent to what the camera sees."""
+"""Real lenses: projection with distortion, viewing rays, and ideal pictures warped into what the camera sees."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from ..errors import ConfigError
 from ..geometry.camera import CameraModel, Intrinsics
 from ..geometry.se3 import Array
 
-# Iterations for undoing distortion: OpenCV's default of 5 leaves tenths of a pixel with strong lenses.
+# Up to 50 iterations for undoing distortion: OpenCV's default of 5 is off by tenths of a pixel with strong lenses.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
 
-# Distortion is smooth: viewing rays on this grid (px), interpolated between, are exact to 5e-4 px.
+# Distance of grid points (px) at which viewing rays are computed. Distortion is smooth, so that rays interpolated
+# between them are exact to 5e-4 px.
 _RAY_GRID = 8
 
-# Wider than this an ideal pinhole picture is mostly border.
+# Largest angle from the axis. A wider pinhole picture would be mostly border.
 _MAX_HALF_ANGLE = math.radians(75.0)
 
 
@@ -42,7 +43,7 @@ def rays(camera: CameraModel, pixels: ArrayLike) -> Array:
         y = (points[:, 0, 1] - cy) / fy
         return np.column_stack([(points[:, 0, 0] - cx - skew * y) / fx, y])
     K, distortion = np.array(camera.K), np.array(camera.distortion)
-    # OpenCV 4 takes criteria under another name.
+    # OpenCV 4 has another function that takes criteria.
     if older := getattr(cv2, "undistortPointsIter", None):
         found = older(points, K, distortion, np.eye(3), np.eye(3), _UNDISTORT)
     else:
@@ -57,20 +58,20 @@ def ray_field(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray[np.flo
         across, down = np.meshgrid(columns, rows)
         field = rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2))
         return field.reshape(len(rows), len(columns), 2).astype(np.float32)
-    # Knots all around, since cubic interpolation looks at two to each side.
+    # The knots reach beyond the field, since cubic interpolation needs two on each side.
     knots_x, knots_y = (
         np.arange(line[0] - 2 * _RAY_GRID, line[-1] + 3 * _RAY_GRID, _RAY_GRID) for line in (columns, rows)
     )
     across, down = np.meshgrid(knots_x, knots_y)
     knots = rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2)).reshape(len(knots_y), len(knots_x), 2)
-    # Not `cv2.remap`: it rounds places to 1/32, here a quarter of a pixel.
+    # `cv2.remap` would round places to 1/32 of the grid, a quarter of a pixel.
     by_row, by_column = _cubic_weights(rows, knots_y), _cubic_weights(columns, knots_x)
     field = np.stack([by_row @ knots[..., k] @ by_column.T for k in (0, 1)], axis=-1)
     return field.astype(np.float32)
 
 
 def _cubic_weights(at: Array, knots: Array) -> Array:
-    """What each knot (m,) weighs at each place (n,): (n, m), by Catmull and Rom's cubic."""
+    """The weights (n, m) of the knots (m,) at each place (n,), by Catmull and Rom's cubic."""
     place = (at - knots[0]) / (knots[1] - knots[0])
     first = np.floor(place).astype(int)
     t = place - first
@@ -82,15 +83,15 @@ def _cubic_weights(at: Array, knots: Array) -> Array:
 
 
 class LensWarp:
-    """Turns a picture of an ideal, centred pinhole camera into the one a real camera takes from the same place.
+    """Turns a picture of an ideal, centred pinhole camera into the one that a real camera takes from the same place.
 
     Attributes:
-        ideal: the pinhole camera to draw with; it sees everything that the real one does.
-        supersample: how much finer it draws than the real camera sees.
+        ideal: the pinhole camera to render with; it sees everything that the real one does.
+        supersample: ideal pixels to a pixel of the real camera, in each direction, at the image's centre.
 
     Args:
         camera: the real camera.
-        supersample: how much finer the ideal picture is drawn, at the image's centre.
+        supersample: see above.
 
     Raises:
         ConfigError: the lens is too wide for a pinhole picture.
@@ -124,7 +125,7 @@ class LensWarp:
         return 2 * math.atan(self.ideal.height / 2 / self.ideal.fy)
 
     def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A photo as the camera `coarse` would have taken it: without distortion, with the real one's pixel size."""
+        """A photo as the camera `coarse` would have taken it: without distortion, and with the same size of pixels."""
         ideal, K = self.coarse, np.array(self._camera.K)
         map_x, map_y = cv2.initUndistortRectifyMap(
             K, np.array(self._camera.distortion), np.eye(3), ideal.K, (ideal.width, ideal.height), cv2.CV_32FC1
@@ -134,7 +135,7 @@ class LensWarp:
 
     @property
     def coarse(self) -> Intrinsics:
-        """The camera of every `supersample`-th row and column of an ideal picture."""
+        """The camera whose picture is every `supersample`-th row and column of an ideal picture."""
         fine, step = self.ideal, self.supersample
         return Intrinsics(
             -(-fine.width // step),
@@ -156,7 +157,7 @@ class LensWarp:
         return np.asarray(bent, dtype=np.uint8)
 
     def _maps(self, fine: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Where in the ideal picture each of the real one's `fine` x `fine` points a pixel lies."""
+        """Columns and rows in the ideal picture of `fine` x `fine` points in each pixel of the real one."""
         if fine in self._known_maps:
             return self._known_maps[fine]
         camera, offset = self._camera, (fine - 1) / 2

@@ -1,11 +1,10 @@
-"""Draw a scene without a screen: one renderer a process, used for all cameras in turn."""
+"""Renders a scene without a screen. One renderer per process serves all cameras in turn."""
 
 from __future__ import annotations
 
 import atexit
 import math
 import weakref
-from types import TracebackType
 from typing import Any
 
 import cv2
@@ -13,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ..closing import Closing
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
 from ..images.image import Image
@@ -20,17 +20,17 @@ from .gl_owner import enter_opengl
 
 GeomIds = NDArray[np.int32]
 
-# More geoms than any scene has.
+# Most geoms that can be rendered, more than any scene has.
 _MAX_GEOMS = 10_000
 _FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
-# Plain numbers: numpy takes no enum for an index.
+# As plain numbers, since numpy takes no enum for an index.
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _BY_NUMBER = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 
 
 def _opengl_name() -> str:
     """Name of the OpenGL implementation behind the current context, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
-    # Imported only now: PyOpenGL binds itself to the platform that MuJoCo has chosen by the time a context exists.
+    # Imported only now, when a context exists: PyOpenGL then binds itself to the platform that MuJoCo has chosen.
     from OpenGL import GL
 
     name = GL.glGetString(GL.GL_RENDERER)
@@ -38,7 +38,7 @@ def _opengl_name() -> str:
 
 
 class _Held:
-    """What has to be freed, in this order and with this context current: else another one would be taken for it."""
+    """The contexts to be freed. OpenGL's has to be current then, or MuJoCo would free objects of another one."""
 
     def __init__(self) -> None:
         self.gl: Any = None
@@ -54,22 +54,23 @@ class _Held:
         self.gl = self.context = None
 
 
-class SceneRenderer:
-    """Colour images of a scene's cameras. Close it, or use it as a context manager: teardown at exit is noisy.
+class SceneRenderer(Closing):
+    """Renders images of a scene's cameras. Close it, or use it as a context manager: teardown at exit is noisy.
 
-    All memory is taken once: drawing a frame takes none beyond the image it returns, and not that if it is given one.
+    All memory is taken once. Rendering a frame takes none except for the image that it returns, and not even that if
+    an image is given.
 
     Attributes:
-        description: name of the OpenGL implementation that draws.
+        description: name of the OpenGL implementation that renders.
 
     Args:
-        model: what to draw; its offscreen buffer has to be large enough, see `scene.quality.apply_quality`.
-        size: width and height of images in pixels.
-        fine: the size in which colour images are drawn, and averaged to their own; without, that is the one.
+        model: the scene; its offscreen buffer has to be large enough, see `scene.quality.apply_quality`.
+        size: width and height of images, px.
+        fine: size in which colour images are rendered before they are averaged to `size`; `size` unless given.
 
     Raises:
-        ResourceError: no OpenGL context could be made; or, when drawing too, this process was forked from one that has
-            used OpenGL.
+        ResourceError: no OpenGL context could be made. Rendering, too, raises it if this process was forked from one
+            that has used OpenGL.
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
@@ -82,7 +83,7 @@ class SceneRenderer:
         fine = fine or size
         try:
             self._open(fine)
-        # What PyOpenGL and MuJoCo raise differs by backend, driver and what is missing.
+        # PyOpenGL and MuJoCo raise different errors, depending on the backend, the driver and what is missing.
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
             self.close()
             raise ResourceError(
@@ -99,7 +100,7 @@ class SceneRenderer:
 
     def _open(self, size: tuple[int, int]) -> None:
         self._held.gl = mujoco.GLContext(*size)
-        # Asked for after MuJoCo has asked for the display to be closed, and so done before that.
+        # Registered after MuJoCo has registered that the display is closed, and so run before that.
         atexit.register(self._held.free)
         self._held.gl.make_current()
         context = self._held.context = mujoco.MjrContext(self._model, _FONT)
@@ -109,25 +110,25 @@ class SceneRenderer:
         context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def intrinsics(self, camera: str) -> Intrinsics:
-        """The pinhole camera that a camera's images were taken with."""
+        """The intrinsics of a camera's images."""
         fovy = math.radians(float(self._model.cam(camera).fovy[0]))
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
     def upload_texture(self, texture: int) -> None:
-        """Take a texture's pixels from the model again, after they have changed there."""
+        """Take a texture's pixels from the model again after they have changed there."""
         mujoco.mjr_uploadTexture(self._model, self._current(), texture)
 
-    def draw(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
-        """An RGB image (height, width, 3) of the scene as `data` has it, written into `out` if given."""
+    def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
+        """An RGB image (height, width, 3) of the scene in the state of `data`, written into `out` if given."""
         self._update(data, camera)
         return self._colours(out)
 
     def segment(self, data: mujoco.MjData, camera: str) -> GeomIds:
-        """The id of the geom seen at each pixel, (height, width) of int32; -1 where there is none."""
+        """The id of the geom at each pixel, (height, width) of int32; -1 where there is none."""
         self._update(data, camera)
         colours = np.empty((self._height, self._width, 3), np.uint8)
         self._render_ids(colours, None)
-        # What is drawn carries its number plus one as a colour; 0 is nothing.
+        # Each geom is rendered in a colour that is its number plus one; 0 is nothing.
         number = colours.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         ids = np.full(self._scene.ngeom + 1, -1, np.int32)
         for geom in self._scene.geoms[: self._scene.ngeom]:
@@ -137,14 +138,14 @@ class SceneRenderer:
         return seen
 
     def depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
-        """The distance z (height, width) along the camera's axis of what is seen at each pixel, m."""
+        """The distance z (height, width) along the camera's axis of the surface at each pixel, m."""
         self._update(data, camera)
         buffer = np.empty((self._height, self._width), np.float32)
         self._render_ids(None, buffer)
         return self._distance(buffer)
 
     def label(self, data: mujoco.MjData, camera: str, label_of_geom: Image) -> tuple[Image, NDArray[np.float32]]:
-        """The label of what is seen at each pixel and its distance z, both (height, width), in one pass.
+        """The label and the distance z of the geom at each pixel, both (height, width), from one rendering.
 
         Args:
             label_of_geom: geom -> label (ngeom,), 0 to 254.
@@ -154,19 +155,19 @@ class SceneRenderer:
         """
         self._update(data, camera)
         for geom in self._scene.geoms[: self._scene.ngeom]:
-            # What has no number is not drawn, and so hides nothing.
+            # Anything but a geom gets 0 and is not rendered, and so hides nothing.
             geom.segid = label_of_geom[geom.objid] if geom.objtype == _GEOM else 0
         colours = np.empty((self._height, self._width, 3), np.uint8)
         buffer = np.empty((self._height, self._width), np.float32)
         self._render_ids(colours, buffer)
-        # A number is drawn as the colour one above; nothing is 0, and becomes 0 as well.
+        # A label is rendered as a colour that is one larger. Nothing is 0 and stays 0.
         labels: Image = np.maximum(colours[::-1, :, 0], 1) - np.uint8(1)
         z = self._distance(buffer)
         z[buffer[::-1] == 0.0] = 0.0
         return labels, z
 
     def _distance(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Distances z in m, top row first, from what OpenGL has for depth."""
+        """Distances z in m, top row first, from OpenGL's depth buffer."""
         extent = self._model.stat.extent
         near, far = self._model.vis.map.znear * extent, self._model.vis.map.zfar * extent
         # The buffer holds 1 at the near plane and 0 at the far one, and is linear in 1 / z.
@@ -179,7 +180,7 @@ class SceneRenderer:
         self._camera.fixedcamid = self._model.cam(camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, everything, self._scene)
-        # So that rounding the fine picture's size never widens or narrows what it shows.
+        # The fine picture's size is rounded. This keeps it from showing more or less of the scene.
         for view in self._scene.camera:
             view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
 
@@ -197,7 +198,7 @@ class SceneRenderer:
         return image
 
     def _render_ids(self, colours: Image | None, depth: NDArray[np.float32] | None) -> None:
-        """Draw each geom in the colour of its number, without light or smoothing, and read what is asked for."""
+        """Render each geom in the colour of its number, without light or smoothing, into the arrays that are given."""
         context = self._current()
         flags = self._scene.flags.copy()
         self._scene.flags[_BY_NUMBER] = 1
@@ -216,11 +217,3 @@ class SceneRenderer:
     def close(self) -> None:
         """Free the OpenGL context; safe to call twice."""
         self._free()
-
-    def __enter__(self) -> SceneRenderer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

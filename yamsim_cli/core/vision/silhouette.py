@@ -1,4 +1,4 @@
-"""Where a drawn arm ends and where the photo has an edge: a score for a pose, and a way to improve it."""
+"""Compares the outline of a rendered arm with the edges in a photo, to score a pose and to improve it."""
 
 from __future__ import annotations
 
@@ -14,28 +14,33 @@ from ..geometry.se3 import Array, pose, rotation_from_vector
 Grey = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-# All lengths here are in grains: a pixel, or several in a photo so large that its details are several pixels wide.
+# Lengths here are in grains. A grain is one pixel, or several in a photo with more than this many pixels across, whose
+# details are several pixels wide.
 _GRAINS_ACROSS = 1000
-# How far from the outline an edge of the photo is looked for.
+# How far from the outline an edge of the photo is searched, grains.
 REACH = 12.0
-# Points to a grain along the line on which it is looked for, and grains between outline points.
+# Points to a grain on the line along which an edge is searched, and grains between outline points.
 _FINE = 2
 _SPACING = 3
-# An edge is a change of brightness at least this steep, grey levels a grain, and this much of the steepest on its line.
+# Brightness changes at an edge by at least this much, grey levels to a grain.
 _LEAST_SLOPE = 4.0
-# A point's residual beyond this many times the typical one counts nothing (Tukey).
+# Its change is also at least this share of the largest one on the same line.
+_LEAST_SHARE = 0.4
+# A point's residual of more than this many times the typical one does not count. Source: Tukey's biweight, with 95 %
+# efficiency for normal residuals.
 _TUKEY = 4.685
-# As many of an outline's points are taken to be independent.
+# So many of an outline's points are taken to be independent.
 _INDEPENDENT = 60.0
-# Outlines closer to the picture's border than this belong to the border.
+# Outlines closer to the picture's border than this are left out, grains.
 _BORDER = 3
 
-# Each round looks less far than the one before: what is left then is mostly the arm's own edges.
+# Rounds of a refinement, and the factor by which each searches less far than the one before: what is found near the
+# outline at last is mostly the arm's own edges.
 _ROUNDS, _NARROWER = 6, 0.62
 
 
 @dataclass(frozen=True)
-class Outline:
+class MaskOutline:
     """Points of a mask's outline: pixels (n, 2), and unit normals (n, 2) pointing out of the mask."""
 
     points: Array
@@ -44,19 +49,23 @@ class Outline:
 
 @dataclass(frozen=True)
 class EdgeOffsets:
-    """Where the photo's edge lies from each outline point (n,), px along its normal; NaN: none within `reach` px."""
+    """The photo's edge at each outline point (n,), as an offset in px along its normal; NaN if none is within `reach`.
+
+    Attributes:
+        reach: how far was searched, px.
+    """
 
     offsets: Array
     reach: float
 
     @property
     def found(self) -> float:
-        """Share of the outline that has an edge within reach."""
+        """Share of the outline's points that have an edge within reach."""
         return float(np.isfinite(self.offsets).mean()) if len(self.offsets) else 0.0
 
     @property
     def residual(self) -> float | None:
-        """Median distance, px, to the photo's edge, no edge counting as `reach`; None without an outline."""
+        """Median distance to the photo's edge, px, where a missing edge counts as `reach`; None without an outline."""
         if len(self.offsets) == 0:
             return None
         return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.reach)))
@@ -67,21 +76,20 @@ def grain_px(shape: tuple[int, ...]) -> int:
     return max(1, round(max(shape) / _GRAINS_ACROSS))
 
 
-def outline(mask: Mask, others: Mask | None = None) -> Outline:
-    """The outline of a mask (height, width), holes included, without what runs along the picture's border.
+def outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
+    """The outline of a mask (height, width), holes included, without the parts along the picture's border.
 
     Args:
-        mask: what is outlined.
-        others: what may lie in front; the outline against it is left out.
+        others: pixels (height, width) of things that may lie in front; the outline next to them is left out.
     """
     grain = grain_px(mask.shape)
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    # The normal is that of the mask's softened edge, since the pixels' own steps point in eight directions only.
+    # Normals are those of the mask's softened edge: steps from pixel to pixel point in eight directions only.
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2.0 * grain)
     slope = np.stack([cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)], axis=-1)
     chosen = [contour[:: _SPACING * grain, 0, :] for contour in contours if len(contour) >= 8 * grain]
     if not chosen:
-        return Outline(np.zeros((0, 2)), np.zeros((0, 2)))
+        return MaskOutline(np.zeros((0, 2)), np.zeros((0, 2)))
     at = np.concatenate(chosen)
     height, width = mask.shape
     border = _BORDER * grain
@@ -94,16 +102,16 @@ def outline(mask: Mask, others: Mask | None = None) -> Outline:
     length = np.linalg.norm(out, axis=1)
     clear = length > 1e-3 / grain
     normals = out[clear] / length[clear, None]
-    # A contour runs through the mask's outermost pixels; its edge is half a pixel further out.
-    return Outline(at[clear] + 0.5 * normals, normals)
+    # A contour runs through the centres of the mask's outermost pixels. The edge is half a pixel further out.
+    return MaskOutline(at[clear] + 0.5 * normals, normals)
 
 
-def edge_offsets(grey: Grey, line: Outline, reach: float = REACH) -> EdgeOffsets:
-    """Look along each outline point's normal for the photo's edge: of the steep places, the one nearest by.
+def edge_offsets(grey: Grey, line: MaskOutline, reach: float = REACH) -> EdgeOffsets:
+    """The photo's edge that is nearest to each outline point, along its normal.
 
     Args:
         grey: the photo (height, width).
-        reach: how far to look, grains.
+        reach: how far to search, grains.
     """
     grain = grain_px(grey.shape)
     if len(line.points) == 0:
@@ -122,22 +130,22 @@ def edge_offsets(grey: Grey, line: Outline, reach: float = REACH) -> EdgeOffsets
     inner = steps[1:-1]
     peak = np.zeros_like(slope, dtype=bool)
     peak[:, 1:-1] = (slope[:, 1:-1] >= slope[:, :-2]) & (slope[:, 1:-1] > slope[:, 2:])
-    peak &= slope >= np.maximum(_LEAST_SLOPE, 0.4 * slope.max(axis=1, keepdims=True))
+    peak &= slope >= np.maximum(_LEAST_SLOPE, _LEAST_SHARE * slope.max(axis=1, keepdims=True))
     distance = np.where(peak, np.abs(inner)[None, :], np.inf)
     nearest = distance.argmin(axis=1)
     rows = np.arange(len(nearest))
     found = np.isfinite(distance[rows, nearest])
-    offsets = np.where(found, inner[nearest] + _beside(slope, nearest) / _FINE, np.nan) * grain
+    offsets = np.where(found, inner[nearest] + _peak_shift(slope, nearest) / _FINE, np.nan) * grain
     return EdgeOffsets(offsets, reach * grain)
 
 
-def _beside(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
-    """How far (steps) from each row's peak (n,) the top of the parabola through it and its neighbours lies."""
+def _peak_shift(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
+    """Distance (n,) in steps from each row's peak to the top of the parabola through the peak and its neighbours."""
     rows, middle = np.arange(len(peak)), np.clip(peak, 1, slope.shape[1] - 2)
     before, here, after = (slope[rows, middle + k].astype(np.float64) for k in (-1, 0, 1))
     bend = np.minimum(before - 2 * here + after, -1e-9)
-    beside: Array = np.clip((before - after) / (2 * bend), -0.5, 0.5)
-    return beside
+    shift: Array = np.clip((before - after) / (2 * bend), -0.5, 0.5)
+    return shift
 
 
 @dataclass(frozen=True)
@@ -148,33 +156,33 @@ class Correction:
     centre: Array
 
     def applied(self, T_in_cam: Array) -> Array:
-        """A pose (4, 4) in the camera's frame, moved by it."""
+        """A pose (4, 4) in the camera's frame, moved by this step."""
         turn = rotation_from_vector(self.step[:3])
         moved = self.centre + self.step[3:] + turn @ (T_in_cam[:3, 3] - self.centre)
         return pose(moved, turn @ T_in_cam[:3, :3])
 
     @property
     def size(self) -> float:
-        """About how far it moves something 0.3 m large, m."""
+        """About how far the step moves a thing that is 0.3 m large, m."""
         return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
 
 
 @dataclass(frozen=True)
 class Pull:
-    """What the edges of an outline say of a pose: normal equations (6, 6) and (6,) of a `Correction`'s step."""
+    """The normal equations (6, 6) and (6,) of a `Correction`'s step, from the edges along an outline."""
 
     normal: Array
     gradient: Array
 
 
-def pull(line: Outline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0) -> Pull:
-    """How the photo's edges want an outline moved.
+def pull(line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0) -> Pull:
+    """The normal equations of the step that brings an outline onto the photo's edges.
 
     Args:
         line: outline in an ideal pinhole picture with camera matrix `K` (3, 3).
-        depth: z (n,) in the camera's frame of the surface at each outline point, m.
-        offsets: (n,) px to the photo's edge along each normal; NaN for none.
-        centre: the point (3,) in the camera's frame that the turn is about.
+        depth: z (n,) of the surface at each outline point, in the camera's frame, m.
+        offsets: distance (n,) to the photo's edge along each normal, px; NaN for none.
+        centre: the point (3,) in the camera's frame about which the pose turns.
         edge_sigma: standard deviation of an edge's place, px.
     """
     use = np.isfinite(offsets) & (depth > 0)
@@ -187,20 +195,20 @@ def pull(line: Outline, depth: Array, offsets: Array, K: Array, centre: Array, e
     jacobian = np.column_stack([np.cross(at - centre, by_shift), by_shift])
     scale = max(edge_sigma, 1.4826 * float(np.median(np.abs(off)))) if len(off) else edge_sigma
     weight = np.clip(1 - (off / (_TUKEY * scale)) ** 2, 0, None) ** 2
-    # Neighbouring outline points see the same edge; a few dozen independent ones are closer to the truth.
+    # Neighbouring outline points see the same edge, so that they count together as a few dozen independent ones.
     weight *= min(1.0, _INDEPENDENT / max(len(off), 1)) / edge_sigma**2
     weighted = jacobian * weight[:, None]
     return Pull(weighted.T @ jacobian, weighted.T @ off)
 
 
 def correction(pulls: Sequence[Pull], centre: Array, information: Array, so_far: Array) -> Correction:
-    """The step of a pose that brings its outlines onto the photo's edges, without leaving what the boards tell.
+    """The step that brings a pose's outlines onto the photo's edges, weighed against the pose that the boards give.
 
     Args:
-        pulls: of all outlines that move with the pose.
-        centre: the point (3,) in the camera's frame that the turn is about.
-        information: inverse covariance (6, 6) of the boards' pose, turn about `centre` (rad) and shift (m).
-        so_far: the sum (6,) of the steps taken since the boards' pose.
+        pulls: normal equations of all outlines that move with the pose.
+        centre: the point (3,) in the camera's frame about which the pose turns.
+        information: inverse covariance (6, 6) of the boards' pose: turn about `centre` (rad) and shift (m).
+        so_far: sum (6,) of the steps since the boards' pose.
     """
     normal = information + sum(part.normal for part in pulls)
     gradient = sum(part.gradient for part in pulls) - information @ so_far
@@ -208,5 +216,5 @@ def correction(pulls: Sequence[Pull], centre: Array, information: Array, so_far:
 
 
 def rounds() -> list[float]:
-    """How far edges are looked for in each round of a refinement, grains: wide at first."""
+    """How far edges are searched in each round of a refinement, grains; farthest in the first."""
     return [REACH * _NARROWER**k for k in range(_ROUNDS)]

@@ -1,4 +1,4 @@
-"""Pictures of a rig from where a person would look: cameras placed by the rig's extent, names beside the arms."""
+"""Cameras for pictures of a rig, placed so that all of it is seen, and titles and names in such pictures."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from ..geometry.camera import Intrinsics, project
 from ..geometry.se3 import Array, inverse, pose
 from ..images.image import Image
 
-# What a view leaves free around the rig, as a share of the picture.
+# Margin of a view around the rig, as a share of the picture.
 _FRAME = 0.12
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 @dataclass(frozen=True)
 class View:
-    """A way to look at a rig: the direction the camera looks in (azimuth and elevation in degrees, as MuJoCo has them).
+    """A way to look at a rig.
 
     Attributes:
-        fovy_deg: vertical field of view; a narrow one looks from afar, so that little hides behind the arms.
-        low: look at the boards and bases, close up, rather than at everything.
+        azimuth, elevation: the direction in which the camera looks, degrees, by MuJoCo's convention.
+        fovy_deg: vertical field of view. A narrow one looks from afar, so that the arms hide little.
+        low: whether it looks at boards and bases from close by, instead of at everything.
     """
 
     name: str
@@ -35,7 +36,7 @@ class View:
     low: bool = False
 
 
-# Azimuth 180 looks along -x, into the arms' faces; elevation is negative from above.
+# Azimuth 180 looks along -x, at the arms' front. A negative elevation looks down.
 VIEWS = (
     View("front", azimuth=155.0, elevation=-28.0),
     View("near_top", azimuth=180.0, elevation=-86.0, fovy_deg=12.0),
@@ -51,14 +52,14 @@ class Camera:
     intrinsics: Intrinsics
 
     def pixel(self, point: Sequence[float] | Array) -> tuple[float, float]:
-        """Where a point (3,) of `world` shows up, in pixels."""
+        """The pixel of a point (3,) in `world`."""
         in_cam = (inverse(self.T_cam_in_world) @ np.append(point, 1.0))[:3]
         u, v = project(self.intrinsics.K, in_cam)[0]
         return float(u), float(v)
 
 
 def place_camera(view: View, points: Array, size: tuple[int, int]) -> Camera:
-    """Place a camera that looks in the view's direction, just far enough to see all `points`.
+    """A camera that looks in the view's direction, from just far enough away to see all `points`.
 
     Args:
         points: (n, 3) in `world`, m.
@@ -73,7 +74,7 @@ def place_camera(view: View, points: Array, size: tuple[int, int]) -> Camera:
     intrinsics = Intrinsics.from_fovy(*size, math.radians(view.fovy_deg))
     in_cam = points @ R
     centre = (in_cam.min(axis=0) + in_cam.max(axis=0)) / 2
-    # Each point asks for a distance at which it lies within the frame; the farthest decides.
+    # Each point needs some distance to lie within the picture, and the largest one is taken.
     half = (1 - _FRAME) * np.array([size[0] / 2 / intrinsics.fx, size[1] / 2 / intrinsics.fy])
     offsets = in_cam - centre
     distance = float((np.abs(offsets[:, :2]) / half - offsets[:, 2:]).max())
@@ -81,14 +82,14 @@ def place_camera(view: View, points: Array, size: tuple[int, int]) -> Camera:
 
 
 def rig_points(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]) -> Array:
-    """Corners (n, 3) in `world` of the boxes around all geoms of some bodies that are seen."""
+    """Corners (n, 3) in `world` of the boxes around all visible geoms of some bodies."""
     corners = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
     points = []
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] in bodies and model.geom_group[geom] <= 2:
             centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
             if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
-                # Endless to the engine; what is drawn has a size.
+                # A plane is endless for physics, and has a size in pictures.
                 centre, half = np.zeros(3), np.array([*model.geom_size[geom, :2], 0.0])
             rotation = data.geom_xmat[geom].reshape(3, 3)
             points.append(data.geom_xpos[geom] + (centre + corners * half) @ rotation.T)
@@ -96,7 +97,7 @@ def rig_points(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[int]
 
 
 def label(image: Image, texts: Mapping[str, tuple[float, float]], title: str) -> Image:
-    """A copy of an image (height, width, 3) with its title and with names at pixels, as far as those lie in it."""
+    """A copy of an image (height, width, 3) with a title, and with texts at their pixels if these lie inside."""
     labelled = image.copy()
     rows, columns = image.shape[:2]
     scale = max(0.4, rows / 900)
@@ -118,7 +119,7 @@ def label(image: Image, texts: Mapping[str, tuple[float, float]], title: str) ->
 
 
 def resized(image: Image, width: int, height: int) -> Image:
-    """An image in another size, px; averaged where it gets smaller."""
+    """An image in another size, px; pixels are averaged where it gets smaller."""
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 

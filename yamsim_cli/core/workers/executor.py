@@ -1,4 +1,4 @@
-"""What turns jobs into results, whatever it runs on. Knows nothing of robots."""
+"""The protocols of executors, which turn jobs into results. They know nothing of robots."""
 
 from __future__ import annotations
 
@@ -16,26 +16,27 @@ ResultOut = TypeVar("ResultOut", covariant=True)
 
 
 class Runner(Protocol[JobIn, ResultOut]):
-    """What a worker runs: opened once in its process, then asked for one job after the other."""
+    """What a worker runs. It is opened once in the worker's process, and then runs one job after the other."""
 
     def run(self, job: JobIn) -> ResultOut:
-        """The result of a job; it depends on nothing else."""
+        """The result of a job, which depends on nothing but the job."""
         ...
 
 
-# Makes a worker's runner; has to be picklable.
+# Makes a worker's runner. It has to be picklable.
 Factory = Callable[[], AbstractContextManager[Runner[J, R]]]
 
 
 class WorkerBugError(RuntimeError):
-    """An exception in a worker that is no `YamsimError`: a bug. Carries the worker's own traceback."""
+    """An exception in a worker that is no `YamsimError` and so a bug; its text is the worker's own traceback."""
 
 
 class LostJobError(PartialJobError):
-    """A job that ended its worker every time it was tried; the executor itself goes on.
+    """A job that ended its worker every time that it was tried. The executor itself goes on.
 
     Attributes:
         job: the job.
+        tries: how often it was tried.
         reason: how its last worker ended.
     """
 
@@ -47,7 +48,7 @@ class LostJobError(PartialJobError):
 
 
 class Executor(Protocol[J, R]):
-    """Workers that run jobs side by side; a context manager that ends them all."""
+    """Workers that run jobs in parallel; a context manager that ends them all."""
 
     @property
     def idle(self) -> int:
@@ -56,30 +57,30 @@ class Executor(Protocol[J, R]):
 
     @property
     def in_flight(self) -> int:
-        """How many jobs were submitted and have not come back."""
+        """How many jobs were submitted and have not returned."""
         ...
 
     def submit(self, job: J) -> None:
-        """Give a job to an idle worker; there has to be one."""
+        """Give a job to an idle worker; there must be one."""
         ...
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """Wait for a job to finish.
+        """The next job that finishes, and its result.
 
         Args:
-            timeout: seconds; None waits for as long as it takes.
+            timeout: seconds to wait; None for no limit.
 
         Raises:
             TimeoutError: none finished in that time.
             YamsimError: the runner raised it.
             WorkerBugError: the runner raised anything else.
-            LostJobError: a job ended every worker it was given to.
+            LostJobError: a job ended every worker that it was given to.
             PartialJobError: no worker can be kept alive.
         """
         ...
 
     def close(self) -> None:
-        """End all workers at once, whatever they are doing: none of them has anything to lose."""
+        """End all workers at once, whatever they are doing: none of them holds anything that could be lost."""
         ...
 
     def __enter__(self) -> Executor[J, R]: ...

@@ -1,17 +1,17 @@
-"""Jobs run in this very process: for a notebook, or a script that starts no others."""
+"""Runs jobs in this process, for notebooks, and for scripts that start no others."""
 
 from __future__ import annotations
 
 import contextlib
 from collections import deque
-from types import TracebackType
 from typing import Generic
 
+from ..closing import Closing
 from .executor import Factory, J, R
 
 
-class InlineExecutor(Generic[J, R]):
-    """An `Executor` that runs a job when its result is asked for, in the process of the caller."""
+class InlineExecutor(Closing, Generic[J, R]):
+    """An `Executor` that runs a job when its result is asked for, in the caller's process."""
 
     def __init__(self, factory: Factory[J, R]) -> None:
         self._stack = contextlib.ExitStack()
@@ -20,31 +20,23 @@ class InlineExecutor(Generic[J, R]):
 
     @property
     def idle(self) -> int:
-        """One job can wait."""
+        """1 if no job waits, else 0."""
         return 1 - len(self._waiting)
 
     @property
     def in_flight(self) -> int:
-        """Whether one waits."""
+        """1 if a job waits, else 0."""
         return len(self._waiting)
 
     def submit(self, job: J) -> None:
-        """Keep a job for later."""
+        """Keep a job until its result is asked for."""
         self._waiting.append(job)
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """Run the job that waits; it takes as long as it takes."""
+        """The job that waits, and its result; `timeout` is ignored."""
         job = self._waiting.popleft()
         return job, self._runner.run(job)
 
     def close(self) -> None:
         """Close the runner."""
         self._stack.close()
-
-    def __enter__(self) -> InlineExecutor[J, R]:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

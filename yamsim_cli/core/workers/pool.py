@@ -1,11 +1,11 @@
-"""Jobs on workers that may die or hang: who gets what, what is tried again, and when to give up.
+"""Runs jobs on workers that may die or hang: which worker gets which job, what is tried again, and when to give up.
 
-The rules hold for every kind of worker; `Backend` starts and ends them and listens to them.
+The rules are the same for every kind of worker. A `Backend` starts workers, ends them, and listens to them.
 
-- A worker that dies, or takes too long over a job, is replaced, and the job is tried again.
-- The last try is made alone, all other workers resting: so a job is not given up for memory that the others took.
+- A worker that dies, or takes too long for a job, is replaced, and the job is tried again.
+- A job's last try is made while all other workers rest, so that it is not given up for memory that they took.
 - Workers that die before they are ready are no job's fault. One that does so again and again is given up, and the rest
-  go on without it; when none is left, it is over.
+  go on without it. The pool ends when none is left.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Generic, Protocol, TypeVar
 
+from ..closing import Closing
 from ..errors import PartialJobError, YamsimError
 from .executor import J, JobIn, LostJobError, R, WorkerBugError
 
-# How long a job may take; several minutes mean a hung driver or a machine that swaps.
+# How long a job may take, s. One of many minutes means a hung driver, or a machine that swaps.
 JOB_SECONDS = 600.0
-# How long a worker may take to start: to import, compile its scene and reach the display driver.
+# How long a worker may take to start, s: to import, compile its scene and open OpenGL.
 START_SECONDS = 300.0
+# How often a job is tried, and how often a worker may fail to start in a row.
 _TRIES = 3
 _FAILED_STARTS = 3
-# How often a waiting parent looks at the clock.
+# How often a waiting parent checks the workers' times, s.
 _TICK_SECONDS = 0.5
 
 
@@ -45,21 +46,21 @@ class Answer(Generic[R]):
 
 @dataclass(frozen=True)
 class Failed:
-    """The runner, or making it, raised an error that is the user's or the machine's."""
+    """The runner, or making it, raised a `YamsimError`."""
 
     error: YamsimError
 
 
 @dataclass(frozen=True)
 class Bug:
-    """The runner, or making it, raised anything else."""
+    """The runner, or making it, raised any other exception; `trace` is its traceback."""
 
     trace: str
 
 
 @dataclass(frozen=True)
 class Died:
-    """The worker is gone; `how` continues "its worker ..."."""
+    """The worker is gone; `how` completes a sentence that begins with "its worker"."""
 
     how: str
 
@@ -68,11 +69,11 @@ Event = Ready | Answer[R] | Failed | Bug | Died
 
 
 class Worker(Protocol[JobIn]):
-    """One worker, as the pool holds it."""
+    """One worker of a pool."""
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """The worker's name in messages."""
         ...
 
     def send(self, job: JobIn) -> None:
@@ -99,11 +100,11 @@ class Backend(Protocol[W, R]):
         ...
 
     def wait(self, workers: Sequence[W], timeout: float) -> Sequence[tuple[W, Event[R]]]:
-        """What workers had to say, at most one event each; empty after `timeout` seconds of silence."""
+        """Events of workers, at most one for each; empty if none comes within `timeout` seconds."""
         ...
 
     def close(self) -> None:
-        """Let go of what all workers shared."""
+        """Free what all workers shared."""
         ...
 
 
@@ -123,17 +124,17 @@ class _Slot(Generic[J]):
     task: _Task[J] | None = None
     ready: bool = False
     failed_starts: int = 0
-    # Seconds spent on starting or on the task.
+    # Seconds spent so far on starting or on the task.
     busy: float = 0.0
 
 
-class Pool(Generic[J, R]):
+class Pool(Closing, Generic[J, R]):
     """An `Executor` over any kind of worker.
 
     Args:
         backend: starts the workers.
-        workers: how many.
-        job_seconds: a worker that takes longer over a job is ended and replaced.
+        workers: how many workers there are.
+        job_seconds: a worker that takes longer for a job is ended and replaced.
     """
 
     def __init__(self, backend: Backend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
@@ -152,7 +153,7 @@ class Pool(Generic[J, R]):
 
     @property
     def idle(self) -> int:
-        """How many jobs can be submitted now: none while a job waits for its last try or makes it."""
+        """How many jobs can be submitted now; none while a job waits for its last try, or makes it."""
         tasks = [*self._waiting, *(slot.task for slot in self._slots if slot.task)]
         if any(task.last_try for task in tasks):
             return 0
@@ -160,7 +161,7 @@ class Pool(Generic[J, R]):
 
     @property
     def in_flight(self) -> int:
-        """How many jobs were submitted and have not come back."""
+        """How many jobs were submitted and have not returned."""
         return self._working + len(self._waiting) + len(self._done)
 
     @property
@@ -168,13 +169,13 @@ class Pool(Generic[J, R]):
         return sum(slot.task is not None for slot in self._slots)
 
     def submit(self, job: J) -> None:
-        """Give a job to an idle worker; there has to be one."""
+        """Give a job to an idle worker; there must be one."""
         assert self.idle
         self._waiting.append(_Task(job))
         self._assign()
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """Wait for a job to finish; see `Executor.result`."""
+        """The next job that finishes, and its result; see `Executor.result`."""
         end = math.inf if timeout is None else time.monotonic() + timeout
         while not self._done:
             assert self.in_flight, "nothing was submitted"
@@ -190,7 +191,7 @@ class Pool(Generic[J, R]):
     def _listen(self, patience: float) -> None:
         began = time.monotonic()
         events = self._backend.wait([slot.worker for slot in self._slots], patience)
-        # No more than was asked for counts: when the whole machine or this process slept, so did the workers.
+        # No more than `patience` counts: if the machine or this process slept, so did the workers.
         passed = min(time.monotonic() - began, patience)
         heard = []
         for worker, event in events:
@@ -222,7 +223,7 @@ class Pool(Generic[J, R]):
                 self._replace(slot, how)
 
     def _check(self, slot: _Slot[J]) -> None:
-        """End a worker that hangs."""
+        """End and replace a worker that takes too long."""
         limit = self._job_seconds if slot.ready else START_SECONDS
         if slot.busy > limit:
             slot.worker.kill()
@@ -245,7 +246,7 @@ class Pool(Generic[J, R]):
             raise PartialJobError(f"workers do not start: each tried {_FAILED_STARTS} times, and the last one {how}")
 
     def _assign(self) -> None:
-        """Hand out what waits, in order, to workers that are ready; a last try only when nobody else works."""
+        """Hand out waiting jobs in order to workers that are ready; a last try only while no other worker is busy."""
         for slot in self._slots:
             if not self._waiting or (self._waiting[0].last_try and self._working):
                 return
@@ -254,7 +255,7 @@ class Pool(Generic[J, R]):
                 try:
                     slot.worker.send(slot.task.job)
                 except OSError:
-                    # It died while it rested: not this job's fault. Its end is heard of next.
+                    # It died while it rested, which is not this job's fault. The event of its end comes next.
                     self._waiting.appendleft(slot.task)
                     slot.task = None
 
@@ -263,16 +264,8 @@ class Pool(Generic[J, R]):
         return self._backend.start(self._started - 1)
 
     def close(self) -> None:
-        """End all workers at once, whatever they are doing: none of them has anything to lose."""
+        """End all workers at once, whatever they are doing: none of them holds anything that could be lost."""
         for slot in self._slots:
             slot.worker.kill()
         self._slots = []
         self._backend.close()
-
-    def __enter__(self) -> Pool[J, R]:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -1,7 +1,7 @@
 """Workers that are processes of this machine.
 
-Each has a pipe of its own, so one that dies takes nothing with it but the job in its hands, and each ends by itself
-when the parent is gone. They are spawned, never forked: a fork would share OpenGL.
+Each has a pipe of its own, so that one that dies costs only the job that it runs. Each ends by itself when the parent
+is gone. They are spawned and never forked: a fork would share OpenGL.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from .executor import Factory, J, R
 from .pool import JOB_SECONDS, Died, Event, Pool, Worker
 from .serving import HEADER, STOP_SIGNALS, serve
 
-# How long a process may take to end once killed, and a message to arrive once it has begun to.
+# How long a process may take to end after it was killed, s.
 _END_SECONDS = 5.0
+# How long a message may take to arrive after its beginning has, s.
 _MESSAGE_SECONDS = 60.0
 
-# Nothing may break off the start of a process half way: neither a stop, nor the alarm by which one that fell into an
-# import is raised later.
+# Signals that are held back while a process starts, which must not be interrupted. The alarm is among them, because a
+# stop that comes during an import is raised by it later.
 _HELD = (*STOP_SIGNALS, signal.SIGALRM)
 
 
@@ -35,18 +36,18 @@ class WorkerPool(Pool[J, R]):
     """An `Executor` over processes of this machine; a context manager that ends them all.
 
     Args:
-        factory: makes each worker's runner, in the worker's process; has to be picklable.
-        workers: how many.
-        job_seconds: a worker that takes longer over a job is ended and replaced.
+        factory: makes each worker's runner, in the worker's process; it has to be picklable.
+        workers: how many workers there are.
+        job_seconds: a worker that takes longer for a job is ended and replaced.
     """
 
     def __init__(self, factory: Factory[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
         super().__init__(_Processes(factory), workers, job_seconds)
-        # multiprocessing would ask forgotten workers to end, which they are deaf to, and wait for ever.
+        # At exit multiprocessing would ask forgotten workers to end, which they ignore, and wait for ever.
         atexit.register(self.close)
 
     def close(self) -> None:
-        """End all workers at once, whatever they are doing: none of them has anything to lose."""
+        """End all workers at once, whatever they are doing: none of them holds anything that could be lost."""
         super().close()
         atexit.unregister(self.close)
 
@@ -66,8 +67,8 @@ class _Process(Generic[J, R]):
         self.pipe.send((self._sent, job))
 
     def receive(self) -> Event[R] | None:
-        """What the worker has begun to say; None for what another process says, or says of another job."""
-        # One that stops in the middle of a message would hold the parent for ever.
+        """The event that the worker has begun to send; None if another process sent it, or it is on another job."""
+        # A worker that stops in the middle of a message would hold the parent for ever.
         guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True
         guard.start()
@@ -100,7 +101,7 @@ class _Processes(Generic[J, R]):
 
     def __init__(self, factory: Factory[J, R]) -> None:
         self._context = multiprocessing.get_context("spawn")
-        # Pickled here: the worker unpickles it once it is on guard.
+        # Pickled here, so that the worker can unpickle it after it has set up its signals.
         self._factory = pickle.dumps(factory)
 
     def start(self, number: int) -> Worker[J]:
@@ -112,11 +113,11 @@ class _Processes(Generic[J, R]):
             with _stop_signals_held():
                 process.start()
         except BaseException:
-            # A signal that was held is raised here.
+            # A signal that was held back is raised here.
             if process.pid is not None:
                 process.kill()
             raise
-        # Only the worker may hold its end, or the pipe would not close when it dies.
+        # Only the worker may hold this end, or the pipe would not close when it dies.
         theirs.close()
         return _Process[J, R](process, ours)
 
@@ -132,13 +133,13 @@ class _Processes(Generic[J, R]):
 
 @contextmanager
 def _stop_signals_held() -> Iterator[None]:
-    """A process started here is born deaf to Ctrl-C, until it says itself that it ignores it."""
-    # Starting the tracker would lift the block; once it runs it is left alone.
+    """Hold back stop signals in the block. A process that starts in it begins with them blocked."""
+    # Starting multiprocessing's resource tracker would lift the block, so that it is started before.
     resource_tracker.ensure_running()
     came: list[int] = []
     handlers = {}
     if threading.current_thread() is threading.main_thread():
-        # A library's thread may take the signal instead, and its handler would run here all the same.
+        # A library's thread may receive the signal, and its handler would run in this thread all the same.
         for number in _HELD:
             if callable(signal.getsignal(number)):
                 handlers[number] = signal.signal(number, lambda number, frame: came.append(number))

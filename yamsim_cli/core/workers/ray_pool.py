@@ -1,7 +1,7 @@
 """Workers that are actors on a Ray cluster.
 
-The same worker code as in local processes, and the same rules: an actor that is lost, with its process or its node,
-costs the job in its hands one try, and is replaced where the cluster has room.
+They run the same code as local processes, by the same rules. An actor that is lost with its process or its node costs
+the job that it runs one try, and is replaced where the cluster has room.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .executor import Factory, J, R
 from .pool import JOB_SECONDS, Died, Event, Pool, Worker
 from .serving import STOP_SIGNALS, Servant
 
-# How long the head of a cluster may take to accept a connection.
+# How long the head of a cluster may take to accept a connection, s.
 _KNOCK_SECONDS = 5.0
 
 
@@ -28,11 +28,12 @@ class RayPool(Pool[J, R]):
     """An `Executor` over the actors of a Ray cluster; a context manager that ends them all.
 
     Args:
-        factory: makes each worker's runner, in the actor; has to be picklable.
-        workers: how many; each takes one CPU of the cluster.
-        address: of a running cluster, as `ray.init` takes it; None starts one on this machine, for as long as it takes.
-        environ: variables that the actors' processes get.
-        job_seconds: a worker that takes longer over a job is ended and replaced.
+        factory: makes each worker's runner, in the actor; it has to be picklable.
+        workers: how many workers there are; each takes one CPU of the cluster.
+        address: address of a running cluster, as `ray.init` takes it. None starts one on this machine, which ends with
+            the pool.
+        environ: environment variables of the actors' processes.
+        job_seconds: a worker that takes longer for a job is ended and replaced.
 
     Raises:
         ResourceError: Ray is not installed, no cluster answers, or it has fewer CPUs than `workers`.
@@ -55,7 +56,7 @@ class _Actor(Generic[J]):
         self._ray = ray
         self._handle = handle
         self.name = name
-        # The one answer that is awaited; None while the actor rests.
+        # The answer that is awaited; None while the actor rests.
         self.answer: Any = opened
 
     def send(self, job: J) -> None:
@@ -81,7 +82,7 @@ class _Cluster(Generic[J, R]):
                 f"the Ray cluster has {cpus} CPUs, and {workers} workers need one each: "
                 f"add nodes, or give --workers {cpus}"
             )
-        # Once into the cluster's store, from where every node fetches it once.
+        # Put into the cluster's store once, from where each node fetches it once.
         self._factory = self._ray.put(pickle.dumps(factory))
         options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
         if environ:
@@ -130,7 +131,7 @@ def _connect(ray: Any, address: str | None, workers: int) -> None:
             else:
                 _knock(address)
                 ray.init(address=address, **quiet)
-        # SystemExit: where a head has gone without a word, Ray waits for it, and then sends itself a SIGTERM.
+        # SystemExit, too: if a head has vanished, Ray waits for it, and then sends itself a SIGTERM.
         except (OSError, RuntimeError, ValueError, SystemExit, ray.exceptions.RayError) as error:
             reason = "no answer" if isinstance(error, SystemExit) else f"{error}".partition("\n")[0]
             where = f"at {address}" if address else "on this machine"
@@ -138,10 +139,10 @@ def _connect(ray: Any, address: str | None, workers: int) -> None:
 
 
 def _knock(address: str) -> None:
-    """See whether anything listens at a HOST:PORT, since Ray itself takes minutes to say that nothing does.
+    """Check that something listens at a HOST:PORT: Ray itself would take minutes to say that nothing does.
 
     Raises:
-        OSError: nothing does.
+        OSError: nothing listens there.
     """
     host, colon, port = address.rpartition("://")[2].rpartition(":")
     if colon and port.isdecimal():
@@ -150,12 +151,12 @@ def _knock(address: str) -> None:
 
 @contextlib.contextmanager
 def _own_signals() -> Iterator[None]:
-    """Ray takes SIGTERM for itself when it connects; what it means to a recording is not for Ray to say."""
+    """Restore the signals' handlers after the block, since Ray replaces that of SIGTERM when it connects."""
     before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         yield
     finally:
         for number, handler in before.items():
-            # Handlers belong to the main thread; in another one Ray leaves them alone as well.
+            # Only the main thread can set handlers. In another thread, Ray cannot replace them, either.
             with contextlib.suppress(ValueError):
                 signal.signal(number, handler)

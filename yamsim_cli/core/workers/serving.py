@@ -1,4 +1,7 @@
-"""The worker's side: makes a runner, then answers job by job. Imports little, so that a process is on guard early."""
+"""The worker's side: it makes a runner, and then answers job by job.
+
+It imports little, so that a new process soon ignores stop signals and watches its parent.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,15 @@ from ..stray_forks import forks_end_here
 from .executor import Factory, Runner
 from .pool import Answer, Bug, Event, Failed, Ready
 
-# What stops the parent. It reaches the whole process group or job, and the parent alone decides what it means.
+# Signals that stop the parent. They reach all processes of its group, and the parent alone acts on them.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-# Before every answer: the process that gives it, and the number of the job that it is for, 0 for "ready".
+# Comes before every answer: the id of the process that gives it, and the number of the job, or 0 for "ready".
 HEADER = struct.Struct("!QQ")
 
 
 class Servant:
-    """Runs jobs and never raises: what went wrong is an answer too. Answers are pickled `pool.Event`s."""
+    """Runs jobs. It never raises, since an error is an answer, too. Answers are pickled `pool.Event`s."""
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
@@ -39,7 +42,7 @@ class Servant:
         return self._runner is not None
 
     def open(self, factory: bytes) -> bytes:
-        """Make the runner.
+        """The answer to making the runner.
 
         Args:
             factory: a pickled `executor.Factory`; unpickling it imports what the runner needs, which takes a while.
@@ -53,7 +56,7 @@ class Servant:
         return _answer(make)
 
     def run(self, job: Any) -> bytes:
-        """Run one job."""
+        """The answer to one job."""
         runner = self._runner
         assert runner is not None, "open comes first"
         return _answer(lambda: Answer(runner.run(job)))
@@ -64,16 +67,16 @@ class Servant:
 
 
 def serve(pipe: Connection, factory: bytes) -> None:
-    """Be a worker process: answer what comes through the pipe until it closes.
+    """Run a worker process, which answers jobs from a pipe until the pipe closes.
 
     Args:
-        pipe: numbered jobs come in; pickled `pool.Event`s go out, each behind a `HEADER`.
+        pipe: brings numbered jobs, and takes pickled `pool.Event`s, each behind a `HEADER`.
         factory: see `Servant.open`.
     """
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    # EOFError or OSError: the parent closed the pipe, or is gone.
+    # EOFError or OSError mean that the parent closed the pipe, or is gone.
     with contextlib.closing(Servant()) as servant, contextlib.suppress(EOFError, OSError):
         pipe.send_bytes(HEADER.pack(os.getpid(), 0) + servant.open(factory))
         while servant.is_ready:
@@ -82,7 +85,7 @@ def serve(pipe: Connection, factory: bytes) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process as soon as its parent has ended, also in the middle of a job: MuJoCo works without the GIL."""
+    """End this process as soon as its parent has ended, even in the middle of a job: MuJoCo releases the GIL."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
@@ -95,6 +98,6 @@ def _answer(work: Callable[[], Event[Any]]) -> bytes:
             return pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)
     except YamsimError as error:
         return pickle.dumps(Failed(error))
-    # Every other exception is a bug; its traceback has to cross to the parent, which stops with it.
+    # Every other exception is a bug. Its traceback goes to the parent, which stops with it.
     except Exception:  # noqa: BLE001
         return pickle.dumps(Bug(traceback.format_exc()))

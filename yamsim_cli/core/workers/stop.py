@@ -1,4 +1,4 @@
-"""A user's wish that a job end, which the job looks at between two steps."""
+"""A request that a job end, which the job checks between two steps."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import time
 
 
 class Stop:
-    """Set once, from a signal handler or another thread; never taken back."""
+    """A request that is made once, from a signal handler or another thread, and never withdrawn."""
 
     def __init__(self) -> None:
         self._asked_at: float | None = None
 
     @property
     def asked(self) -> bool:
-        """Whether the job is to end."""
+        """Whether the job was asked to end."""
         return self._asked_at is not None
 
     @property
     def waited(self) -> float:
-        """Seconds since it was asked to; 0 if it was not."""
+        """Seconds since it was asked to end; 0 if it was not."""
         return 0.0 if self._asked_at is None else time.monotonic() - self._asked_at
 
     def ask(self) -> None:

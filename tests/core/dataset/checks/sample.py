@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from yamsim_cli.core.config.document import dump_yaml
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.episode import check_episode
 from yamsim_cli.core.dataset.checks.problem import Problems
@@ -28,6 +27,7 @@ from yamsim_cli.core.dataset.records import (
     to_json,
 )
 from yamsim_cli.core.dataset.survey import Survey, survey
+from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.geometry.camera import Intrinsics
 from yamsim_cli.core.geometry.se3 import pose
@@ -124,15 +124,15 @@ def episode(number: int, frames: int = FRAMES) -> Episode:
         banana = start * (1 - part) + (plate + np.array([0.002, 0, 0.02])) * part
         data.append(
             frame_data(
-                joints=START_JOINTS + (0.05 * k + 0.01 * number) * np.array([1, -1, -1, 1, 0.2, 1, -0.02]),
+                joints=START_JOINTS + (0.05 * k + 0.01 * number) * np.array([[1, -1, -1, 1, 0.2, 1, -0.02]]),
                 timestamp=k * PERIOD,
                 intrinsics={CAMERA: Intrinsics.from_fovy(WIDTH, HEIGHT, 0.9).K},
                 extrinsics={CAMERA: T_CAM_IN_BASE},
                 object_poses={"banana": pose(banana), "plate": pose(plate)},
-                ee_pose=pose(banana + np.array([0, 0, 0.1])),
-                ctrl=START_JOINTS,
-                action_joints=START_JOINTS,
-                magnet=0 < k < frames - 1,
+                ee_pose=pose(banana + np.array([0, 0, 0.1]))[None],
+                ctrl=np.array([START_JOINTS]),
+                action_joints=np.array([START_JOINTS]),
+                magnet=np.array([0 < k < frames - 1]),
                 language_task="pick_place_banana",
                 language_prompt="pick up the banana",
             )

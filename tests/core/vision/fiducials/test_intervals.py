@@ -11,7 +11,14 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.resources import Locations
 
 
-@pytest.mark.parametrize("case", [CASES[0], CASES[1], CASES[4]], ids=["ideal lens", "real lens", "camera given"])
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(CASES[0], marks=pytest.mark.slow, id="ideal lens"),
+        pytest.param(CASES[1], marks=pytest.mark.slow, id="real lens"),
+        pytest.param(CASES[4], id="camera given"),
+    ],
+)
 def test_stated_intervals_hold_the_truth(locations: Locations, case) -> None:
     rig = load_config(RigConfig, "rigs", "russet", locations)
     found = [one for k in range(8) for one in outcomes(case, rig, seed=99, k=k)]

@@ -1,4 +1,4 @@
-"""Every fault that a dataset can be found to have: a stable code, how bad it is, what it means, and what to do."""
+"""Every fault that checks can find in a dataset: a stable code, its severity, what is wrong, and what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the checks know beforehand: where the episodes are, and what the dataset's own config says."""
+"""What checks know of a dataset before they look at an episode: the episodes' places, and the dataset's config."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...config.limits import JointLimits, load_limits
-from ...config.loader import validate_file
+from ...config.loader import load_config, validate_file
 from ...config.recording import RecordConfig
 from ...config.task import Sampling
 from ...errors import ConfigError, DatasetError
 from ...geometry.se3 import Array, pose
 from ...resources import Locations
+from ...robots.robot import widest_joints
 from ..layout import CONFIG, EPISODE, episode_directories, episode_name
+from .motion import ArmLimits
 from .problem import Problems
 
-# The only arm there is; a plain recording does not say.
-_MODEL = "i2rt_yam"
-# What a plain recording's outcome is read from, and judged by. Source: the lab's pick-and-place.
+# The recording whose arm a plain one is taken to have, since it does not say.
+_USUAL = "default"
+# Objects by which a plain recording's outcome is judged, and the limits for success. Source: the lab's pick-and-place.
 _OBJECT, _TARGET = "banana", "plate"
 _THRESHOLD = 0.05
 _MAX_HEIGHT = 0.10
@@ -26,7 +27,7 @@ _MAX_HEIGHT = 0.10
 
 @dataclass(frozen=True)
 class EpisodeDirectory:
-    """Where an episode lies; its number is None where yamsim did not name it."""
+    """An episode's directory, and its number, which is None where yamsim did not name it."""
 
     path: Path
     number: int | None
@@ -37,18 +38,16 @@ class Context:
     """What holds for all episodes of a dataset.
 
     Attributes:
-        recorded: whether yamsim recorded it; otherwise it has rgb/ and lowdim/ alone.
-        joints: what an arm's joints can do.
-        fingers: stops (m) of one finger; None where the gripper is not known, or arms have several.
-        T_base_in_world: pose (4, 4) of the base that poses are in: the arm's, or the left one's.
-        object, target: what is carried, and whereto.
-        sampling: where objects were drawn from, in `world`; None where it is not known.
-        threshold, max_height: what the task itself counts as success, m.
+        recorded: whether yamsim recorded it; a plain recording has only rgb/ and lowdim/.
+        arms: what each arm can do, in the order of the data; of a plain recording the usual arm, however many it has.
+        T_base_in_world: pose (4, 4) of the base that poses are in: the only arm's, or the left one's.
+        object, target: names of the object that is carried, and of its target.
+        sampling: the box from which objects' places were sampled, in `world`; None where it is not known.
+        threshold, max_height: the task's own limits for success, m.
     """
 
     recorded: bool
-    joints: tuple[JointLimits, ...]
-    fingers: tuple[float, float] | None
+    arms: tuple[ArmLimits, ...]
     T_base_in_world: Array
     object: str = _OBJECT
     target: str = _TARGET
@@ -85,7 +84,7 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
 
 
 def _numbered(dataset: Path) -> list[EpisodeDirectory]:
-    """Other spellings of a number, such as ep_0000001, are left out: two directories would have the same."""
+    """Numbered episodes. Other spellings, such as ep_0000001, are left out: two directories could share a number."""
     return [
         EpisodeDirectory(path, number)
         for number, path in episode_directories(dataset)
@@ -94,7 +93,7 @@ def _numbered(dataset: Path) -> list[EpisodeDirectory]:
 
 
 def looks_like_episode(path: Path) -> bool:
-    """Whether a directory seems to be an episode, whole or not, whatever its name."""
+    """Whether a directory seems to be an episode, by its name or by its content."""
     return path.is_dir() and not path.name.startswith(".") and (path.name.startswith("ep") or _is_episode(path))
 
 
@@ -103,12 +102,12 @@ def _is_episode(path: Path) -> bool:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sorts ep2 before ep10."""
+    """A key for sorting that puts ep2 before ep10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]{1,18})", path.name)]
 
 
 def read_context(dataset: Path, recorded: bool, locations: Locations, problems: Problems) -> Context:
-    """What the dataset's config says; where there is none, what holds for the arm."""
+    """The context from the dataset's config; without one, only what holds for every arm."""
     parsed: RecordConfig | None = None
     if recorded and not (dataset / CONFIG).is_file():
         problems.add("config.missing")
@@ -118,15 +117,16 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         except ConfigError as error:
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
     if parsed is None:
-        return Context(recorded, load_limits(_MODEL, locations).joints_with(None), None, pose())
+        usual = load_config(RecordConfig, "record", _USUAL, locations).rig.arms[0]
+        return Context(recorded, (ArmLimits(widest_joints(usual.model), len(usual.robot.drives), None),), pose())
     rig, task = parsed.rig, parsed.task
-    limits = load_limits(rig.arms[0].model, locations)
-    grippers = {arm.gripper for arm in rig.arms}
-    gripper = grippers.pop() if len(grippers) == 1 else None
+    robots = [rig.arms[k].robot for k in rig.recorded]
     return Context(
         recorded,
-        limits.joints_with(gripper),
-        limits.fingers.get(gripper) if gripper else None,
+        tuple(
+            ArmLimits(robot.joints, len(robot.drives), robot.fingers.range if robot.fingers else None)
+            for robot in robots
+        ),
         rig.T_base_in_world(rig.recorded[0]),
         task.object.name,
         task.target.name,

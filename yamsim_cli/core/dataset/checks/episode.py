@@ -1,4 +1,4 @@
-"""One episode, every file of it opened: what is wrong with it, and what statistics need of it."""
+"""Checks one episode: opens every file, notes the faults, and collects what statistics need."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from .facts import POSE, EpisodeFacts, Values, hand_keys, layout, numbered, plac
 from .files import check_presence, list_files, read_file
 from .images import CameraChecks, ImageReader, check_frozen
 from .lowdim import LowdimChecks, expected_forms
-from .motion import arm_joints, check_fingers, check_limits, check_speeds, check_times
+from .motion import check_fingers, check_limits, check_speeds, check_times, each_arm
 from .poses import check_intrinsics, check_pose, check_view
 from .problem import Problems
 from .timestamps import TIMESTAMPS, read_timestamps
 from .truth import TruthChecks
 
-# A recorded outcome is of the moment after the last frame, in which a resting object moves by less than 0.1 mm.
+# How much a recorded outcome may differ from what the last frame shows, m. The outcome is taken shortly after the last
+# frame, and a resting object moves by less than 0.1 mm until then.
 _OUTCOME_TOLERANCE = 0.005
 
 _SHOWN_HASH = 12
 
 
 def check_episode(episode: EpisodeDirectory, context: Context, reader: ImageReader) -> EpisodeFacts:
-    """Open every file of an episode; whatever is wrong is noted, and the rest is still checked."""
+    """What was found in an episode. Every file is opened, and a fault in one does not end the checks of the others."""
     return _EpisodeCheck(episode, context, reader).run()
 
 
@@ -102,7 +103,7 @@ class _EpisodeCheck:
             self._problems.add("episode.failed", EPISODE, self._record.outcome.cause)
 
     def _hash_fits(self, name: str, data: bytes) -> bool:
-        """Whether a file is as it was recorded; true where nothing was recorded about it."""
+        """Whether a file is as it was recorded; True if the record does not list it."""
         wanted = self._record.files.get(name) if self._record else None
         if wanted is None:
             if self._record:
@@ -116,7 +117,7 @@ class _EpisodeCheck:
 
     def _check_lowdim(self) -> LowdimChecks:
         known = self._record
-        forms = expected_forms(known.objects, known.cameras, known.arms) if known else None
+        forms = expected_forms(known.objects, known.cameras, known.arms, known.drives) if known else None
         checks = LowdimChecks(forms, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):
@@ -156,7 +157,7 @@ class _EpisodeCheck:
                 checks.check_segmentation(camera, name)
 
     def _check_others(self) -> None:
-        """What the record lists besides frames is known by its hash alone."""
+        """Check other files that the record lists, by their hashes alone."""
         for name in self._files.others:
             if self._record and name in self._record.files and (data := self._read(name)) is not None:
                 self._hash_fits(name, data)
@@ -185,17 +186,13 @@ class _EpisodeCheck:
 
     def _check_joints(self, values: Values, cameras: Mapping[str, CameraChecks], period: float | None) -> None:
         joints = numbered(values, "joints")
-        limits, fingers = self._context.joints, self._context.fingers
-        arms = arm_joints(joints, limits)
+        arms = each_arm(joints, self._context.arms, repeated=not self._context.recorded)
         for arm in arms:
-            check_limits(arm, limits, self._frame_name, self._problems)
-            check_speeds(arm, period, limits, self._frame_name, self._problems)
-        if fingers and self._record:
-            per_arm = len(limits) + 1
-            for last in range(len(limits), len(arms) * per_arm, per_arm):
-                openings = {k: float(q[last]) for k, q in joints.items()}
-                check_fingers(openings, fingers, self._frame_name, self._problems)
-        angles: dict[int, Array] = {k: np.concatenate([arm[k] for arm in arms]) for k in joints} if arms else {}
+            check_limits(arm.joints, arm.limits.joints, self._frame_name, self._problems)
+            check_speeds(arm.joints, period, arm.limits.joints, self._frame_name, self._problems)
+            if self._record and arm.limits.fingers and arm.openings:
+                check_fingers(arm.openings, arm.limits.fingers, self._frame_name, self._problems)
+        angles: dict[int, Array] = {k: np.concatenate([arm.joints[k] for arm in arms]) for k in joints} if arms else {}
         for camera, checks in cameras.items():
             check_frozen(checks.fingerprints, self._files.images[camera], angles, self._problems)
 
@@ -224,10 +221,10 @@ class _EpisodeCheck:
 
 
 def _sane(record: EpisodeRecord) -> EpisodeRecord:
-    """A record whose numbers can be reckoned with.
+    """The record itself, if its numbers are plausible.
 
     Raises:
-        DatasetError: they cannot.
+        DatasetError: they are not.
     """
     if record.frames < 1 or record.frame_period_s <= 0:
         raise DatasetError(f"frames: {record.frames}, frame_period_s: {record.frame_period_s}: both must be above 0")

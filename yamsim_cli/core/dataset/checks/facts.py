@@ -1,4 +1,4 @@
-"""What statistics need of an episode, and reading it from its frames where it was not recorded."""
+"""What statistics need of an episode. What was not recorded as such is read from its frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..records import EpisodeRecord, OutcomeRecord
 from .context import Context
 from .problem import Problem
 
-# Frame -> flat key -> value: what `lowdim.LowdimChecks` found right.
+# Frame -> flat key -> value, for the values that passed `lowdim.LowdimChecks`.
 Values = Mapping[int, Mapping[str, Any]]
 
 POSE = "_pose"
@@ -26,20 +26,20 @@ class EpisodeFacts:
     """What was found in an episode.
 
     Attributes:
-        name: of its directory.
-        number: as its directory says; None where yamsim did not name it.
+        name: its directory's name.
+        number: the number in that name; None where yamsim did not name it.
         record: its episode.json; None if that is missing or cannot be read.
-        record_sha256: of its episode.json.
-        frames: how many it should have.
-        bytes: of all its files.
-        seconds: from the first frame to the last; None if that cannot be told.
+        record_sha256: the hash of its episode.json.
+        frames: how many frames it should have.
+        bytes: size of all its files.
+        seconds: time from the first frame to the last; None if that is not known.
         cameras: camera -> width and height of its images.
         images: camera -> paths of the images that decode, inside the episode, in order.
         starts, ends: object -> x and y in `world` in the first and in the last frame, m.
         layout: object -> x, y, z, yaw at the start, as recorded, or else in the robot's base; m and rad.
         outcome: as recorded, or else read from the last frame; None if there is neither.
         content: hash of its lowdim values; "" if one could not be read.
-        problems: what is wrong.
+        problems: its faults.
     """
 
     name: str
@@ -60,7 +60,7 @@ class EpisodeFacts:
 
 
 def numbered(values: Values, key: str) -> dict[int, Array]:
-    """Frame -> what it has under `key`."""
+    """Frame -> its value under `key`, for frames that have one."""
     return {k: entries[key] for k, entries in sorted(values.items()) if key in entries}
 
 
@@ -72,7 +72,7 @@ def pose_keys(values: Values) -> list[str]:
 
 
 def hand_keys(values: Values) -> list[str]:
-    """The key of both hands' poses, where frames have it for two arms."""
+    """The key of both hands' poses, if the frames are of two arms; else empty."""
     there = any(_HAND in entries for entries in values.values())
     return [_HAND] if there and _are(values, _HAND, (2, 4, 4)) else []
 
@@ -106,7 +106,7 @@ def layout(values: Values, record: EpisodeRecord | None) -> dict[str, tuple[floa
 
 
 def seen_outcome(values: Values, context: Context) -> OutcomeRecord | None:
-    """How far the object lies from the target in the last frame; None where their poses are not stored."""
+    """The outcome as the last frame shows it; None where the poses of object and target are not stored."""
     if not values:
         return None
     poses = object_poses(values, max(values))

@@ -1,4 +1,4 @@
-"""Which files an episode has, whether they are all there, and reading them without trusting their size or kind."""
+"""Lists an episode's files, checks that none is missing, and reads them without trusting their size or kind."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ..layout import EPISODE, depth_name, image_name, lowdim_name, segmentation_
 from ..records import EpisodeRecord
 from .problem import Problems
 
-# A link can lead back up; nothing in the format lies deeper.
+# Folders are searched to this depth. Nothing in the format lies deeper, and a link could lead back up.
 _DEEPEST = 4
 
-# Larger than any of these files has reason to be.
+# Bytes of the largest file of each kind that is read.
 _LARGEST = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
 _LARGEST_OTHER = 2**28
 
@@ -28,12 +28,14 @@ _TRUTH_NAMES = {"depth": depth_name, "segmentation": segmentation_name}
 
 @dataclass
 class Files:
-    """An episode's files by what they are: frame number -> path inside the episode.
+    """An episode's files by their kind.
 
     Attributes:
         sizes: path -> bytes, of every regular file.
-        truth: "depth" and "segmentation" -> camera -> their images; only where yamsim recorded them.
-        others: paths that are none of these, nor episode.json.
+        lowdim: frame -> path inside the episode.
+        images: camera -> frame -> path.
+        truth: "depth" or "segmentation" -> camera -> frame -> path; only where yamsim recorded them.
+        others: paths of all other files except episode.json.
     """
 
     sizes: dict[str, int] = field(default_factory=dict)
@@ -44,10 +46,10 @@ class Files:
 
 
 def list_files(directory: Path, recorded: bool, problems: Problems) -> Files:
-    """Everything below an episode's directory; what is no regular file is a fault.
+    """All files below an episode's directory. Anything but regular files and folders is noted as a fault.
 
     Args:
-        recorded: whether yamsim wrote it, so that frame numbers have six digits at least.
+        recorded: whether yamsim wrote it, so that frame numbers have at least six digits.
     """
     files = Files()
     for name in _walk(directory, directory, 0, files, problems):
@@ -85,7 +87,7 @@ def _walk(top: Path, folder: Path, depth: int, files: Files, problems: Problems)
                 continue
             status = entry.stat()
         except OSError as error:
-            # Listed as present, so that it does not count as missing as well.
+            # It is listed as present, so that it does not count as missing as well.
             found.append(name)
             problems.add("file.unreadable", name, error.strerror)
             continue
@@ -98,7 +100,7 @@ def _walk(top: Path, folder: Path, depth: int, files: Files, problems: Problems)
 
 
 def read_file(directory: Path, name: str, files: Files, problems: Problems) -> bytes | None:
-    """A file's content, or None with its fault noted; what is too large is not read."""
+    """A file's content, or None with its fault noted. A file that is too large is not read."""
     if name not in files.sizes:
         return None
     limit = _LARGEST.get(Path(name).suffix, _LARGEST_OTHER)
@@ -113,9 +115,9 @@ def read_file(directory: Path, name: str, files: Files, problems: Problems) -> b
 
 
 def check_presence(files: Files, record: EpisodeRecord | None, problems: Problems) -> int:
-    """Note frames that are missing and files that do not belong; return how many frames the episode should have.
+    """How many frames the episode should have; missing frames, and files that do not belong, are noted.
 
-    Gaps are frames missing between others; a stream that ends early or late differs in its count.
+    Frames that are missing between others are a gap. A stream that ends early or late has another count.
     """
     if record:
         _set_aside_truth(files, record)
@@ -142,7 +144,7 @@ def check_presence(files: Files, record: EpisodeRecord | None, problems: Problem
         if count != expected:
             source = EPISODE if record else "lowdim" if counts["lowdim"] else "another camera"
             problems.add("frames.count", name, f"{count} in {name}", f"{expected}, as in {source}")
-        # Plain recordings may well begin at 1.
+        # Plain recordings may begin at 1.
         present = sorted(streams[name])
         before = -1 if record or (present and present[0] != 1) else 0
         for low, high in itertools.pairwise([before, *present]):
@@ -153,12 +155,12 @@ def check_presence(files: Files, record: EpisodeRecord | None, problems: Problem
 
 
 def _is_numbered(name: str, record: EpisodeRecord) -> bool:
-    """Whether a file is one of a stream of frames, whose gaps are told as such."""
+    """Whether a file belongs to a stream of frames, whose gaps are noted as such."""
     return bool(_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name) or (record.truth and _TRUTH.fullmatch(name)))
 
 
 def _set_aside_truth(files: Files, record: EpisodeRecord) -> None:
-    """Count depth and segmentation among the other files where the record knows of no such camera, or of no truth."""
+    """Move depth and segmentation to the other files, where the record has no such camera or no truth."""
     for cameras in files.truth.values():
         for camera in [name for name in cameras if not record.truth or name not in record.cameras]:
             files.others += cameras.pop(camera).values()

@@ -1,4 +1,4 @@
-"""Images: whether they decode, have the size they should, and show something that moves when the arm does."""
+"""Checks that images decode, have the right size, and show something that moves when the arm does."""
 
 from __future__ import annotations
 
@@ -12,32 +12,33 @@ from ...geometry.se3 import Array
 from ...images.image import ImageHeader, ImageLook
 from .problem import Problems
 
-# Nothing larger is decoded: a header can promise gigabytes. No camera here comes near.
+# Images with more pixels are not decoded: a header can announce gigabytes. No camera here comes near.
 _MOST_PIXELS = 2**26
 
-# Of 255, on a picture made smaller first, so that neither noise nor a few bad pixels count as something to see.
+# An image with less contrast is uniform, and with less brightness black, of 255. They are measured on a smaller copy of
+# the picture, so that neither noise nor a few bad pixels count.
 _UNIFORM_CONTRAST = 2.0
 _BLACK_BRIGHTNESS = 16.0
 
-# A frozen camera: this many images alike in a row, while a joint moved by this much in rad. 0.02 rad at the hand, half
-# a metre out, are 10 mm, and 5 pixels in the task's camera; a slower arm's images may well be equal.
+# A camera counts as frozen if so many images in a row are equal while a joint moves by so much, rad. 0.02 rad move the
+# hand, half a metre away, by 10 mm, which are 5 pixels in the task's camera. Images of a slower arm may be equal.
 _FROZEN_RUN = 3
 _FROZEN_MOTION = 0.02
 
 
 class ImageReader(Protocol):
-    """Decodes images. Passed in: this floor knows no OpenCV."""
+    """Decodes images. It is passed in, since this package does not know OpenCV."""
 
     def header(self, data: bytes) -> ImageHeader | None:
         """Size and channels; None when it is no image, or ends before its end."""
         ...
 
     def look(self, data: bytes) -> ImageLook | None:
-        """Decode it; None when that fails."""
+        """What the decoded image looks like; None when it cannot be decoded."""
         ...
 
     def labels(self, data: bytes) -> NDArray[np.uint8] | None:
-        """Decode a segmentation image (height, width); None when it is none, or not whole."""
+        """A decoded segmentation image (height, width); None when it is none, or not whole."""
         ...
 
 
@@ -45,7 +46,7 @@ class CameraChecks:
     """Checks one camera's images, one after the other.
 
     Args:
-        size: width and height they should have; None for those of the first.
+        size: width and height that images should have; None for those of the first image.
     """
 
     def __init__(self, camera: str, size: tuple[int, int] | None, reader: ImageReader, problems: Problems) -> None:
@@ -57,7 +58,7 @@ class CameraChecks:
         self.fingerprints: dict[int, int] = {}
 
     def check(self, number: int, name: str, data: bytes) -> bool:
-        """Check an image; whether it could be decoded."""
+        """Whether an image could be decoded; its faults are noted."""
         header = self._reader.header(data)
         if header is None:
             self._problems.add("image.decode", name, f"{len(data)} bytes")
@@ -92,7 +93,7 @@ def check_frozen(
     """Note runs of equal images during which the arm moves.
 
     Args:
-        fingerprints: frame -> its image's.
+        fingerprints: frame -> its image's fingerprint.
         joints: frame -> joint angles, rad.
     """
     for run in _equal_runs(fingerprints):

@@ -1,4 +1,4 @@
-"""The ledger of attempts and the manifest: that they can be read, and say the same as the episodes."""
+"""Checks that the ledger of attempts and the manifest can be read, and agree with the episodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LARGEST_MANIFEST = 2**30
 
 
 def read_ledger(dataset: Path, problems: Problems) -> list[AttemptRecord]:
-    """Every attempt that can be read, in order; lines that cannot, and attempts left out, are noted."""
+    """Every attempt that can be read, in order. Damaged lines and missing attempts are noted."""
     file = dataset / ATTEMPTS
     attempts: list[AttemptRecord] = []
     if not file.is_file():
@@ -45,7 +45,7 @@ def read_ledger(dataset: Path, problems: Problems) -> list[AttemptRecord]:
 def compare_ledger(
     dataset: Path, attempts: Sequence[AttemptRecord], episodes: Sequence[EpisodeFacts], problems: Problems
 ) -> list[Problem]:
-    """Faults of episodes that the ledger tells otherwise; what concerns the ledger alone is added to `problems`."""
+    """Faults of episodes that differ from the ledger. Faults of the ledger itself are added to `problems`."""
     recorded = [episode for episode in episodes if episode.record]
     if not (dataset / ATTEMPTS).is_file():
         if recorded:
@@ -53,7 +53,7 @@ def compare_ledger(
         return []
     logged = {attempt.episode: attempt for attempt in attempts}
     unlogged = [episode.name for episode in recorded if episode.number not in logged]
-    # A line that cannot be read, or is left out, has been noted as such.
+    # Episodes whose line is damaged or missing have been noted as such.
     if unlogged and not problems.have("ledger."):
         problems.add("ledger.unlogged", ATTEMPTS, ", ".join(unlogged))
     found = []
@@ -66,7 +66,7 @@ def compare_ledger(
 
 
 def _differing(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str] | None:
-    """The first value that differs: in the episode, and in the ledger."""
+    """The first value that differs: in the episode, and in the ledger; None if all agree."""
     record = episode.record
     assert record is not None
     for key in ("attempt", "seed", "outcome", "layout"):
@@ -77,7 +77,7 @@ def _differing(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str]
 
 
 def _shown(value: object, other: object) -> str:
-    """A record's part that differs from the other's, or the value itself."""
+    """Text of a value; of a record only the entries that differ from the other's."""
     if hasattr(value, "model_dump") and hasattr(other, "model_dump"):
         mine, theirs = value.model_dump(), other.model_dump()
         return ", ".join(f"{key} {mine[key]}" for key in mine if mine[key] != theirs.get(key))
@@ -87,7 +87,7 @@ def _shown(value: object, other: object) -> str:
 def check_manifest(
     dataset: Path, episodes: Mapping[int, EpisodeFacts], problems: Problems
 ) -> tuple[set[int], list[Problem]]:
-    """Episodes that the manifest lists, and faults of those that it tells otherwise."""
+    """Numbers of the episodes that the manifest lists, and faults of those that differ from it."""
     file = dataset / MANIFEST
     if not file.is_file():
         problems.add("manifest.missing", MANIFEST)

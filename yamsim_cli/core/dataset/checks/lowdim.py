@@ -1,4 +1,4 @@
-"""Lowdim frames: that each can be read, and has the keys, shapes and types it should."""
+"""Checks that each lowdim frame can be read, and has the right keys, shapes and types."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ..lowdim import SIMULATION, flat, load_frame, shapes, simulation_faults
 from ..unpickle import ForbiddenPickleError
 from .problem import Problems
 
-# Keys of the format that a frame need not have.
+# Keys of the format that a frame need not have -> an example of the value.
 _OPTIONAL = {"K_wrist": np.zeros((3, 3), np.float32)}
 
 
 @dataclass(frozen=True)
-class Form:
+class ValueForm:
     """What a value must be: an array's dtype and shape, or a plain type and ()."""
 
     kind: str
     shape: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, value: Any) -> Form:
+    def of(cls, value: Any) -> ValueForm:
         """The form of a value."""
         if isinstance(value, np.ndarray):
             return cls(str(value.dtype), value.shape)
@@ -35,22 +35,27 @@ class Form:
         return f"{self.kind} {self.shape}" if self.shape else self.kind
 
 
-def expected_forms(objects: Iterable[str], cameras: Iterable[str], arms: int = 1) -> dict[str, Form]:
-    """Flat key -> form, for a frame that yamsim recorded of some arms and objects by some cameras."""
+def expected_forms(objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int) -> dict[str, ValueForm]:
+    """Flat key -> form, for a frame that yamsim records with these objects, cameras, and arms of so many drives."""
     float32 = str(np.dtype(np.float32))
-    forms = {key: Form(float32, shape) for key, shape in shapes(arms).items()}
-    forms |= {f"{name}_pose": Form(float32, (4, 4)) for name in objects}
+    forms = {key: ValueForm(float32, shape) for key, shape in shapes(arms, drives).items()}
+    forms |= {f"{name}_pose": ValueForm(float32, (4, 4)) for name in objects}
     for camera in cameras:
-        forms |= {f"intrinsics[{camera}]": Form(float32, (3, 3)), f"extrinsics[{camera}]": Form(float32, (4, 4))}
+        forms |= {
+            f"intrinsics[{camera}]": ValueForm(float32, (3, 3)),
+            f"extrinsics[{camera}]": ValueForm(float32, (4, 4)),
+        }
     plain = {"timestamp": float, "magnet": bool, "language_task": str, "language_prompt": str}
-    forms |= {key: Form(kind.__name__) for key, kind in plain.items()}
-    return forms if arms == 1 else forms | {"magnet": Form(str(np.dtype(np.bool_)), (arms,))}
+    forms.update((key, ValueForm(kind.__name__)) for key, kind in plain.items())
+    return forms if arms == 1 else forms | {"magnet": ValueForm(str(np.dtype(np.bool_)), (arms,))}
 
 
-def frame_faults(frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str], arms: int = 1) -> list[str]:
-    """What is wrong with a decoded frame that yamsim recorded, see `expected_forms`, one text each."""
+def frame_faults(
+    frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int
+) -> list[str]:
+    """The faults of a decoded frame that yamsim recorded, one text each; see `expected_forms`."""
     problems = Problems()
-    LowdimChecks(expected_forms(objects, cameras, arms), problems).take(0, "", frame)
+    LowdimChecks(expected_forms(objects, cameras, arms, drives), problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 
 
@@ -58,14 +63,14 @@ class LowdimChecks:
     """Checks an episode's lowdim frames, one after the other.
 
     Args:
-        forms: what a frame must hold; None for what the first one holds.
+        forms: flat key -> the form that a frame must have; None for those of the first frame.
 
     Attributes:
-        frames: number -> a frame that could be read, as it is.
-        values: number -> flat key -> value, of those values alone that have the right form and are finite.
+        frames: number -> frame, of those that could be read.
+        values: number -> flat key -> value, of the values that have the right form and are finite.
     """
 
-    def __init__(self, forms: Mapping[str, Form] | None, problems: Problems) -> None:
+    def __init__(self, forms: Mapping[str, ValueForm] | None, problems: Problems) -> None:
         self._forms = forms
         self._source = "" if forms is not None else ", as in the first frame"
         self._problems = problems
@@ -73,7 +78,7 @@ class LowdimChecks:
         self.values: dict[int, dict[str, Any]] = {}
 
     def check(self, number: int, name: str, data: bytes) -> bool:
-        """Check a frame; whether it could be read."""
+        """Whether a frame could be read; its faults are noted."""
         try:
             frame = load_frame(data)
         except ForbiddenPickleError as error:
@@ -87,13 +92,13 @@ class LowdimChecks:
 
     def take(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
         """Check a frame that could be read."""
-        # What physics needs has another shape in the last frame, and is there as a whole or not at all.
+        # The keys for physics are checked apart: their shapes differ in the last frame, and a frame may have none.
         for fault in simulation_faults(frame):
             self._problems.add("lowdim.simulation", name, fault, about=fault.split()[0])
         entries = {key: value for key, value in flat(frame).items() if key not in SIMULATION}
         forms = self._forms
         if forms is None:
-            forms = self._forms = {key: Form.of(value) for key, value in entries.items()}
+            forms = self._forms = {key: ValueForm.of(value) for key, value in entries.items()}
         self.frames[number] = dict(frame)
         self.values[number] = {
             key: value for key, value in entries.items() if self._is_right(name, key, value, forms.get(key))
@@ -101,17 +106,17 @@ class LowdimChecks:
         for key in forms.keys() - entries.keys():
             self._problems.add("lowdim.missing", name, key, ", ".join(forms), about=key)
 
-    def _is_right(self, name: str, key: str, value: Any, wanted: Form | None) -> bool:
+    def _is_right(self, name: str, key: str, value: Any, wanted: ValueForm | None) -> bool:
         def add(code: str, found: object, valid: object) -> bool:
             self._problems.add(code, name, f"{key} is {found}", f"{valid}{self._source}" if valid else "", about=key)
             return False
 
-        form = Form.of(value)
+        form = ValueForm.of(value)
         if wanted is None:
             if key not in _OPTIONAL:
                 self._problems.add("lowdim.unexpected", name, key, about=key)
                 return False
-            wanted = Form.of(_OPTIONAL[key])
+            wanted = ValueForm.of(_OPTIONAL[key])
         if form.kind != wanted.kind:
             return add("lowdim.type", form, wanted)
         if form.shape != wanted.shape:

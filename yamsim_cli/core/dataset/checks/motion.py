@@ -1,20 +1,22 @@
-"""Time and joints: that time goes on evenly, and that the arm moves as an arm can."""
+"""Checks that time goes on evenly, and that the arm moves as an arm can."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...config.limits import JointLimits
 from ...geometry.se3 import Array
+from ...robots.models import JointLimits
 from .problem import Problems
 
-# How far a frame may be from its place, of a period: simulations keep it exactly, real cameras jitter by milliseconds.
+# How far the time between frames may be off, as a share of the period. Simulations keep it exactly, and real cameras
+# jitter by milliseconds.
 _JITTER_RECORDED = 0.01
 _JITTER_PLAIN = 0.5
 
-# What a stop may be overrun by: contact in the simulation is soft, and encoders have an offset.
+# How far a joint may be beyond its stop: contacts in the simulation are soft, and encoders have an offset.
 _LIMIT_SLACK_RAD = 0.05
 _LIMIT_SLACK_M = 0.002
 
@@ -22,15 +24,14 @@ Named = Callable[[int], str]
 
 
 def check_times(times: Mapping[int, float], period: float | None, name: Named, problems: Problems) -> float | None:
-    """Note times that do not increase, and frames that are not where they should be.
+    """The time between frames, s: the recorded one or the median, or None if neither is known.
+
+    Times that do not increase, and uneven ones, are noted.
 
     Args:
-        times: frame -> s.
-        period: between frames, s, as recorded; None where it is not known.
-        name: a frame's file.
-
-    Returns:
-        The period, s: the recorded one or the median; None when it cannot be told.
+        times: frame -> time, s.
+        period: recorded time between frames, s; None where it is not known.
+        name: the name of a frame's file.
     """
     steps = {k: (times[k] - times[k - 1]) for k in sorted(times) if k - 1 in times}
     if late := [k for k, step in steps.items() if step <= 0]:
@@ -51,15 +52,53 @@ def check_times(times: Mapping[int, float], period: float | None, name: Named, p
     return period
 
 
-def arm_joints(joints: Mapping[int, Array], limits: Sequence[JointLimits]) -> list[dict[int, Array]]:
-    """Frame -> the joints (n,) of one arm, for each arm in a frame's `joints`; none if they are of no known order.
+@dataclass(frozen=True)
+class ArmLimits:
+    """What an arm can do.
 
-    An arm has its joints and then its gripper; two arms come one after the other, the left one first.
+    Attributes:
+        joints: from the base to the flange.
+        drives: how many numbers it has in a row of the data: its joints, and its fingers' opening if it has fingers.
+        fingers: stops of one finger, m; None where they are not known.
     """
-    n = len(limits)
+
+    joints: tuple[JointLimits, ...]
+    drives: int
+    fingers: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class ArmData:
+    """One arm's part of an episode's `joints`: frame -> angles (n,) in rad, and frame -> opening of one finger in m."""
+
+    limits: ArmLimits
+    joints: Mapping[int, Array]
+    openings: Mapping[int, float]
+
+
+def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated: bool) -> list[ArmData]:
+    """Every arm's part of the frames' `joints`; none if they are of no known order.
+
+    Args:
+        joints: frame -> all arms' joints and openings, one arm's after the other's.
+        repeated: how many arms there are is not known: as many of the first as there are numbers for; or it alone,
+            without its opening.
+    """
     length = next((len(values) for values in joints.values() if values.ndim == 1), 0)
-    starts = [0] if length == n else [*range(0, length, n + 1)] if length and length % (n + 1) == 0 else []
-    return [{k: values[start : start + n] for k, values in joints.items()} for start in starts]
+    first = arms[0]
+    if repeated and length == len(first.joints):
+        arms = [replace(first, drives=length)]
+    elif repeated:
+        arms = [first] * (length // first.drives)
+    if not arms or length != sum(arm.drives for arm in arms):
+        return []
+    found, start = [], 0
+    for arm in arms:
+        n = len(arm.joints)
+        openings = {k: float(values[start + n]) for k, values in joints.items()} if arm.drives > n else {}
+        found.append(ArmData(arm, {k: values[start : start + n] for k, values in joints.items()}, openings))
+        start += arm.drives
+    return found
 
 
 def check_limits(joints: Mapping[int, Array], limits: Sequence[JointLimits], name: Named, problems: Problems) -> None:
@@ -84,11 +123,11 @@ def check_fingers(openings: Mapping[int, float], stops: tuple[float, float], nam
 def check_speeds(
     joints: Mapping[int, Array], period: float | None, limits: Sequence[JointLimits], name: Named, problems: Problems
 ) -> None:
-    """Note joints that move faster than their drive could report, or than their motor turns.
+    """Note joints that move faster than their drive can report, or than their motor can turn.
 
     Args:
         joints: frame -> angles (n,), rad.
-        period: between consecutive frames, s; without it nothing can be said.
+        period: time between consecutive frames, s; without it nothing is checked.
     """
     if not period or len(joints) < 2:
         return

@@ -1,4 +1,4 @@
-"""Poses and cameras: that poses are rigid, in metres and in the room, and that cameras are cameras."""
+"""Checks that poses are rigid, in metres and in the room, and that cameras' matrices are plausible."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ...geometry.se3 import Array, inverse
 from .motion import Named
 from .problem import Problems
 
-# Of every entry of R R^T - 1 and of det R - 1: float32 leaves 1e-6, rounding to three digits 1e-3.
+# Largest entry of R R^T - 1, and largest det R - 1, of a rotation. float32 leaves 1e-6, rounding to three digits 1e-3.
 _RIGID = 2e-3
 
-# Larger than any room this arm stands in; millimetres taken for metres are far beyond.
+# Largest coordinate of a pose, m: larger than any room. Millimetres taken for metres are far beyond.
 _ROOM_M = 20.0
 
-# How far a principal point may be from the image's centre, of its width or height. Lenses are off by a few per cent; a
-# matrix of another image size is off by more than this.
+# How far a principal point may be from the image's centre, as a share of the width or height. Lenses are off by a few
+# per cent, and a matrix of another image size by more than this.
 _OFF_CENTRE = 0.1
 
-# Focal lengths, of the image's width: from a field of view of 150 degrees to one of 6.
+# Smallest and largest focal length as a share of the image's width: fields of view from 150 degrees to 6.
 _FOCAL = (0.13, 10.0)
 
 
@@ -50,7 +50,7 @@ def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: Prob
 def check_intrinsics(
     key: str, matrices: Mapping[int, Array], size: tuple[int, int] | None, name: Named, problems: Problems
 ) -> None:
-    """Note matrices (3, 3) under `key`, by frame, that are no camera's, or not the one of images of this size."""
+    """Note matrices (3, 3) under `key`, by frame, that are no camera matrices, or do not fit images of this size."""
     for k, K in sorted(matrices.items()):
         (fx, skew, cx), (zero, fy, cy), last = np.asarray(K, dtype=np.float64)
         if skew or zero or not np.array_equal(last, (0, 0, 1)) or min(fx, fy) <= 0:
@@ -82,9 +82,9 @@ def check_view(
     size: tuple[int, int] | None,
     problems: Problems,
 ) -> None:
-    """Note a camera in whose images, all of the episode long, none of the poses `points` would lie.
+    """Note a camera that sees none of the poses `points` in any image of the episode.
 
-    It finds extrinsics that are the wrong way round, or in another frame. All of them must be right in their form.
+    This finds extrinsics that are inverted, or in another frame. All poses must have passed the other checks.
     """
     if size is None or not points:
         return

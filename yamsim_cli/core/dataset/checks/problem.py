@@ -1,4 +1,4 @@
-"""One thing that is wrong with a dataset, and how equal ones are gathered."""
+"""A fault in a dataset, and the collection of an episode's faults."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ _LONGEST = 200
 
 @dataclass(frozen=True)
 class Problem:
-    """A fault found.
+    """A fault that was found.
 
     Attributes:
         code: one of `codes.CODES`.
         episode: the episode's directory name; "" for the dataset.
         file: the first file concerned, relative to the episode or the dataset; "" for all of it.
         value: what was found.
-        valid: what would have been valid; "" where there is nothing to say.
-        count: how many files or frames of this episode have it.
+        valid: what would be valid; "" where that needs no words.
+        count: how many files or frames of this episode have the fault.
     """
 
     code: str
@@ -33,7 +33,7 @@ class Problem:
 
     @property
     def kind(self) -> Code:
-        """What is known about the code."""
+        """The code's severity, title and advice."""
         return CODES[self.code]
 
     @property
@@ -45,11 +45,11 @@ class Problem:
 
     @property
     def place(self) -> str:
-        """Where it is."""
+        """The episode and file with the fault."""
         return "/".join(part for part in (self.episode, self.file) if part) or "dataset"
 
     def plain(self) -> dict[str, Any]:
-        """As JSON-ready data."""
+        """The fault as data that is ready for JSON."""
         return {
             "code": self.code,
             "severity": str(self.kind.severity),
@@ -65,14 +65,14 @@ class Problem:
 
 
 class Problems:
-    """Gathers the faults of one episode or of the dataset; the same fault in many frames is one with a count."""
+    """Collects the faults of one episode or of the dataset. The same fault in many frames counts as one."""
 
     def __init__(self, episode: str = "") -> None:
         self._episode = episode
         self._found: dict[Hashable, Problem] = {}
 
     def add(self, code: str, file: str = "", value: object = "", valid: object = "", *, about: Hashable = None) -> None:
-        """Note a fault; with `about`, faults of one code about the same thing are counted as one.
+        """Note a fault. With `about`, faults of one code about the same thing count as one.
 
         Raises:
             KeyError: there is no such code.
@@ -87,11 +87,11 @@ class Problems:
             )
 
     def have(self, prefix: str) -> bool:
-        """Whether there is a fault whose code begins so."""
+        """Whether there is a fault whose code begins with `prefix`."""
         return any(problem.code.startswith(prefix) for problem in self._found.values())
 
     def list(self) -> list[Problem]:
-        """What was found, in the order of finding."""
+        """The faults, in the order in which they were found."""
         return list(self._found.values())
 
     def __len__(self) -> int:
@@ -99,7 +99,7 @@ class Problems:
 
 
 def printable(value: object) -> str:
-    """Text of a value for one line of a terminal: what the dataset holds may be made to look like something else."""
+    """Text of a value that is safe to show on one line of a terminal, where a dataset's content could deceive."""
     text = str(value)
     if len(text) > _LONGEST:
         text = text[: _LONGEST - 3] + "..."
@@ -107,5 +107,5 @@ def printable(value: object) -> str:
 
 
 def errors(problems: list[Problem]) -> int:
-    """How many of them are errors."""
+    """How many of the problems are errors."""
     return sum(problem.kind.severity is Severity.ERROR for problem in problems)

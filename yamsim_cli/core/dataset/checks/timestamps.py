@@ -1,4 +1,4 @@
-"""Capture times beside a camera's images, as converted real recordings have them: `rgb/<camera>/timestamps.npy`."""
+"""Reads capture times, which converted real recordings have beside their images: `rgb/<camera>/timestamps.npy`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _HEADER = re.compile(rb"\{'descr': '([<>])i8', 'fortran_order': (?:True|False), 
 
 
 def read_timestamps(data: bytes) -> list[float] | None:
-    """Times in s from int64 ns, the first one 0; None when it is no such file.
+    """Times in s since the first one, from int64 ns; None when it is no such file.
 
-    Not by numpy's own reader, which makes an array as large as the header says before it looks for its bytes.
+    numpy's own reader is not used: it makes an array as large as the header announces before it looks for the bytes.
     """
     start = len(_MAGIC) + 2
     end = start + int.from_bytes(data[len(_MAGIC) : start], "little")

@@ -1,4 +1,4 @@
-"""Ground truth: whether depth and segmentation decode and have their image's size, and whether the numbers fit them."""
+"""Checks that ground truth can be read, and that its images and arrays have the right sizes and labels."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from ..truth_files import TruthLabels, array_faults, load_depth, load_truth
 from .images import ImageReader
 from .problem import Problems
 
-# Notes nothing but what is wrong with the file's hash.
-Check = Callable[[str, bytes], object]
+# Takes a file's path and content, and notes a wrong hash.
+HashCheck = Callable[[str, bytes], object]
+# Takes a file's path and returns its content, or None.
 Read = Callable[[str], bytes | None]
 
 
 class TruthChecks:
-    """Checks one episode's truth.
+    """Checks one episode's ground truth.
 
     Args:
         cameras: camera -> width and height of its images.
-        frames: how many there are.
-        read: a file's content by its path; None where it is not there.
-        hash_fits: to be called for each file that is whole.
+        frames: how many frames the episode has.
+        reader: decodes images.
+        read: gives a file's content by its path; None where it is not there.
+        hash_fits: called for each file that is whole.
     """
 
     def __init__(
@@ -35,7 +37,7 @@ class TruthChecks:
         frames: int,
         reader: ImageReader,
         read: Read,
-        hash_fits: Check,
+        hash_fits: HashCheck,
         problems: Problems,
     ) -> None:
         self._cameras = cameras
@@ -57,13 +59,13 @@ class TruthChecks:
             return None
 
     def check_missing(self, recorded: Mapping[str, str], present: Mapping[str, int]) -> None:
-        """Note files of which there is no trace; those that were recorded and are gone are told elsewhere."""
+        """Note files that are neither there nor in the record. Recorded ones that are gone are noted elsewhere."""
         for name in (TRUTH_LABELS, *map(truth_name, self._cameras)):
             if name not in present and name not in recorded:
                 self._problems.add("truth.missing", name)
 
     def check_arrays(self, camera: str) -> None:
-        """Poses, keypoints and boxes of one camera."""
+        """Check the arrays of poses, keypoints and boxes of one camera."""
         name = truth_name(camera)
         data = self._read(name)
         if data is None:
@@ -78,7 +80,7 @@ class TruthChecks:
                 self._problems.add("truth.shape", name, fault)
 
     def check_depth(self, camera: str, name: str) -> None:
-        """One depth image."""
+        """Check one depth image."""
         data = self._read(name)
         if data is None:
             return
@@ -91,7 +93,7 @@ class TruthChecks:
         self._hash_fits(name, data)
 
     def check_segmentation(self, camera: str, name: str) -> None:
-        """One segmentation image."""
+        """Check one segmentation image."""
         data = self._read(name)
         if data is None:
             return

@@ -1,4 +1,4 @@
-"""The dataset as a whole: episodes that are missing, there twice, or unlike each other, and what lies about."""
+"""Checks a dataset as a whole: missing, duplicate and dissimilar episodes, and remains of writing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .facts import EpisodeFacts
 from .ledger import check_manifest, compare_ledger
 from .problem import Problem, Problems
 
-# Starts that agree to the micrometre were not drawn twice.
+# Starts that agree to so many digits of a metre are the same start: chance does not give them twice.
 _SAME_PLACE_DIGITS = 6
 
 _PART = re.compile(r"\..+\.part")
@@ -29,7 +29,7 @@ def check_whole(
     attempts: Sequence[AttemptRecord],
     problems: Problems,
 ) -> list[Problem]:
-    """Faults of episodes that only show beside the others; what concerns the whole is added to `problems`."""
+    """Faults of episodes that only show beside the others. Faults of the dataset are added to `problems`."""
     found: list[Problem] = []
     if not episodes:
         problems.add("dataset.empty")
@@ -49,7 +49,7 @@ def check_whole(
 
 
 def _missing(present: set[int], listed: set[int]) -> list[Problem]:
-    """Runs of episodes that should be there: numbers go from 0 without a gap, and what is listed was there once."""
+    """A fault for each run of missing episodes. Numbers start at 0 without gaps, and listed episodes existed once."""
     known = sorted(present | listed)
     runs = [(low + 1, high - 1) for low, high in itertools.pairwise([-1, *known]) if high - low > 1]
     runs += [(number, number) for number in listed - present]
@@ -68,7 +68,7 @@ def _missing(present: set[int], listed: set[int]) -> list[Problem]:
 
 
 def _gaps(names: Sequence[str], problems: Problems) -> None:
-    """Note numbers left out, where all names are one word and a number."""
+    """Note numbers that are left out, if all names are the same word with a number."""
     matches = [re.fullmatch(r"(.*?)([0-9]{1,18})", name) for name in names]
     parts = [(match[1], int(match[2])) for match in matches if match]
     if len(parts) < len(names) or len({word for word, _ in parts}) != 1:
@@ -81,7 +81,7 @@ def _gaps(names: Sequence[str], problems: Problems) -> None:
 
 
 def _twins(episodes: Sequence[EpisodeFacts]) -> list[Problem]:
-    """Episodes with the very values of an earlier one, or with its start."""
+    """Faults of episodes that equal an earlier one in all values, or in their start."""
     contents: dict[str, str] = {}
     layouts: dict[tuple[tuple[str, tuple[float, ...]], ...], str] = {}
     found = []
@@ -101,7 +101,7 @@ def _twins(episodes: Sequence[EpisodeFacts]) -> list[Problem]:
 
 
 def _mixed(episodes: Sequence[EpisodeFacts], problems: Problems) -> None:
-    """Note what differs between episodes that should have been made alike."""
+    """Note settings that differ between episodes."""
     cameras = (", ".join(f"{name} {w}x{h}" for name, (w, h) in sorted(e.cameras.items())) for e in episodes)
     _differ("cameras", (text for text in cameras if text), problems)
     records = [episode.record for episode in episodes if episode.record]

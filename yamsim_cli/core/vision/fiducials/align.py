@@ -10,21 +10,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, pose, rotation_from_vector
-from .descent import System, descend, weighed
+from .descent import PrintProblem, System, weighed
 from .linearize import Pixels, Tile, linearized
 from .print_view import Piece, PrintView, plane_of, view_print
+from .smear import Smear
 
 Grey = NDArray[np.float32]
 
 # Blur (sigma, pixels of a `PrintView`) that is believed: less cannot be told from none, more is no picture of a marker.
-BLUR_RANGE = (0.25, 4.0)
+BLUR_RANGE = (0.25, 5.0)
+# The longest motion that is believed, px of a `PrintView`.
+_MOST_MOTION = 20.0
+
+# Where nothing is known of it yet.
+USUAL_SMEAR = Smear(0.9)
 
 # The photo's noise is not all there is: how far the truth lies from what is found, over what noise alone explains.
 # Source: `make bench-fiducials`, 95 % of squared distances against those of a normal distribution.
@@ -46,7 +52,7 @@ class Alignment:
         by_print: (6,) how it moves with the natural logarithm of the print's size; 0 for what was found too, since the
             covariance then holds it.
         centre: the point (3,) of the reference frame that these are about: the middle of the pieces.
-        blur: sigma, px.
+        smear: blur and motion, px.
         noise: standard deviation of the residuals, grey levels.
         cost: weighted sum of squared residuals over `pixels` pixels.
         pixels: how many were compared.
@@ -59,7 +65,7 @@ class Alignment:
     by_lens: Array
     by_print: Array
     centre: Array
-    blur: float
+    smear: Smear
     noise: float
     cost: float
     pixels: int
@@ -81,7 +87,7 @@ def align(
     camera: CameraModel,
     pieces: Sequence[Piece],
     T_ref_in_cam: Array,
-    blur: float = 0.9,
+    smear: Smear = USUAL_SMEAR,
     growth: Guess | None = None,
 ) -> Alignment | None:
     """Move a pose until the boards' print agrees best with the photo.
@@ -90,7 +96,7 @@ def align(
         photo: grey levels (height, width).
         pieces: what to compare.
         T_ref_in_cam: where to start, right to about a marker's cell.
-        blur: where to start, sigma in px.
+        smear: where to start; motion is found too where there is some.
         growth: find the print's size too; without, the boards' is taken as it is.
 
     Returns:
@@ -99,19 +105,19 @@ def align(
     views = _views(photo, camera, pieces, T_ref_in_cam)
     if views is None:
         return None
-    fit = _PoseProblem(views, camera, _centre(pieces), growth)
-    found = descend(fit, _State(T_ref_in_cam, blur, growth.start if growth else 0.0))
+    fit = _PoseProblem(views, camera, _centre(pieces), moving=smear.length > 0, growth=growth)
+    found = fit.solve(_State(T_ref_in_cam, smear, growth.start if growth else 0.0))
     return None if found is None else fit.alignment(*found)
 
 
 def agreement(
-    photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T_ref_in_cam: Array, blur: float, noise: float
+    photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T_ref_in_cam: Array, smear: Smear, noise: float
 ) -> Alignment | None:
     """How well the print agrees with the photo at a given pose, which is not moved; residuals weighted for `noise`."""
     views = _views(photo, camera, pieces, T_ref_in_cam)
     if views is None:
         return None
-    fit, state = _PoseProblem(views, camera, _centre(pieces)), _State(T_ref_in_cam, blur)
+    fit, state = _PoseProblem(views, camera, _centre(pieces), moving=False), _State(T_ref_in_cam, smear)
     system = fit.system(state, noise)
     return None if system is None else fit.alignment(state, system)
 
@@ -128,29 +134,36 @@ def _centre(pieces: Sequence[Piece]) -> Array:
 
 @dataclass(frozen=True)
 class _State:
-    """What is varied: the pose (4, 4), the blur (sigma, px), and the logarithm of the print's growth."""
+    """What is varied: the pose (4, 4), the smear, and the logarithm of the print's growth."""
 
     T: Array
-    blur: float
+    smear: Smear
     growth: float = 0.0
 
 
-# Places among all parameters: the blur, a turn and a shift, the print's growth, and what the lens is doubted for.
-_BLUR, _POSE, _GROWTH, _LENS = 0, slice(1, 7), 7, slice(8, None)
+# Places among all parameters: blur, motion, a turn and a shift, the print's growth, and what the lens is doubted for.
+_BLUR, _MOTION, _POSE, _GROWTH, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
 
 
-class _PoseProblem:
-    """Least squares over the pose's six parameters, the blur, and the print's size if it is sought."""
+class _PoseProblem(PrintProblem[_State]):
+    """Least squares over the pose's six parameters, the blur, and motion and the print's size if they are sought."""
 
     def __init__(
-        self, views: Sequence[PrintView], camera: CameraModel, centre: Array, growth: Guess | None = None
+        self,
+        views: Sequence[PrintView],
+        camera: CameraModel,
+        centre: Array,
+        moving: bool,
+        growth: Guess | None = None,
     ) -> None:
         self._views = views
         self._camera = camera
         self._centre = centre
         self._growth = growth
-        self.free = [*range(7), _GROWTH] if growth else [*range(7)]
+        motion = range(_MOTION.start, _MOTION.stop) if moving else ()
+        self._free = (_BLUR, *motion, *range(_POSE.start, _POSE.stop), *((_GROWTH,) if growth else ()))
         coarser = [view.coarser for view in views]
+        self._coarsest = max(coarser)
         self._blur_range = (BLUR_RANGE[0] * min(coarser), BLUR_RANGE[1] * max(coarser))
 
     def system(self, state: _State, noise: float | None) -> System | None:
@@ -160,21 +173,22 @@ class _PoseProblem:
                 linearized(
                     view,
                     plane_of(view.piece, state.T, larger),
-                    state.blur,
+                    state.smear,
                     lambda pixels, piece=view.piece: self._columns(pixels, piece, state.T, larger),  # type: ignore[misc]
                 )
                 for view in self._views
             ],
             noise,
+            self._free,
         )
         if system is None or self._growth is None:
             return system
         strength, missing = (system.noise / self._growth.sigma) ** 2, self._growth.mean - state.growth
-        normal, gradient = system.normal.copy(), system.gradient.copy()
+        normal, gradient = system.every_normal.copy(), system.every_gradient.copy()
         normal[_GROWTH, _GROWTH] += strength
         gradient[_GROWTH] += strength * missing
-        cost = system.cost + strength * missing**2
-        return System(normal, gradient, cost, system.weight, system.pixels, system.noise, system.tiles)
+        misfit = system.misfit + strength * missing**2
+        return replace(system, every_normal=normal, every_gradient=gradient, misfit=misfit)
 
     def _columns(self, pixels: Pixels, piece: Piece, T: Array, larger: float) -> Array:
         """Derivatives (n, 7 + k) of the drawn print: by turn, shift, size, and what the lens is doubted for."""
@@ -202,40 +216,53 @@ class _PoseProblem:
         return float((T[:3, :3] @ self._centre + T[:3, 3])[2])
 
     def moved(self, state: _State, step: Array) -> _State:
-        R = rotation_from_vector(step[_POSE][:3]) @ state.T[:3, :3]
-        at = state.T[:3, :3] @ self._centre + state.T[:3, 3] + step[_POSE][3:]
-        blur = float(np.clip(state.blur + step[_BLUR], *self._blur_range))
-        return _State(pose(at - R @ self._centre, R), blur, state.growth + float(step[_GROWTH]))
+        every = self._every(step)
+        turn, shift = every[_POSE][:3], every[_POSE][3:]
+        R = rotation_from_vector(turn) @ state.T[:3, :3]
+        at = state.T[:3, :3] @ self._centre + state.T[:3, 3] + shift
+        blur = float(np.clip(state.smear.blur + every[_BLUR], *self._blur_range))
+        motion = np.array(state.smear.motion) + every[_MOTION]
+        motion *= min(1.0, _MOST_MOTION * self._coarsest / max(float(np.linalg.norm(motion)), 1e-9))
+        smear = Smear(blur, (float(motion[0]), float(motion[1])))
+        return _State(pose(at - R @ self._centre, R), smear, state.growth + float(every[_GROWTH]))
+
+    def _every(self, step: Array) -> Array:
+        """A step of all parameters up to the lens', 0 for what is not varied."""
+        every = np.zeros(_LENS.start)
+        every[list(self._free)] = step
+        return every
 
     def moved_px(self, state: _State, step: Array) -> float:
         """By the shift, by the turn of something 0.1 m large, and by growing."""
-        turn, shift = step[_POSE][:3], step[_POSE][3:]
+        every = self._every(step)
+        turn, shift = every[_POSE][:3], every[_POSE][3:]
         metres = float(np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
-        return metres * self._camera.focal / max(self._depth(state.T), 1e-3) + _GROWTH_PX * abs(float(step[_GROWTH]))
+        return metres * self._camera.focal / max(self._depth(state.T), 1e-3) + _GROWTH_PX * abs(float(every[_GROWTH]))
 
     def alignment(self, state: _State, system: System) -> Alignment | None:
         """What was found, with its uncertainty; None where the pixels do not determine it."""
-        normal = system.normal[np.ix_(self.free, self.free)]
-        held = [k for k in range(len(system.gradient)) if k not in self.free]
-        moves = np.zeros((len(self.free), len(system.gradient)))
+        normal, free = system.normal, list(system.free)
+        held = [k for k in range(len(system.every_gradient)) if k not in free]
+        moves = np.zeros((len(free), len(system.every_gradient)))
         try:
             covariance: Array = np.linalg.inv(normal).astype(np.float64) * system.noise**2
-            moves[:, held] = -np.linalg.solve(normal, system.normal[np.ix_(self.free, held)])
+            moves[:, held] = -np.linalg.solve(normal, system.every_normal[np.ix_(free, held)])
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(covariance).all():
             return None
-        by_lens = moves[_POSE, _LENS]
+        turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
+        by_lens = moves[turns, _LENS]
         by_lens[5, 0] += self._depth(state.T)
         return Alignment(
             state.T,
-            covariance[_POSE, _POSE],
+            covariance[np.ix_(turns, turns)],
             by_lens,
-            moves[_POSE, _GROWTH],
+            moves[turns, _GROWTH],
             self._centre,
-            state.blur,
+            state.smear,
             system.noise,
-            system.cost,
+            system.misfit,
             system.pixels,
             system.tiles,
             state.growth,

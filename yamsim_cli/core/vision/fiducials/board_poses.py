@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...geometry.least_squares import LeastSquares, descend
 from ...geometry.se3 import Array
 from .outline import Outline
 
@@ -32,11 +34,11 @@ def poses_of(outline: Outline, size: tuple[int, int], spread: Array) -> list[Boa
     seen = (outline.points - (np.array(size) - 1) / 2) / longer
     whiten = np.linalg.inv(np.linalg.cholesky(outline.covariance / longer**2))
     on_board = outline.on_board / outline.board.width
-    return [BoardPoses(on_board, seen, whiten, spread, *start) for start in _starts(on_board, seen, spread)]
+    return [BoardPoses(on_board, seen, whiten, spread, first) for first in _starts(on_board, seen, spread)]
 
 
-def _starts(on_board: Array, seen: Array, spread: Array) -> list[tuple[Array, Array, Array]]:
-    """Two sets of poses to start from, a pose for each focal length: turns, middles in the picture, and sizes there."""
+def _starts(on_board: Array, seen: Array, spread: Array) -> list[Poses]:
+    """Two sets of poses to start from, a pose for each focal length."""
     points = np.column_stack([on_board, np.zeros(4)])
     turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
     for k, value in enumerate(spread):
@@ -48,7 +50,7 @@ def _starts(on_board: Array, seen: Array, spread: Array) -> list[tuple[Array, Ar
             turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
             shifts[pose, k] = places[which].ravel()
     sizes = 1 / (shifts[..., 2] * spread)
-    return [(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
+    return [Poses(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
 
 
 def _flat_moves(points: Array) -> Array:
@@ -70,113 +72,88 @@ def _inverses(matrices: Array) -> Array:
     return inverses
 
 
+@dataclass(frozen=True)
+class Poses:
+    """A pose of one board for each of n focal lengths.
+
+    Attributes:
+        turns: rotations (n, 3, 3) of the board.
+        middles, sizes: where its middle is in the picture (n, 2), and how large it is there (n,).
+    """
+
+    turns: Array
+    middles: Array
+    sizes: Array
+
+    def where(self, take: NDArray[np.bool_], other: Poses) -> Poses:
+        """These for some focal lengths, others for the rest."""
+        return Poses(
+            np.where(take[:, None, None], self.turns, other.turns),
+            np.where(take[:, None], self.middles, other.middles),
+            np.where(take, self.sizes, other.sizes),
+        )
+
+
 class BoardPoses:
-    """A pose of one board for each of n focal lengths, all refined at once.
+    """What one outline says of the poses of its board, for each of n focal lengths.
 
     With `size` for how large the board is in the picture and `middle` for where, a point u of the board, turned to y,
     is seen at (middle + size y_xy) / (1 + spread size y_z): without a limit where the lens is ever longer.
     """
 
-    def __init__(
-        self, on_board: Array, seen: Array, whiten: Array, spread: Array, turns: Array, middles: Array, sizes: Array
-    ) -> None:
+    def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: Poses) -> None:
         self._on_board, self._seen, self._whiten, self._spread = on_board, seen, whiten, spread
-        self._turns, self._middles, self._sizes = turns, middles, sizes
-        self._lens = np.zeros((len(spread), 3))
+        self.first = first
         line = np.linspace(-0.5, 0.5, _GRID)
         board = math.sqrt(12) * np.abs(on_board).max(axis=0)
         self._grid = board * np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-        self._kept = turns, middles, sizes
         self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
 
-    def descend(self, lens: Array) -> None:
-        """Levenberg and Marquardt's steps, seen through a lens (n, 3)."""
-        self._lens = lens
-        damping = np.full(len(self._spread), 1e-3)
-        residual, by_pose, by_lens = self.equations()
+    def followed(self, poses: Poses, lens: Array) -> Poses:
+        """The poses near others that explain the outline best, seen through a lens (n, 3)."""
+        _, _, by_lens = self.equations(poses, lens)
         # What distortion does hardly changes on the way.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
-        cost = (residual**2).sum(axis=1)
-        for _ in range(_STEPS):
-            normal = np.swapaxes(by_pose, 1, 2) @ by_pose
-            diagonal = np.einsum("nii->ni", normal)
-            normal = normal + damping[:, None, None] * np.eye(6) * (diagonal[:, None, :] + 1e-9)
-            step = -np.linalg.solve(normal, np.einsum("nij,ni->nj", by_pose, residual)[..., None])[..., 0]
-            step = np.nan_to_num(step, posinf=0.0, neginf=0.0)
-            before = self._turns, self._middles, self._sizes
-            self._move(step)
-            trial, trial_by_pose, _ = self.equations(bend)
-            gain = cost - (trial**2).sum(axis=1)
-            better = gain > 0
-            self._turns = np.where(better[:, None, None], self._turns, before[0])
-            self._middles = np.where(better[:, None], self._middles, before[1])
-            self._sizes = np.where(better, self._sizes, before[2])
-            residual = np.where(better[:, None], trial, residual)
-            by_pose = np.where(better[:, None, None], trial_by_pose, by_pose)
-            cost = (residual**2).sum(axis=1)
-            damping = np.where(better, damping / 8, damping * 8)
-            if (gain < _NO_GAIN * (1 + cost)).all():
-                break
+        found = descend(_PoseProblem(self, lens, bend), poses, _STEPS)
+        assert found is not None  # the equations can always be written down
+        return found[0]
 
-    def keep(self) -> None:
-        """Remember the poses."""
-        self._kept = self._turns, self._middles, self._sizes
-
-    def return_where(self, worse: NDArray[np.bool_]) -> None:
-        """Take the remembered poses again, at some focal lengths."""
-        turns, middles, sizes = self._kept
-        self._turns = np.where(worse[:, None, None], turns, self._turns)
-        self._middles = np.where(worse[:, None], middles, self._middles)
-        self._sizes = np.where(worse, sizes, self._sizes)
-
-    def _move(self, step: Array) -> None:
-        angle = np.linalg.norm(step[:, :3], axis=1)
-        axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
-        angle = np.minimum(angle, _MOST_TURN)
-        cross = np.zeros((len(step), 3, 3))
-        cross[:, [2, 0, 1], [1, 2, 0]] = axis
-        cross[:, [1, 2, 0], [2, 0, 1]] = -axis
-        sine, cosine = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
-        self._turns = (np.eye(3) + sine * cross + cosine * cross @ cross) @ self._turns
-        self._middles = self._middles + np.clip(step[:, 3:5], -1, 1)
-        self._sizes = self._sizes * np.exp(np.clip(step[:, 5], -1, 1))
-
-    def _bend(self, at: Array, turned: Array, w: Array) -> Array:
+    def _bend(self, poses: Poses, at: Array, w: Array) -> Array:
         """How far (n, 4, 2) distortion with k1 = 1 moves the four points of the outline.
 
         The outline is the flat map nearest to what is seen of the whole board, which distortion curves: so it is taken
         all over the board, and the flat part of it goes to the four points.
         """
         spread = self._spread[:, None]
-        on_grid = self._grid @ np.swapaxes(self._turns[:, :, :2], 1, 2) * self._sizes[:, None, None]
+        on_grid = self._grid @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
         w_grid = np.maximum(1 + spread * on_grid[..., 2], 1e-3)
-        grid = (self._middles[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
+        grid = (poses.middles[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
         moved = grid * ((grid**2).sum(axis=-1) * spread**2)[..., None]
-        on_board = (_inverses(self._by_board(grid, w_grid)) @ moved[..., None])[..., 0]
+        on_board = (_inverses(self._by_board(poses, grid, w_grid)) @ moved[..., None])[..., 0]
         flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
-        moved_points = (self._by_board(at, w) @ flat[..., None])[..., 0]
+        moved_points = (self._by_board(poses, at, w) @ flat[..., None])[..., 0]
         # Of a board seen edge-on, rounding makes anything.
         possible = np.abs(moved_points).max(axis=(1, 2)) < _MOST_BEND
         return np.where(possible[:, None, None], moved_points, 0.0)
 
-    def _by_board(self, at: Array, w: Array) -> Array:
+    def _by_board(self, poses: Poses, at: Array, w: Array) -> Array:
         """Derivative (n, k, 2, 2) of places in the picture by places on the board."""
-        axes = self._turns[:, None, :, :2] * self._sizes[:, None, None, None]
+        axes = poses.turns[:, None, :, :2] * poses.sizes[:, None, None, None]
         by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
         by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
         return by
 
-    def equations(self, bend: Array | None = None) -> tuple[Array, Array, Array]:
+    def equations(self, poses: Poses, lens: Array, bend: Array | None = None) -> tuple[Array, Array, Array]:
         """Residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
 
         Args:
             bend: how far (n, 4, 2) distortion with k1 = 1 moves the points, if it is known.
         """
-        turned = self._on_board @ np.swapaxes(self._turns[:, :, :2], 1, 2) * self._sizes[:, None, None]
+        turned = self._on_board @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
         x, y, z = (turned[..., k] for k in range(3))
         spread = self._spread[:, None]
         w = np.maximum(1 + spread * z, 1e-3)
-        at = (self._middles[:, None, :] + turned[..., :2]) / w[..., None]
+        at = (poses.middles[:, None, :] + turned[..., :2]) / w[..., None]
         n, zero, one = len(spread), np.zeros_like(x), np.ones_like(x)
         by_pose = np.empty((n, 4, 2, 6))
         for row, (moves_x, moves_y) in enumerate(((zero, -z), (z, zero), (-y, x))):
@@ -188,8 +165,66 @@ class BoardPoses:
         by_pose[..., 5] = (turned[..., :2] - at * (w - 1)[..., None]) / w[..., None]
         by_lens = np.zeros((n, 4, 2, 3))
         by_lens[..., 0, 0] = by_lens[..., 1, 1] = 1.0
-        by_lens[..., 2] = self._bend(at, turned, w) if bend is None else bend
-        k1 = self._lens[:, None, None, 2]
-        bent = at + k1 * by_lens[..., 2] + self._lens[:, None, :2]
+        by_lens[..., 2] = self._bend(poses, at, w) if bend is None else bend
+        k1 = lens[:, None, None, 2]
+        bent = at + k1 * by_lens[..., 2] + lens[:, None, :2]
         residual = (bent - self._seen).reshape(n, 8) @ self._whiten.T
         return residual, self._whiten @ by_pose.reshape(n, 8, 6), self._whiten @ by_lens.reshape(n, 8, 3)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Residuals (n, 8), and their derivatives (n, 8, 6) by the poses."""
+
+    residual: Array
+    by_pose: Array
+
+    @property
+    def cost(self) -> Array:
+        cost: Array = (self.residual**2).sum(axis=1)
+        return cost
+
+    @property
+    def normal(self) -> Array:
+        normal: Array = np.swapaxes(self.by_pose, 1, 2) @ self.by_pose
+        return normal
+
+    @property
+    def gradient(self) -> Array:
+        gradient: Array = -np.einsum("nij,ni->nj", self.by_pose, self.residual)
+        return gradient
+
+
+class _PoseProblem(LeastSquares[Poses, _Linear]):
+    """Least squares over the poses at all focal lengths, each for itself, with what distortion does to the outline."""
+
+    def __init__(self, board: BoardPoses, lens: Array, bend: Array) -> None:
+        self._board, self._lens, self._bend = board, lens, bend
+
+    def linearized(self, state: Poses, before: _Linear | None) -> _Linear:
+        residual, by_pose, _ = self._board.equations(state, self._lens, self._bend)
+        return _Linear(residual, by_pose)
+
+    def moved(self, state: Poses, step: Array) -> Poses:
+        angle = np.linalg.norm(step[:, :3], axis=1)
+        axis = step[:, :3] / np.maximum(angle, 1e-12)[:, None]
+        angle = np.minimum(angle, _MOST_TURN)
+        cross = np.zeros((len(step), 3, 3))
+        cross[:, [2, 0, 1], [1, 2, 0]] = axis
+        cross[:, [1, 2, 0], [2, 0, 1]] = -axis
+        sine, cosine = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
+        return Poses(
+            (np.eye(3) + sine * cross + cosine * cross @ cross) @ state.turns,
+            state.middles + np.clip(step[:, 3:5], -1, 1),
+            state.sizes * np.exp(np.clip(step[:, 5], -1, 1)),
+        )
+
+    def settled(self, state: Poses, known: _Linear, step: Array, gain: Array) -> bool:
+        return bool((gain < _NO_GAIN * (1 + known.cost)).all())
+
+    def better_of(
+        self, better: NDArray[np.bool_], there: tuple[Poses, _Linear], here: tuple[Poses, _Linear]
+    ) -> tuple[Poses, _Linear]:
+        residual = np.where(better[:, None], there[1].residual, here[1].residual)
+        by_pose = np.where(better[:, None, None], there[1].by_pose, here[1].by_pose)
+        return there[0].where(better, here[0]), _Linear(residual, by_pose)

@@ -1,13 +1,15 @@
-"""Robust least squares over all pixels of a print: normal equations, and Levenberg and Marquardt's way down."""
+"""Robust least squares over all pixels of a print: its normal equations, and when its pose no longer moves."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
+from ...geometry.least_squares import LeastSquares, descend
 from ...geometry.se3 import Array
 from .linearize import Tile
 
@@ -16,7 +18,7 @@ _HUBER = 1.345
 # The least noise (grey levels) that is believed: rounding alone makes as much.
 _LEAST_NOISE = 0.3
 
-_MAX_ITERATIONS = 30
+_MOST_STEPS = 30
 # Steps below this no longer matter: shift of the print in the picture, px.
 _CONVERGED_PX = 4e-3
 
@@ -29,42 +31,68 @@ class System:
     """Normal equations over all that could be varied, and what the residuals look like.
 
     Attributes:
-        normal, gradient: (k, k) and (k,).
-        cost: weighted sum of squared residuals, grey levels squared, over `pixels` pixels of the summed `weight`.
+        every_normal, every_gradient: (k, k) and (k,), by everything that could be varied.
+        misfit: weighted sum of squared residuals, grey levels squared, over `pixels` pixels of the summed `weight`.
         noise: that the residuals are weighted for, or that they show; grey levels.
+        free: places of what is varied among all parameters.
     """
 
-    normal: Array
-    gradient: Array
-    cost: float
+    every_normal: Array
+    every_gradient: Array
+    misfit: float
     weight: float
     pixels: int
     noise: float
     tiles: tuple[dict[int, Tile], ...]
-
-
-class Problem(Protocol[S]):
-    """What is varied, and how the photo answers."""
+    free: tuple[int, ...]
 
     @property
-    def free(self) -> list[int]:
-        """Places of what is varied among all parameters."""
-        ...
+    def normal(self) -> Array:
+        """Normal equations (f, f) of what is varied."""
+        return self.every_normal[np.ix_(self.free, self.free)]
 
+    @property
+    def gradient(self) -> Array:
+        """Their right-hand side (f,)."""
+        return self.every_gradient[list(self.free)]
+
+    @property
+    def cost(self) -> float:
+        """The weighted mean of squared residuals: a pose that shows fewer pixels is no better for it."""
+        return self.misfit / self.weight
+
+
+class PrintProblem(LeastSquares[S, System]):
+    """Where a print lies, and how the photo answers."""
+
+    @abstractmethod
     def system(self, state: S, noise: float | None) -> System | None:
         """Normal equations at a state; residuals weighted for a given noise, or for the noise found."""
-        ...
 
-    def moved(self, state: S, step: Array) -> S:
-        """The state a step (k,) away."""
-        ...
-
+    @abstractmethod
     def moved_px(self, state: S, step: Array) -> float:
-        """About how far a step moves the print in the picture."""
-        ...
+        """About how far a step (f,) moves the print in the picture."""
+
+    def linearized(self, state: S, before: System | None) -> System | None:
+        """The system at a state, weighted for the noise known before."""
+        if before is None:
+            return self.system(state, None)
+        found = self.system(state, before.noise)
+        if found is None:
+            return None
+        # Weights are made anew only with the next state: within a step, both costs are weighted alike.
+        return replace(found, noise=float(np.sqrt(found.misfit / max(1.0, found.weight - 7))))
+
+    def settled(self, state: S, known: System, step: Array, gain: Array) -> bool:
+        """Whether the last step hardly moved the print."""
+        return self.moved_px(state, step) < _CONVERGED_PX
+
+    def solve(self, start: S) -> tuple[S, System] | None:
+        """The best state near a first one, and the equations there; None where the photo does not show it."""
+        return descend(self, start, _MOST_STEPS)
 
 
-def weighed(parts: Sequence[Part | None], noise: float | None) -> System | None:
+def weighed(parts: Sequence[Part | None], noise: float | None, free: tuple[int, ...]) -> System | None:
     """Normal equations of all parts together; None where one shows nothing."""
     whole = [part for part in parts if part is not None]
     if len(whole) < len(parts):
@@ -84,32 +112,5 @@ def weighed(parts: Sequence[Part | None], noise: float | None) -> System | None:
         len(residual),
         noise,
         tuple(part[2] for part in whole),
+        free,
     )
-
-
-def descend(problem: Problem[S], state: S) -> tuple[S, System] | None:
-    """The best state near a first one, and the equations there; None where the fit breaks down."""
-    damping, system = 1e-3, problem.system(state, noise=None)
-    for _ in range(_MAX_ITERATIONS):
-        if system is None:
-            return None
-        step = _step(problem.free, system, damping)
-        moved = problem.moved_px(state, step)
-        there = problem.moved(state, step)
-        trial = problem.system(there, noise=system.noise)
-        if trial is not None and trial.cost / trial.weight <= system.cost / system.weight:
-            state, damping = there, max(damping / 8, 1e-6)
-            system = replace(trial, noise=float(np.sqrt(trial.cost / max(1.0, trial.weight - 7))))
-        else:
-            damping *= 8
-        if moved < _CONVERGED_PX or damping > 1e4:
-            break
-    return None if system is None else (state, system)
-
-
-def _step(free: list[int], system: System, damping: float) -> Array:
-    """The step (k,) that Levenberg and Marquardt take; 0 for what is not varied."""
-    normal = system.normal[np.ix_(free, free)]
-    step = np.zeros(len(system.gradient))
-    step[free] = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), system.gradient[free])
-    return step

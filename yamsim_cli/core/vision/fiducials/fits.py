@@ -83,7 +83,7 @@ def fit_pose(
     if first is None or not faces_camera(first.T_ref_in_cam):
         return None
     everything = Piece(board, np.eye(4), tuple(range(len(board.ids))))
-    check = agreement(photo, camera, [everything], first.T_ref_in_cam, first.blur, first.noise)
+    check = agreement(photo, camera, [everything], first.T_ref_in_cam, first.smear, first.noise)
     if check is None:
         return None
     tiles = check.tiles[0]
@@ -92,7 +92,7 @@ def fit_pose(
         return None
     if set(agreeing) != set(places):
         piece = Piece(board, np.eye(4), agreeing)
-        again = align(photo, camera, [piece], first.T_ref_in_cam, first.blur)
+        again = align(photo, camera, [piece], first.T_ref_in_cam, first.smear)
         if again is None or not faces_camera(again.T_ref_in_cam):
             return None
         first = again
@@ -115,10 +115,10 @@ def rival_of(
         if angle_between(T, fit.T) < _SAME_POSE or not faces_camera(T):
             continue
         alignment = fit.alignment
-        before = agreement(photo, camera, [piece], T, alignment.blur, alignment.noise)
+        before = agreement(photo, camera, [piece], T, alignment.smear, alignment.noise)
         if before is None or before.cost / before.pixels > _HOPELESS * fit.mean_square:
             continue
-        after = align(photo, camera, [piece], T, alignment.blur)
+        after = align(photo, camera, [piece], T, alignment.smear)
         if (
             after is None
             or angle_between(after.T_ref_in_cam, fit.T) < _SAME_POSE
@@ -126,10 +126,15 @@ def rival_of(
         ):
             continue
         rival = PoseFit(after, fit.agreeing, 0)
-        evidence = 0.5 * fit.alignment.pixels / _CORRELATED * math.log(rival.mean_square / fit.mean_square)
-        if evidence < _MIN_EVIDENCE:
+        if not clearly_better(fit, rival):
             return rival
     return None
+
+
+def clearly_better(fit: PoseFit, rival: PoseFit) -> bool:
+    """Whether the photo is so much likelier under one pose than under another that the other cannot be."""
+    evidence = 0.5 * fit.alignment.pixels / _CORRELATED * math.log(rival.mean_square / fit.mean_square)
+    return evidence >= _MIN_EVIDENCE
 
 
 def angle_between(T_a: Array, T_b: Array) -> float:

@@ -1,4 +1,4 @@
-"""How a print's picture differs from the photo, and how the difference changes with the blur and with where it lies."""
+"""How a print's picture differs from the photo, and how the difference changes with its smear and its place."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from ...geometry.se3 import Array
 from .print_view import Drawing, PrintView, draw_print
+from .smear import Smear
 
 # A tile of fewer pixels says nothing about its own brightness.
 _MIN_TILE_PIXELS = 12
+# A tile into which less than this is smeared from beside the print (sum of squared shares) is not touched by it.
+_LEAST_BESIDE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -46,21 +49,21 @@ class Pixels:
 
 
 def linearized(
-    view: PrintView, plane: Array, blur: float, columns: Callable[[Pixels], Array]
+    view: PrintView, plane: Array, smear: Smear, columns: Callable[[Pixels], Array]
 ) -> tuple[Array, Array, dict[int, Tile]] | None:
     """Residuals and their Jacobian without each tile's brightness and contrast, and how the tiles agree.
 
     Args:
         plane: where the print lies, as for `draw_print`.
-        blur: sigma, px of the photo.
+        smear: in the photo's pixels.
         columns: the drawing's derivatives (n, k) by whatever moves the print.
 
     Returns:
-        Residuals (n,), Jacobian (n, 1 + k) by the blur and by that, and for each marker its tile; None where too few
-        pixels show the print.
+        Residuals (n,), Jacobian (n, 3 + k) by the blur, by the motion and by that, and for each marker its tile; None
+        where too few pixels show the print.
     """
-    blur /= view.coarser
-    drawing = draw_print(view, plane, blur)
+    smear = smear.in_larger_pixels(view.coarser)
+    drawing = draw_print(view, plane, smear)
     tile = _tiles(view, drawing)
     use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
@@ -72,9 +75,15 @@ def linearized(
     by_ray = (by_own_px[:, None, :] @ view.px_per_ray[use])[:, 0]
     pixels = Pixels(drawing.at[use], view.centre_rays[use], by_ray, by_own_px / view.coarser)
     # Blur spreads as heat does.
-    by_blur = blur * curvature.ravel()[use] / view.coarser
-    by_all = np.column_stack([by_blur, columns(pixels), pixels.by_shift])
-    return _without_light(view.photo.ravel()[use], grey.ravel()[use], by_all, tile[use])
+    by_blur = smear.blur * curvature.ravel()[use] / view.coarser
+    by_motion = np.zeros((len(by_blur), 2))
+    if smear.length:
+        by_motion[:] = np.stack([by.ravel()[use] for by in smear.by_motion(drawing.sharp)], axis=-1) / view.coarser
+    by_all = np.column_stack([by_blur, by_motion, columns(pixels), pixels.by_shift])
+    beside = np.zeros((int(use.sum()), 0), np.float32)
+    if drawing.beside is not None:
+        beside = drawing.beside.reshape(-1, 2)[use]
+    return _without_light(view.photo.ravel()[use], grey.ravel()[use], beside, by_all, tile[use])
 
 
 def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
@@ -86,29 +95,48 @@ def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
 
 
 def _without_light(
-    photo: NDArray[np.float32], drawn: NDArray[np.float32], columns: Array, tile: NDArray[np.int_]
+    photo: NDArray[np.float32],
+    drawn: NDArray[np.float32],
+    beside: NDArray[np.float32],
+    columns: Array,
+    tile: NDArray[np.int_],
 ) -> tuple[Array, Array, dict[int, Tile]]:
-    """Residuals and Jacobian once each tile's best brightness and contrast are taken out (variable projection).
+    """Residuals and Jacobian once each tile's best light is taken out (variable projection).
 
-    The last two columns are by a shift in the picture: they tell each tile's own, and are left out of the Jacobian.
+    That is its brightness, its contrast, and what is smeared into it from beside the print. The last two columns are by
+    a shift in the picture: they tell each tile's own, and are left out of the Jacobian.
     """
     order = np.argsort(tile, kind="stable")
-    residual, jacobian = np.empty(len(tile)), np.empty((len(tile), columns.shape[1] - 2))
-    numbers, starts = np.unique(tile[order], return_index=True)
-    tiles = {}
-    for number, index in zip(numbers, np.split(order, starts[1:]), strict=True):
-        seen = photo[index].astype(np.float64)
-        seen -= seen.mean()
-        shape = drawn[index].astype(np.float64)
-        shape -= shape.mean()
-        slopes = columns[index] - columns[index].mean(axis=0)
-        power = float(shape @ shape) + 1e-9
-        contrast = float(shape @ seen) / power
-        slopes = contrast * (slopes - np.outer(shape, shape @ slopes / power))
-        residual[index] = seen - contrast * shape
-        jacobian[index] = slopes[:, :-2]
-        by_shift = slopes[:, -2:]
-        shift = np.linalg.solve(by_shift.T @ by_shift + 1e-6 * np.eye(2), by_shift.T @ residual[index])
-        correlation = contrast * np.sqrt(power / (float(seen @ seen) + 1e-9))
-        tiles[int(number)] = Tile(float(correlation), (float(shift[0]), float(shift[1])))
-    return residual, jacobian, tiles
+    numbers, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
+
+    def of_tiles(values: Array) -> Array:
+        """Sums (t, ...) over each tile's pixels."""
+        return np.add.reduceat(values, starts, axis=0)
+
+    # Photo, drawing and its derivatives, less each tile's mean and what comes from beside the print.
+    every = np.column_stack([beside, photo, drawn, columns])[order].astype(np.float64)
+    every -= (of_tiles(every) / of_tiles(np.ones(len(every)))[:, None])[which]
+    sides = beside.shape[1]
+    for side in range(sides):
+        strange = every[:, side].copy()
+        power = of_tiles(strange**2)
+        share = of_tiles(every * strange[:, None]) / np.maximum(power, _LEAST_BESIDE)[:, None]
+        share[power < _LEAST_BESIDE] = 0.0
+        every -= strange[:, None] * share[which]
+    every = every[:, sides:]
+    seen, shape, slopes = every[:, 0], every[:, 1], every[:, 2:]
+    along = of_tiles(every * shape[:, None])
+    power = along[:, 1] + 1e-9
+    contrast = along[:, 0] / power
+    slopes = contrast[which, None] * (slopes - shape[:, None] * (along[:, 2:] / power[:, None])[which])
+    residual = seen - contrast[which] * shape
+    (x, y), rest = slopes[:, -2:].T, residual
+    xx, xy, yy, xr, yr = of_tiles(np.column_stack([x * x, x * y, y * y, x * rest, y * rest])).T
+    xx, yy = xx + 1e-6, yy + 1e-6
+    shifts = np.column_stack([yy * xr - xy * yr, xx * yr - xy * xr]) / (xx * yy - xy**2)[:, None]
+    correlation = contrast * np.sqrt(power / (of_tiles(seen**2) + 1e-9))
+    tiles = {
+        int(number): Tile(float(alike), (float(right), float(down)))
+        for number, alike, (right, down) in zip(numbers, correlation, shifts, strict=True)
+    }
+    return residual, slopes[:, :-2], tiles

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...boards.image import dictionary_of
+from ...boards.board_image import dictionary_of
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array

@@ -21,11 +21,12 @@ from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array
 from ..lens import rays
 from .align import BLUR_RANGE, INFLATION
-from .descent import System, descend, weighed
+from .descent import PrintProblem, System, weighed
 from .fits import SAME_PRINT
 from .linearize import Pixels, linearized
 from .markers import Group
 from .print_view import Piece, PrintView, view_print
+from .smear import Smear
 
 # How far each point is off in a photo without noise, in the pixels that are compared: these stand for an area, and
 # drawing it by a few points errs. Source: 350 outlines of random views; with it and the noise alone, 95 % of squared
@@ -33,6 +34,9 @@ from .print_view import Piece, PrintView, view_print
 _LEAST_PX = 0.003
 
 _USUAL_BLUR = 0.9
+
+# What is varied: the blur, no motion, and the map.
+_FREE = (0, *range(3, 11))
 
 
 @dataclass(frozen=True)
@@ -98,15 +102,14 @@ def _fitted(
     if view is None:
         return None
     fit = _PlaneProblem(view, camera.focal)
-    found = descend(fit, _State(plane, _USUAL_BLUR))
+    found = fit.solve(_State(plane, _USUAL_BLUR))
     return None if found is None else (fit, *found)
 
 
-class _PlaneProblem:
+class _PlaneProblem(PrintProblem[_State]):
     """Least squares over the map's eight numbers and the blur."""
 
     def __init__(self, view: PrintView, focal: float) -> None:
-        self.free = list(range(9))
         self._view, self._focal = view, focal
         board = view.piece.board
         # In half boards, the eight numbers are of a size.
@@ -118,7 +121,7 @@ class _PlaneProblem:
         def columns(pixels: Pixels) -> Array:
             return self._by_map(state, pixels.at, pixels.rays, pixels.by_ray)
 
-        return weighed([linearized(self._view, state.plane, state.blur, columns)], noise)
+        return weighed([linearized(self._view, state.plane, Smear(state.blur), columns)], noise, _FREE)
 
     def _by_map(self, state: _State, at: Array, seen: Array, by_ray: Array) -> Array:
         """Derivatives (n, 8) by the map of what changes by `by_ray` (n, 2) with the rays."""

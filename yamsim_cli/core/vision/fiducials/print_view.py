@@ -1,4 +1,4 @@
-"""A board's print as the camera sees it from a pose: drawn fine, averaged to pixels, blurred as a lens blurs."""
+"""A board's print as the camera sees it from a pose: drawn fine, averaged to pixels, and smeared."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...boards.image import board_image, marker_cells
+from ...boards.board_image import board_image, marker_cells
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array
 from ..lens import project_points, ray_field
+from .smear import Smear
 
 Grey = NDArray[np.float32]
 
@@ -22,6 +23,9 @@ _FINE = 3
 
 # Finer than this (px a cell), pixels only cost time.
 _ENOUGH_PX_A_CELL = 2.7
+
+# With less smear (its reach, px), nothing from beside the print gets as far as what is compared.
+_SHARP_REACH = 1.4
 
 # Pixels around the board that a pose may move it by.
 _MARGIN_PX = 3
@@ -69,12 +73,18 @@ class Drawing:
     """The print as the camera sees it.
 
     Attributes:
-        grey: (rows, columns), 0 black to 1 white.
+        sharp: (rows, columns), 0 black to 1 white.
+        grey: the same, smeared.
+        beside: (rows, columns, 2), how much of each pixel comes from beside the print: from its left or right, and from
+            above or below; None where that is nothing to speak of. What lies there is not known, and drawn as if the
+            outer markers' black went on.
         at: where on the board (n, 2) each pixel lies, in m of the board's own measures.
         marker: which marker's surroundings (n,) the pixel shows and nothing else; -1 for none.
     """
 
+    sharp: Grey
     grey: Grey
+    beside: Grey | None
     at: Array
     marker: NDArray[np.int_]
 
@@ -176,32 +186,52 @@ def _reduced(board: Board, coarser: int) -> Grey:
     return np.asarray(cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def draw_print(view: PrintView, plane: Array, blur: float) -> Drawing:
+def draw_print(view: PrintView, plane: Array, smear: Smear) -> Drawing:
     """Draw a piece.
 
     Args:
         plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera's frame, in any positive measure.
-        blur: sigma in the view's pixels.
+        smear: in the view's pixels.
     """
-    onto_board = np.linalg.inv(plane)
+    onto_board: Array = np.linalg.inv(plane).astype(np.float64)
     board = view.piece.board
-    field = view.field
-    A = onto_board.astype(np.float32)
-    w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
-    x = (A[0, 0] * field[..., 0] + A[0, 1] * field[..., 1] + A[0, 2]) / w
-    y = (A[1, 0] * field[..., 0] + A[1, 1] * field[..., 1] + A[1, 2]) / w
+    x, y = fine_places(view, onto_board)
     scale = np.float32(view.px_per_metre)
     map_x = (x + np.float32(board.width / 2)) * scale - np.float32(0.5)
     map_y = (np.float32(board.height / 2) - y) * scale - np.float32(0.5)
     fine = cv2.remap(view.pattern, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     shape = (view.photo.shape[1], view.photo.shape[0])
-    drawn = cv2.GaussianBlur(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), (0, 0), blur)
+    beside = None
+    if smear.reach < _SHARP_REACH:
+        # What is compared lies too far inside for anything to be smeared into it.
+        sharp = np.asarray(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        grey = smear.of(sharp)
+    else:
+        outside = (np.abs(x) > board.width / 2).astype(np.float32), (np.abs(y) > board.height / 2).astype(np.float32)
+        every = cv2.resize(cv2.merge([fine, *outside]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
+        smeared = smear.of(every)
+        sharp, grey, beside = every[..., 0], np.ascontiguousarray(smeared[..., 0]), smeared[..., 1:]
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
     at = homogeneous[:, :2] / homogeneous[:, 2:]
-    return Drawing(np.asarray(drawn, dtype=np.float32), at, _marker_at(view, at, blur))
+    return Drawing(sharp, grey, beside, at, _marker_at(view, at, smear))
 
 
-def _marker_at(view: PrintView, at: Array, blur: float) -> NDArray[np.int_]:
+def fine_places(view: PrintView, onto_board: Array) -> tuple[Grey, Grey]:
+    """Where on the board (m, right and up) each point lies at which the print is drawn.
+
+    Args:
+        onto_board: (3, 3) from viewing rays to the board.
+    """
+    field, A = view.field, onto_board.astype(np.float32)
+    w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
+    # A ray along the board's plane never meets it.
+    with np.errstate(divide="ignore"):
+        x = (A[0, 0] * field[..., 0] + A[0, 1] * field[..., 1] + A[0, 2]) / w
+        y = (A[1, 0] * field[..., 0] + A[1, 1] * field[..., 1] + A[1, 2]) / w
+    return x, y
+
+
+def _marker_at(view: PrintView, at: Array, smear: Smear) -> NDArray[np.int_]:
     """Which of the piece's markers, with half the gap around it, each pixel shows; -1 for none.
 
     Also -1 near what is not compared, from where something else (the table, a hand) may be blurred into the pixel.
@@ -212,8 +242,10 @@ def _marker_at(view: PrintView, at: Array, blur: float) -> NDArray[np.int_]:
     row = np.floor((board.height / 2 - at[:, 1] + board.gap / 2) / step).astype(int)
     marker = np.clip(row, 0, board.rows - 1) * board.columns + np.clip(column, 0, board.columns - 1)
     inside = (np.abs(at[:, 0]) < board.width / 2) & (np.abs(at[:, 1]) < board.height / 2)
-    inside &= np.isin(marker, view.piece.markers)
-    reach = 1 + round(1.5 * blur)
+    compared = np.zeros(board.rows * board.columns, dtype=bool)
+    compared[list(view.piece.markers)] = True
+    inside &= compared[marker]
+    reach = 1 + round(smear.reach)
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     mask = inside.reshape(view.photo.shape).astype(np.uint8)
     clear = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0

@@ -1,0 +1,135 @@
+"""How many boards are found in photos by a physically based renderer: soft shadows, filtered textures, noise, JPEG.
+
+MuJoCo's Filament renderer needs Python 3.12 and, without a display, a Vulkan driver in software (on Debian,
+`mesa-vulkan-drivers` and `libvulkan1`). In an environment of that Python with yamsim's packages:
+
+    MUJOCO_GL=egl python -m tests.bench.filament --photos 60 --keep out/bench/filament
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import time
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+from rich.console import Console
+
+from tests.truth_photos import Photographer, shot_of, spoilt
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.vision.fiducials.locate import locate
+from yamsim_cli.core.vision.fiducials.sighting import Sighting
+
+# Poses off by more than this are wrong, degrees and mm.
+WRONG = (3.0, 15.0)
+BLUR, NOISE, JPEG = 0.4, 2.0, 90
+SIZES = {"vga": (640, 480, 600.0), "hd": (1280, 720, 900.0)}
+
+
+class Filament:
+    """Draws a photographer's scene as Filament does."""
+
+    def __init__(self, photographer: Photographer) -> None:
+        # These come with Python 3.12 only; the window's module registers materials.
+        import mujoco.studio.window
+        from mujoco import mjrf
+        from mujoco.rendering.filament.model_scene import ModelScene
+        from mujoco.rendering.filament.renderer import Renderer, View
+
+        camera = photographer.camera
+        self._model, self._data = photographer._model, photographer._data
+        self._picture = np.zeros((camera.height, camera.width, 3), np.uint8)
+        config = mjrf.ContextConfig(graphics_api=mjrf.GraphicsApi.GRAPHICS_API_VULKAN, software_rendering=True)
+        self._renderer = Renderer(mjrf.Context(config))
+        self._scene = ModelScene(self._renderer.context, self._model, self._renderer.scene("photo"))
+        self._renderer.target("photo", self._picture)
+        self._view = View("photo", "photo")
+        self._options, self._abstract = mujoco.MjvOption(), mujoco.MjvScene(self._model, 1000)
+        self._fixed = mujoco.MjvCamera()
+        self._fixed.type, self._fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera("photo").id
+        # The left eye's camera is taken below: there is but one eye.
+        self._model.cam_ipd[self._fixed.fixedcamid] = 0.0
+        self._model.cam_fovy[self._fixed.fixedcamid] = math.degrees(2 * math.atan(camera.height / 2 / camera.focal))
+
+    def take(self) -> np.ndarray:
+        """The picture as RGB (height, width, 3)."""
+        mujoco.mj_forward(self._model, self._data)
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._options, None, self._fixed, mujoco.mjtCatBit.mjCAT_ALL, self._abstract
+        )
+        self._scene.update(self._data)
+        self._view.camera = self._abstract.camera[0]
+        self._renderer.render([self._view])
+        return self._picture.copy()
+
+
+def off(seen: Sighting, truth: Array) -> tuple[float, float]:
+    """Errors of a pose: degrees and mm."""
+    T = seen.T_board_in_cam
+    assert T is not None
+    turn = rotation_vector(T[:3, :3].T @ truth[:3, :3])
+    return math.degrees(float(np.linalg.norm(turn))), float(np.linalg.norm(T[:3, 3] - truth[:3, 3])) * 1000
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--photos", type=int, default=60)
+    parser.add_argument("--size", choices=SIZES, default="vga")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--tilt", type=float, default=75.0, help="at most, degrees")
+    parser.add_argument("--keep", type=Path, help="folder for the photos")
+    options = parser.parse_args()
+    console = Console()
+    camera = CameraModel.pinhole(*SIZES[options.size])
+    rng = np.random.default_rng(options.seed)
+    if options.keep:
+        options.keep.mkdir(parents=True, exist_ok=True)
+    boards = found = wrong = 0
+    errors, times = [], []
+    with Photographer("russet", Locations.find(os.environ), camera) as photographer:
+        filament = Filament(photographer)
+        placed = photographer.boards
+        configs = [config for arm in photographer.rig.arms if (config := arm.board) is not None]
+        T_rig = [photographer.rig.T_base_in_world(k) @ config.T_board_in_arm for k, config in enumerate(configs)]
+        for k in range(options.photos):
+            distance = float(rng.uniform(0.55, 1.2))
+            T_cam = shot_of(
+                photographer, rng, distance, (0.0, math.radians(options.tilt)), int(rng.integers(len(placed)))
+            )
+            photo = spoilt(filament.take(), rng, blur=BLUR, noise=NOISE, jpeg=JPEG)
+            if options.keep:
+                cv2.imwrite(str(options.keep / f"{k:03d}.png"), photo)
+            began = time.perf_counter()
+            seen, _ = locate(photo, camera, [one.board for one in placed], T_rig)
+            times.append(time.perf_counter() - began)
+            for n, (one, sighting) in enumerate(zip(placed, seen, strict=True)):
+                truth = inverse(T_cam) @ one.T_in_world
+                visible = photographer.shows(T_cam, n)
+                boards += visible
+                if sighting.T_board_in_cam is None:
+                    if visible:
+                        console.print(f"{k:03d} {one.board.name} at {distance:.2f} m: {sighting.explanation}")
+                    continue
+                found += visible
+                errors.append(off(sighting, truth))
+                if errors[-1][0] > WRONG[0] or errors[-1][1] > WRONG[1]:
+                    wrong += 1
+                    console.print(f"{k:03d} {one.board.name} at {distance:.2f} m: wrong by {errors[-1]}")
+    turn, shift = np.quantile(np.array(errors), (0.5, 0.95, 1.0), axis=0).T
+    console.print(f"{options.size}: {found} of {boards} boards that are wholly visible found ({found / boards:.1%})")
+    console.print(f"{wrong} wrong; mm {_spread(shift)}, degrees {_spread(turn)} (median / 95 % / maximum)")
+    console.print(f"{1000 * np.median(times):.0f} ms a photo")
+
+
+def _spread(values: np.ndarray) -> str:
+    return " / ".join(f"{value:.2f}" for value in values)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""How often a board is found where none of ours is: other boards, QR codes, checkerboards, text, keyboards, windows."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tests.strangers import KINDS, stranger
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.vision.fiducials.locate import locate
+
+CAMERA = CameraModel.pinhole(640, 480, 600.0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--photos", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    rig = load_config(RigConfig, "rigs", "russet", Locations.find(os.environ))
+    configs = [config for arm in rig.arms if (config := arm.board) is not None]
+    T_rig = [rig.T_base_in_world(k) @ config.T_board_in_arm for k, config in enumerate(configs)]
+    table = Table(title="Photos without our boards", title_justify="left", show_edge=False)
+    for column in ("", "photos", "with a pose", "ms"):
+        table.add_column(column, justify="right" if column else "left")
+    kinds = list(KINDS)
+    totals = [0, 0]
+    for n, kind in enumerate(kinds):
+        count = len(range(n, options.photos, len(kinds)))
+        wrong, times = [], []
+        for k in range(count):
+            rng = np.random.default_rng([options.seed, n, k])
+            photo = stranger(rng, kind, configs[int(rng.integers(len(configs)))].board)
+            began = time.perf_counter()
+            seen, _ = locate(photo, CAMERA, [config.board for config in configs], T_rig)
+            times.append(time.perf_counter() - began)
+            if any(one.T_board_in_cam is not None for one in seen):
+                wrong.append(k)
+        totals = [totals[0] + count, totals[1] + len(wrong)]
+        table.add_row(kind, str(count), f"{len(wrong)} {wrong[:9] or ''}", f"{1000 * np.median(times):.0f}")
+    table.add_row("all", *map(str, totals), "")
+    Console(width=100).print(table)
+
+
+if __name__ == "__main__":
+    main()

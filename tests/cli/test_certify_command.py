@@ -1,0 +1,67 @@
+"""`assets certify`, `assets list` and what `record` says, as a user types them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run_cli import yamsim
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.slow
+def test_a_certificate_is_made_kept_listed_and_asked_for(tmp_path: Path) -> None:
+    own = tmp_path / "mine" / "configs" / "objects"
+    own.mkdir(parents=True)
+    text = (ROOT / "configs" / "objects" / "kitchen_distractor.yaml").read_text()
+    (own / "cube.yaml").write_text(text.replace("name: distractor", "name: cube"))
+    env = {"YAMSIM_DATA_DIR": str(tmp_path / "mine"), "YAMSIM_ASSETS": str(tmp_path / "assets")}
+    run = yamsim("assets", "certify", "cube", "--json", env=env)
+    assert run.code == 0, run.err
+    assert (run.json["ok"], run.json["thing"], run.json["collision"]) == (
+        True,
+        "cube",
+        {"kind": "primitives", "parts": 1},
+    )
+    assert run.json["mass_kg"] == pytest.approx(0.341, abs=0.005)
+    assert {check["code"] for check in run.json["checks"]} >= {"mass.density", "rest.moves", "hollow.filled"}
+    assert standing(env) == "certified"
+    # The same thing, but so heavy that nothing is.
+    (own / "cube.yaml").write_text((own / "cube.yaml").read_text().replace("shape:\n", "shape:\n  mass_g: 49000\n"))
+    assert standing(env) == "stale"
+    run = yamsim("assets", "certify", "cube", env=env)
+    assert run.code == 4
+    assert run.message.startswith("cube: nothing is so heavy, or so light: 81,")
+    assert run.message.endswith("[mass.density]; give its mass in kg")
+    assert standing(env) == "failed"
+    run = yamsim("record", "--n", "1", "--object", "011_banana", "--target", "cube", cwd=tmp_path, env=env)
+    assert run.code == 4
+    assert "cube has failed its certificate: mass.density; mend it" in run.err
+
+
+def standing(env: dict[str, str]) -> str:
+    things = yamsim("assets", "list", "--json", env=env).json["things"]
+    return {thing["name"]: thing["certificate"] for thing in things}["cube"]
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_the_page_holds_every_check_and_a_picture(tmp_path: Path) -> None:
+    env = {"YAMSIM_ASSETS": str(tmp_path / "assets")}
+    page = tmp_path / "page.html"
+    run = yamsim("assets", "certify", "kitchen_distractor", "--html", page, env=env)
+    assert run.code == 0, run.err
+    text = page.read_text()
+    for code in ("size.implausible", "mesh.open", "mass.centre", "inertia.impossible", "rest.moves", "grasp.slips"):
+        assert f"<h2>{code}</h2>" in text
+    assert text.count("data:image/jpeg;base64,") >= 12
+    run = yamsim("assets", "certify", "kitchen_distractor", "--html", page, env=env)
+    assert (run.code, "exists; replace it with --overwrite" in run.message) == (2, True)
+
+
+def test_an_unknown_thing_is_one_line(tmp_path: Path) -> None:
+    run = yamsim("assets", "certify", "kitchen_spon", cwd=tmp_path)
+    assert run.code == 3
+    assert "did you mean 'kitchen_spoon'?" in run.message

@@ -1,0 +1,24 @@
+"""Attempts as tests need them: planned from their numbers, and what acted in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from yamsim_cli.core.attempt.physics import Simulated
+from yamsim_cli.core.attempt.planned import demonstrate
+from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.types import Actions, EpisodeJob, StepState
+
+
+def planned(simulator: Simulator, seed: int, attempt: int = 0) -> Simulated:
+    """What the task's planner makes of an attempt."""
+    return demonstrate(simulator, sample(simulator, EpisodeJob(seed, attempt)))
+
+
+def all_actions(states: Sequence[StepState]) -> Actions:
+    """What acted throughout, put together from every frame's part."""
+    parts = [state.actions for state in states]
+    return Actions(*(np.concatenate([getattr(part, key) for part in parts]) for key in ("ctrl", "magnet", "joints")))

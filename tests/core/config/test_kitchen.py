@@ -1,0 +1,120 @@
+"""The things of the kitchen: made from their sizes, as large as the benchmark says, closed, plain data once read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.loader import load_config, parse_config
+from yamsim_cli.core.config.made import MADE, made_files
+from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.documents.document import dump_yaml
+from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.geometry.solid import filling, open_edges
+from yamsim_cli.core.geometry.stl import read_stl
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.things import add_object
+
+# Width, depth and height, cm. Source: KitchenBench 0.6, nominal sizes of its asset classes.
+NOMINAL = {
+    "spoon": (4, 18, 3), "fork": (3, 19, 2), "plate": (26, 26, 3), "bowl": (16, 16, 8), "cup": (9, 9, 10),
+    "napkin": (20, 20, 1), "cloth": (45, 45, 1), "dish_towel": (45, 65, 1), "jar": (9, 9, 12), "bottle": (7, 7, 24),
+    "food_container": (18, 12, 8), "container": (14, 14, 10), "lid": (18, 12, 3), "tray": (30, 40, 5),
+    "dish_rack": (35, 25, 12), "pasta_box": (8, 4, 26), "utensil": (4, 25, 3), "produce_item": (8, 8, 8),
+    "distractor": (8, 8, 8), "dry_pasta": (1, 5, 1), "penne": (1, 4, 1), "rigatoni": (2, 4, 2),
+}  # fmt: skip
+# Where real things differ from the benchmark's boxes: a knife lies flat, a pot's ears and a cup's handle stick out of
+# two sides or one.
+OURS = {"knife": (2, 21, 1.1), "pot": (24, 19, 14), "measuring_cup": (10, 8, 9), "jar_lid": (8, 8, 2),
+        "bottle_cap": (3.5, 3.5, 2)}  # fmt: skip
+SIZES = NOMINAL | OURS
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def thing(name: str, locations: Locations) -> ObjectConfig:
+    return load_config(ObjectConfig, "objects", f"kitchen_{name}", locations)
+
+
+def test_the_list_is_whole() -> None:
+    files = {path.stem.removeprefix("kitchen_") for path in (ROOT / "configs" / "objects").glob("kitchen_*.yaml")}
+    assert files == set(SIZES)
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_it_is_closed_and_as_large_as_it_is_to_be(name: str, locations: Locations) -> None:
+    item = thing(name, locations)
+    assert item.shape is not None
+    surfaces = [read_stl(data) for data in made_files(item.name, item.shape).values()]
+    for vertices, faces in surfaces:
+        assert open_edges(faces) == 0
+        assert filling(vertices, faces).volume > 0
+    points = np.concatenate([vertices for vertices, _ in surfaces])
+    assert points[:, 2].min() == pytest.approx(0, abs=5e-4)
+    # Within 5 %, or 3 mm of what is small.
+    for found, nominal in zip(np.ptp(points, axis=0) * 100, SIZES[name], strict=True):
+        assert found == pytest.approx(nominal, rel=0.05, abs=0.3)
+
+
+@pytest.mark.parametrize("name", ["bowl", "spoon", "tray", "penne"])
+def test_what_a_dataset_holds_needs_no_sizes_for_physics(name: str, locations: Locations) -> None:
+    """A recording says everything; only looks are made again."""
+    item = thing(name, locations)
+    text = dump_yaml(item.model_dump(mode="json"))
+    assert parse_config(ObjectConfig, text, "dataset", locations, as_recorded=True) == item
+    assert {mesh.set for mesh in item.all_meshes} == {MADE}
+    assert item.mesh_sets == ()
+
+
+def test_a_scene_shows_it_without_any_folder(locations: Locations) -> None:
+    spec = mujoco.MjSpec()
+    add_object(spec, thing("pot", locations), {})
+    model = spec.compile()
+    assert [model.mesh(k).name for k in range(model.nmesh)] == ["pot", "pot_mesh_1"]
+    assert model.body("pot").mass[0] == pytest.approx(thing("pot", locations).inertia.mass)
+
+
+def test_sizes_are_parameters(tmp_path: Path, locations: Locations) -> None:
+    text = (ROOT / "configs" / "objects" / "kitchen_bowl.yaml").read_text()
+    file = tmp_path / "large.yaml"
+    file.write_text(text.replace("diameter_mm: 160", "diameter_mm: 200").replace("name: bowl", "name: large"))
+    large, usual = load_config(ObjectConfig, "objects", str(file), locations), thing("bowl", locations)
+    assert large.inertia.mass > 1.2 * usual.inertia.mass
+    assert max(disc[2] for disc in large.footprint) == pytest.approx(0.0985, abs=0.002)
+
+
+def test_what_is_given_is_kept(tmp_path: Path, locations: Locations) -> None:
+    text = (ROOT / "configs" / "objects" / "kitchen_bowl.yaml").read_text()
+    (tmp_path / "mine.yaml").write_text(text + "contact: {friction: [0.3, 0.005, 0.0005], condim: 4}\n")
+    mine = load_config(ObjectConfig, "objects", str(tmp_path / "mine.yaml"), locations)
+    assert mine.contact.friction[0] == 0.3
+    assert mine.collision == thing("bowl", locations).collision
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("wall_mm: 2.8", "wall_mm: 40"), "leaves no inside"),
+        (("diameter_mm: 160", "diameter_mm: 0.16"), "diameter_mm"),
+        (("body:", "lid:"), "body is missing"),
+        (("family: vessel", "family: vase"), "family"),
+    ],
+)
+def test_sizes_that_make_no_thing_are_told_with_their_line(
+    change: tuple[str, str], said: str, tmp_path: Path, locations: Locations
+) -> None:
+    text = (ROOT / "configs" / "objects" / "kitchen_bowl.yaml").read_text()
+    assert change[0] in text
+    (tmp_path / "bad.yaml").write_text(text.replace(*change))
+    with pytest.raises(ConfigError, match=said) as fault:
+        load_config(ObjectConfig, "objects", str(tmp_path / "bad.yaml"), locations)
+    assert "bad.yaml:" in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(("asked", "found"), [("spoon", "kitchen_spoon"), ("bowl", "024_bowl"), ("cup", "kitchen_cup")])
+def test_a_name_without_what_stands_in_front(asked: str, found: str, locations: Locations) -> None:
+    assert locations.config_file("objects", asked).stem == found

@@ -1,0 +1,67 @@
+"""A world that stands still, told in a few words: for tests of goals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector
+
+SIZE = 0.04
+
+
+@dataclass
+class StillWorld:
+    """Cubes of 40 mm by the places of their middles (m), and what else is true of them.
+
+    Attributes:
+        places: thing -> its middle.
+        leaning: thing -> its turn about the x axis, rad.
+        touches: pairs of things that touch.
+        held: thing -> sides of the hands that hold it.
+        passed: thing -> sides of the hands that held it, in order.
+        shares: (thing, container) -> share inside.
+        openings: (thing, joint) -> share open.
+        starts: thing -> where it began.
+    """
+
+    places: Mapping[str, tuple[float, float, float]]
+    leaning: Mapping[str, float] = field(default_factory=dict)
+    touches: Iterable[tuple[str, str]] = ()
+    held: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    passed: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    shares: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    openings: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    starts: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    def pose(self, thing: str) -> Array:
+        return pose(self.places[thing], rotation_from_vector([self.leaning.get(thing, 0.0), 0.0, 0.0]))
+
+    def start(self, thing: str) -> Array:
+        return pose(self.starts[thing])
+
+    def bounds(self, thing: str) -> tuple[Array, Array]:
+        if thing == "table":
+            return np.array([-1.0, -1.0, -0.02]), np.array([1.0, 1.0, 0.0])
+        middle = np.array(self.places[thing])
+        return middle - SIZE / 2, middle + SIZE / 2
+
+    def speed(self, thing: str) -> float:
+        return 0.0 if thing in self.places else float("nan")
+
+    def touching(self, one: str, other: str) -> bool:
+        return (one, other) in self.touches or (other, one) in self.touches
+
+    def holders(self, thing: str) -> frozenset[str]:
+        return self.held.get(thing, frozenset())
+
+    def passed_to(self, thing: str) -> tuple[str, ...]:
+        return self.passed.get(thing, ())
+
+    def share_inside(self, thing: str, container: str) -> float:
+        return self.shares[thing, container]
+
+    def opening(self, thing: str, joint: str) -> float:
+        return self.openings[thing, joint]

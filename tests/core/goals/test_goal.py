@@ -1,0 +1,140 @@
+"""Goals: every predicate where it holds, where it just does not, and how they are joined."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from pydantic import ValidationError
+
+from yamsim_cli.core.goals.cast import Cast
+from yamsim_cli.core.goals.goal import Goal, judge
+from yamsim_cli.core.goals.predicates import PREDICATES
+
+from .still_world import StillWorld
+
+CAST = Cast({"cup": ("cup",), "plate": ("plate",), "cube": ("cube_1", "cube_2")}, {"cube_1": "red", "cube_2": "blue"})
+ON_PLATE = StillWorld({"cup": (0.3, 0.01, 0.06), "plate": (0.3, 0.0, 0.02)}, touches=[("cup", "plate")])
+IN_AIR = StillWorld({"cup": (0.3, 0.0, 0.20), "plate": (0.3, 0.0, 0.02)}, held={"cup": frozenset({"left"})})
+
+# A predicate as a goal says it, a world in which it holds, its margin there, and a near miss.
+CASES = {
+    "on": (
+        {"thing": "cup", "surface": "plate"},
+        ON_PLATE,
+        0.01,
+        StillWorld({"cup": (0.3, 0.021, 0.06), "plate": (0.3, 0.0, 0.02)}, touches=[("cup", "plate")]),
+    ),
+    "in": (
+        {"thing": "cup", "container": "plate"},
+        StillWorld({"cup": (0, 0, 0), "plate": (0, 0, 0)}, shares={("cup", "plate"): 0.9}),
+        0.1,
+        StillWorld({"cup": (0, 0, 0), "plate": (0, 0, 0)}, shares={("cup", "plate"): 0.79}),
+    ),
+    "stacked": (
+        {"things": "cube"},
+        StillWorld({"cube_1": (0, 0, 0.02), "cube_2": (0.005, 0, 0.06)}, touches=[("cube_1", "cube_2")]),
+        0.015,
+        StillWorld({"cube_1": (0, 0, 0.02), "cube_2": (0.03, 0, 0.02)}, touches=[("cube_1", "cube_2")]),
+    ),
+    "upright": (
+        {"thing": "cup", "tilt_deg": 10},
+        StillWorld({"cup": (0, 0, 0)}, leaning={"cup": math.radians(4)}),
+        6.0,
+        StillWorld({"cup": (0, 0, 0)}, leaning={"cup": math.radians(-11)}),
+    ),
+    "near": (
+        {"thing": "cup", "place": [0.3, 0.0], "radius": 0.02},
+        ON_PLATE,
+        0.01,
+        StillWorld({"cup": (0.3, 0.021, 0.06)}),
+    ),
+    "above": ({"thing": "cup", "other": "plate", "by": 0.1}, IN_AIR, 0.04, ON_PLATE),
+    "held_by": ({"thing": "cup", "arm": "left"}, IN_AIR, 0.0, ON_PLATE),
+    "handed_over": (
+        {"thing": "cup", "to": "right"},
+        StillWorld({"cup": (0, 0, 0)}, passed={"cup": ("left", "right")}),
+        0.0,
+        StillWorld({"cup": (0, 0, 0)}, passed={"cup": ("right",)}),
+    ),
+    "sorted": (
+        {"things": "cube", "order": ["blue", "red"], "axis": "y", "apart": 0.03},
+        StillWorld({"cube_1": (0, 0.10, 0), "cube_2": (0, 0.05, 0)}),
+        0.02,
+        StillWorld({"cube_1": (0, 0.07, 0), "cube_2": (0, 0.05, 0)}),
+    ),
+    "open": (
+        {"thing": "cup", "joint": "lid", "share": 0.7},
+        StillWorld({"cup": (0, 0, 0)}, openings={("cup", "lid"): 0.75}),
+        0.05,
+        StillWorld({"cup": (0, 0, 0)}, openings={("cup", "lid"): 0.69}),
+    ),
+    "swapped": (
+        {"thing": "cup", "other": "plate", "radius": 0.03},
+        StillWorld({"cup": (0.3, 0.01, 0), "plate": (0.5, 0, 0)}, starts={"cup": (0.5, 0, 0), "plate": (0.3, 0, 0)}),
+        0.02,
+        StillWorld({"cup": (0.3, 0.01, 0), "plate": (0.5, 0.04, 0)}, starts={"cup": (0.5, 0, 0), "plate": (0.3, 0, 0)}),
+    ),
+}
+
+
+def test_every_predicate_has_a_case() -> None:
+    assert set(CASES) == set(PREDICATES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_holds_with_its_margin_and_not_in_a_near_miss(name: str) -> None:
+    arguments, world, margin, near_miss = CASES[name]
+    goal = Goal.model_validate({name: arguments})
+    verdict = judge(goal, world, CAST)
+    assert verdict.reached
+    assert verdict.worst.margin == pytest.approx(margin, abs=1e-9)
+    missed = judge(goal, near_miss, CAST)
+    assert not missed.reached
+    assert missed.worst.margin < 0
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_not_turns_it_round(name: str) -> None:
+    arguments, world, _, near_miss = CASES[name]
+    goal = Goal.model_validate({"not": {name: arguments}})
+    assert not judge(goal, world, CAST).reached
+    assert judge(goal, near_miss, CAST).reached
+
+
+def test_what_a_hand_holds_rests_on_nothing() -> None:
+    held = StillWorld(ON_PLATE.places, touches=ON_PLATE.touches, held={"cup": frozenset({"left", "right"})})
+    verdict = judge(Goal.model_validate({"on": {"thing": "cup", "surface": "plate"}}), held, CAST)
+    assert not verdict.reached
+    assert "left and the right hand" in verdict.worst.detail
+
+
+def test_all_any_and_the_worst() -> None:
+    on, upright = {"on": {"thing": "cup", "surface": "plate"}}, {"upright": {"thing": "cup", "tilt_deg": 5}}
+    tilted = StillWorld(ON_PLATE.places, leaning={"cup": 0.5}, touches=ON_PLATE.touches)
+    every = judge(Goal.model_validate({"all": [on, upright]}), tilted, CAST)
+    assert not every.reached
+    assert every.worst.what == "upright(cup)"
+    assert judge(Goal.model_validate({"any": [on, upright]}), tilted, CAST).reached
+    assert not judge(Goal.model_validate({"any": [upright, {"not": on}]}), tilted, CAST).reached
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({}, "is empty"),
+        ({"on": {"thing": "a", "surface": "b"}, "upright": {"thing": "a"}}, "has on and upright"),
+        ({"all": []}, "`all` of nothing"),
+        ({"staked": {}}, "staked"),
+        ({"near": {"thing": "a", "radius": 0.1}}, "either `other` or `place`"),
+        ({"sorted": {"things": "a"}}, "either `order` or `into`"),
+    ],
+)
+def test_what_is_no_goal_says_why(given: dict[str, object], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        Goal.model_validate(given)
+
+
+def test_a_goal_survives_its_own_dump() -> None:
+    goal = Goal.model_validate({"all": [{"not": {"held_by": {"thing": "cup"}}}], "for_s": 0.5})
+    assert Goal.model_validate(goal.model_dump(mode="json")) == goal

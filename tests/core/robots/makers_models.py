@@ -1,0 +1,203 @@
+"""The maker's own models of the YAM family, out of its SDK's wheel, each arm and gripper put together as the SDK does.
+
+    python -m tests.core.robots.makers_models WHEEL > tests/data/family_reference.json
+
+Source: dreamscale-i2rt 1.3.6.post1 (MIT), `combine_arm_and_gripper_xml` of i2rt/robots/utils.py. Nothing of it is
+imported.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+
+from yamsim_cli.core.geometry.se3 import Array, pose, pose_from_quat, quat_from_rotation
+
+Element = ElementTree.Element
+
+# Our model -> the maker's arm and its version.
+ARMS: Mapping[str, tuple[str, int]] = {
+    "yam_v1": ("yam", 1),
+    "yam_pro_v1": ("yam_pro", 1),
+    "yam_ultra_v1": ("yam_ultra", 1),
+    "yam_ultra_v2": ("yam_ultra", 2),
+    "big_yam_v1": ("big_yam", 1),
+}
+
+
+@dataclass(frozen=True)
+class Fingers:
+    """How the maker's fingers are ours.
+
+    Attributes:
+        bodies, joints: the maker's, of our left and right finger.
+        closed: what the maker's joints are where ours are 0, m.
+    """
+
+    bodies: tuple[str, str]
+    joints: tuple[str, str]
+    closed: float = 0.0
+
+
+_TIPS = Fingers(("tip_left", "tip_right"), ("joint7", "joint8"))
+GRIPPERS: Mapping[str, Fingers | None] = {
+    "crank_4310": Fingers(_TIPS.bodies, _TIPS.joints, 0.00205),
+    "linear_4310": _TIPS,
+    "linear_3507": _TIPS,
+    # The one that opens to the left is the maker's second.
+    "flexible_4310": Fingers(("linear_module_2", "linear_module"), ("joint8", "joint7")),
+    "no_gripper": None,
+}
+
+# The maker's flange is ours, turned by half about its z.
+T_FLANGE = pose_from_quat((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+# Poses in the file. The test that has the wheel takes 200.
+_STORED = 6
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One pose, in our terms: joints, then fingers (n,), rad and m; and what the maker's model makes of it.
+
+    Attributes:
+        bodies: pose (4, 4) of each of our bodies in the base frame.
+        mass_matrix: (n, n), no armature in it.
+    """
+
+    q: Array
+    bodies: Mapping[str, Array]
+    mass_matrix: Array
+
+
+class MakersModel:
+    """The maker's model of an arm with a gripper."""
+
+    def __init__(self, wheel: Path, arm: str, gripper: str) -> None:
+        with zipfile.ZipFile(wheel) as archive:
+            self._model = mujoco.MjModel.from_xml_string(_merged(archive, *ARMS[arm], gripper))
+        self._fingers = GRIPPERS[gripper]
+        names = [f"joint{k}" for k in range(1, 7)] + list(self._fingers.joints if self._fingers else ())
+        joints = [self._model.joint(name) for name in names]
+        self._qpos = np.array([joint.qposadr[0] for joint in joints])
+        self._dof = np.array([joint.dofadr[0] for joint in joints])
+        self._closed = np.array([0.0] * 6 + [self._fingers.closed] * 2 if self._fingers else [0.0] * 6)
+        self._range = np.array([joint.range for joint in joints])
+
+    def random(self, rng: np.random.Generator) -> Array:
+        """Joints and fingers (n,) anywhere between their stops."""
+        return np.round(rng.uniform(*self._range.T) - self._closed, 6)
+
+    def sample(self, q: Array) -> Sample:
+        """What the model makes of joints and fingers (n,)."""
+        model, data = self._model, mujoco.MjData(self._model)
+        data.qpos[self._qpos] = q + self._closed
+        mujoco.mj_forward(model, data)
+        bodies = {"link_6": _pose(data, "gripper") @ T_FLANGE}
+        if self._fingers:
+            for side, name in zip(("left", "right"), self._fingers.bodies, strict=True):
+                bodies[f"link_{side}_finger"] = _pose(data, name)
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, full)
+        return Sample(q, bodies, full[np.ix_(self._dof, self._dof)])
+
+
+def _pose(data: mujoco.MjData, name: str) -> Array:
+    body = data.body(name)
+    return pose(body.xpos, body.xmat.reshape(3, 3))
+
+
+def _merged(archive: zipfile.ZipFile, arm: str, version: int, gripper: str) -> str:
+    """The arm's MJCF with the gripper's body in its last one, without anything that is only seen."""
+    models = "i2rt/robot_models"
+    root = _without_looks(archive.read(f"{models}/arm/{arm}/v{version}/{arm}.xml"))
+    hand = _without_looks(archive.read(f"{models}/gripper/{gripper}/{gripper}.xml"))
+    mount = yaml.safe_load(archive.read(f"i2rt/robots/config/{gripper}.yml"))["last_joint_mount"][arm][f"v{version}"]
+    flange = _part(root, ".//body[@name='gripper']")
+    flange.set("pos", mount["pos"])
+    flange.set("quat", mount["quat"])
+    _part(flange, "joint").set("axis", mount["axis"])
+    frame = _part(hand, ".//body[@name='gripper']")
+    T = _placed(frame)
+    inside = ElementTree.SubElement(flange, "frame", {key: frame.get(key, "") for key in ("pos", "quat")})
+    flange.remove(_part(flange, "inertial"))
+    for element in frame:
+        if element.tag == "inertial":
+            placed = T @ _placed(element)
+            element.set("pos", _text(placed[:3, 3]))
+            element.set("quat", _text(quat_from_rotation(placed[:3, :3])))
+            flange.insert(0, element)
+        else:
+            inside.append(element)
+    root.extend(hand.findall("equality"))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _without_looks(xml: bytes) -> Element:
+    root = ElementTree.fromstring(xml)
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in ("mesh", "geom"):
+                parent.remove(child)
+    return root
+
+
+def _part(element: Element, path: str) -> Element:
+    found = element.find(path)
+    assert found is not None, path
+    return found
+
+
+def _placed(element: Element) -> Array:
+    place, turn = (
+        [float(number) for number in element.get(key, default).split()]
+        for key, default in (("pos", "0 0 0"), ("quat", "1 0 0 0"))
+    )
+    return pose_from_quat(place, turn)
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def reference(wheel: Path) -> dict[str, Any]:
+    """What the maker's models make of a few random poses, of every arm with every gripper."""
+    rng, found = np.random.default_rng(20261122), []
+    for arm in ARMS:
+        for gripper in GRIPPERS:
+            makers = MakersModel(wheel, arm, gripper)
+            samples = [_plain(makers.sample(makers.random(rng))) for _ in range(_STORED)]
+            found.append({"arm": arm, "gripper": gripper, "samples": samples})
+    return {"source": "dreamscale-i2rt 1.3.6.post1", "pairs": found}
+
+
+def _plain(sample: Sample) -> dict[str, Any]:
+    upper = np.triu_indices(len(sample.q))
+    return {
+        "q": sample.q.tolist(),
+        "bodies": {name: np.round(T[:3], 9).ravel().tolist() for name, T in sample.bodies.items()},
+        "mass_matrix": np.round(sample.mass_matrix[upper], 9).tolist(),
+    }
+
+
+def stored(plain: Mapping[str, Any]) -> Sample:
+    """A sample as it was before it was written down."""
+    q = np.array(plain["q"])
+    matrix = np.zeros((len(q), len(q)))
+    matrix[np.triu_indices(len(q))] = plain["mass_matrix"]
+    bodies = {name: np.vstack([np.reshape(T, (3, 4)), (0, 0, 0, 1)]) for name, T in plain["bodies"].items()}
+    return Sample(q, bodies, np.triu(matrix) + np.triu(matrix, 1).T)
+
+
+if __name__ == "__main__":
+    json.dump(reference(Path(sys.argv[1])), sys.stdout)

@@ -1,0 +1,29 @@
+"""What compiled scenes are, as hashes of their arrays: recordings repeat only in the same models."""
+
+from __future__ import annotations
+
+import hashlib
+
+import mujoco
+import numpy as np
+
+# All that physics, drawing and recording make use of; sizes follow from these.
+ARRAYS = (
+    *("body_parentid", "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
+    *("body_gravcomp", "jnt_type", "jnt_bodyid", "jnt_axis", "jnt_range", "dof_armature", "dof_frictionloss"),
+    *("dof_invweight0", "qpos0", "geom_type", "geom_bodyid", "geom_size", "geom_pos", "geom_quat", "geom_friction"),
+    *("geom_solref", "geom_solimp", "geom_condim", "geom_priority", "geom_contype", "geom_conaffinity"),
+    *("geom_group", "geom_rgba", "geom_matid", "mat_rgba", "site_bodyid", "site_pos", "site_quat", "cam_bodyid"),
+    *("cam_pos", "cam_quat", "cam_fovy", "exclude_signature", "eq_type", "eq_obj1id", "eq_obj2id", "eq_data"),
+    *("actuator_trnid", "actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "actuator_forcerange"),
+)
+
+
+def figures(model: mujoco.MjModel) -> dict[str, str]:
+    """Array -> hash of what it holds, to ten decimals; and one of all names."""
+    found = {"names": hashlib.sha256(bytes(model.names)).hexdigest()[:16]}
+    for name in ARRAYS:
+        array = np.asarray(getattr(model, name))
+        plain = np.round(array.astype(np.float64), 10) + 0.0
+        found[name] = hashlib.sha256(f"{array.shape}".encode() + plain.tobytes()).hexdigest()[:16]
+    return found

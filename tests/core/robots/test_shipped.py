@@ -1,0 +1,102 @@
+"""The arms and grippers that yamsim comes with: they fit, and are what recordings were made with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.core.robots.same_models import figures
+from yamsim_cli.core.assets import load_lock
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robots.models import ArmModel, Gripper
+from yamsim_cli.core.robots.robot import Robot, assemble, widest_joints
+from yamsim_cli.core.scene.build import build_scene
+from yamsim_cli.core.session import Session
+
+KEPT = json.loads((Path(__file__).parents[2] / "data" / "robot_models.json").read_text())
+WHERE = Locations.find({})
+
+
+def shipped(model: str, gripper: str) -> Robot:
+    return assemble(load_config(ArmModel, "robots", model, WHERE), load_config(Gripper, "grippers", gripper, WHERE))
+
+
+def _pairs() -> list[tuple[str, str]]:
+    """Every arm with every gripper that fits it, by whichever file says so."""
+    arms = [load_config(ArmModel, "robots", name, WHERE) for name in WHERE.config_names("robots")]
+    grippers = [load_config(Gripper, "grippers", name, WHERE) for name in WHERE.config_names("grippers")]
+    return [
+        (arm.name, gripper.name)
+        for arm in arms
+        for gripper in grippers
+        if gripper.name in arm.grippers or arm.name in gripper.arms
+    ]
+
+
+@pytest.mark.parametrize("rig", KEPT)
+def test_scenes_are_the_models_that_recordings_were_made_with(
+    make_config: Callable[..., RecordConfig], locations: Locations, rig: str
+) -> None:
+    """The kept figures come from before arms and grippers were files of their own."""
+    changes = {("rig",): rig, ("boards",): rig in ("single", "russet"), ("wrist",): True}
+    if rig == "single_linear":
+        changes["grasp",] = "contact"
+    found = figures(build_scene(Session(make_config(changes), locations)).model)
+    assert [name for name in KEPT[rig] if found[name] != KEPT[rig][name]] == []
+
+
+@pytest.mark.parametrize(("model", "gripper"), _pairs())
+def test_every_pair_that_fits_is_a_model_with_the_stops_of_its_files(model: str, gripper: str) -> None:
+    robot = shipped(model, gripper)
+    spec = mujoco.MjSpec.from_string(robot.xml)
+    joints = {joint.name: tuple(joint.range) for joint in spec.joints}
+    for joint in robot.joints:
+        assert joints[joint.name] == joint.range
+        assert joint.motor_rad_s < joint.reported_rad_s
+    if robot.fingers:
+        for name, sign in zip(robot.fingers.joints, robot.finger_signs, strict=True):
+            assert joints[name] == tuple(sorted(sign * end for end in robot.fingers.range))
+    assert {actuator.name for actuator in spec.actuators} == set(robot.drives)
+    sites = {site.name for site in spec.sites}
+    assert {"grasp_site", "pinch_site"} <= sites or robot.fingers is None
+
+
+@pytest.mark.parametrize(("model", "gripper"), _pairs())
+def test_mesh_files_are_those_of_their_sets(model: str, gripper: str) -> None:
+    lock, robot = load_lock(WHERE), shipped(model, gripper)
+    for mesh in mujoco.MjSpec.from_string(robot.xml).meshes:
+        assets, _, file = mesh.file.partition("/")
+        assert assets in robot.mesh_sets
+        assert file in lock.sets[assets].files
+
+
+def test_grippers_change_nothing_of_the_links_before_the_flange() -> None:
+    crank, linear = (mujoco.MjSpec.from_string(shipped("i2rt_yam", name).xml) for name in ("crank", "linear_4310"))
+    for k in range(1, 6):
+        one, other = crank.body(f"link_{k}"), linear.body(f"link_{k}")
+        for key in ("pos", "quat", "mass", "ipos", "iquat", "inertia", "gravcomp"):
+            np.testing.assert_array_equal(getattr(one, key), getattr(other, key), err_msg=f"link_{k} {key}")
+
+
+def test_an_unknown_gripper_may_let_joints_go_as_far_as_any() -> None:
+    joints = widest_joints(load_config(ArmModel, "robots", "i2rt_yam", WHERE))
+    assert [joint.range for joint in joints[:4]] == [
+        (-2.61799, 3.14159),
+        (0, 3.66519),
+        (0, 3.66519),
+        (-1.69297, 1.5708),
+    ]
+
+
+def test_the_drives_are_told_apart() -> None:
+    """Joints 1 to 3 have the slow, strong drive. Source: DAMIAO's and I2RT's figures, as in model.yaml."""
+    joints = shipped("i2rt_yam", "crank").joints
+    assert [joint.reported_rad_s for joint in joints] == [10] * 3 + [30] * 3
+    assert joints[0].motor_rad_s == pytest.approx(52.5 / 60 * 2 * np.pi)

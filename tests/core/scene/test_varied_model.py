@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
+from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.build import build_scene
+from yamsim_cli.core.scene.textures import pattern
+from yamsim_cli.core.scene.varied_model import VariedModel, scale_mass
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.tasks.sampled_variation import sample_variation
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.variation import SurfaceVariation, Variation
+
+GREY, RED = (0.5, 0.5, 0.5), (0.8, 0.1, 0.1)
+
+
+@pytest.fixture(scope="module")
+def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
+    floor = {"saturation": [0, 1], "value": [0, 1], "contrast": [0, 1], "textures": {"noise": 1, "plain": 1}}
+    return make_config({("randomization",): "default", ("randomization", "floor"): floor})
+
+
+@pytest.fixture(scope="module")
+def model(config: RecordConfig, locations: Locations) -> mujoco.MjModel:
+    return build_scene(Session(config, locations)).model
+
+
+@pytest.fixture(scope="module")
+def only(model: mujoco.MjModel, config: RecordConfig) -> VariedModel:
+    return VariedModel(model, config.randomization, config.scene)
+
+
+@pytest.fixture
+def varied(only: VariedModel) -> VariedModel:
+    only.apply(Variation())
+    return only
+
+
+def numbers(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """Every array of a model but its textures' pixels."""
+    names = [name for name in dir(model) if isinstance(getattr(model, name), np.ndarray) and name != "tex_data"]
+    arrays = {name: getattr(model, name).copy() for name in names}
+    return arrays | {name: getattr(model.vis.headlight, name).copy() for name in ("ambient", "diffuse", "specular")}
+
+
+def changed(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> set[str]:
+    return {name for name in before if not np.array_equal(before[name], after[name])}
+
+
+def test_nothing_stays_of_an_attempt(model: mujoco.MjModel, varied: VariedModel, config: RecordConfig) -> None:
+    before = numbers(model)
+    for k in range(5):
+        objects = (config.task.object, config.task.target)
+        varied.apply(sample_variation(config.randomization, EpisodeJob(0, k), 2, objects))
+        varied.place("mug", (0.6, 0.2, 0.0, 1.0))
+        assert changed(before, numbers(model))
+    varied.apply(Variation())
+    assert changed(before, numbers(model)) == set()
+
+
+def test_only_mass_and_friction_touch_physics(model: mujoco.MjModel, varied: VariedModel, config: RecordConfig) -> None:
+    before = numbers(model)
+    objects = (config.task.object, config.task.target)
+    ranges = config.randomization.model_copy(update={"mass": None, "friction": None})
+    varied.apply(sample_variation(ranges, EpisodeJob(0, 0), 2, objects))
+    looks = ("light_", "mat_", "cam_", "geom_matid", "geom_group", "ambient", "diffuse")
+    assert all(name.startswith(looks) for name in changed(before, numbers(model)))
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.7])
+def test_a_mass_is_scaled_as_mujoco_would(model: mujoco.MjModel, varied: VariedModel, factor: float) -> None:
+    body = model.body("banana").id
+    scale_mass(model, body, factor)
+    mine = numbers(model)
+    stat = model.stat.extent, model.stat.center.copy(), model.stat.meaninertia
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    theirs = numbers(model)
+    model.stat.extent, model.stat.center[:], model.stat.meaninertia = stat
+    for name in ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0"):
+        np.testing.assert_allclose(mine[name], theirs[name], rtol=1e-9, err_msg=name)
+    varied.apply(Variation())
+
+
+def test_friction_is_that_of_all_of_an_objects_surface(model: mujoco.MjModel, varied: VariedModel) -> None:
+    before = model.geom_friction.copy()
+    varied.apply(Variation(friction={"banana": 0.5, "table": 2.0}))
+    for geom in range(model.ngeom):
+        body, name = model.body(int(model.geom_bodyid[geom])).name, model.geom(geom).name
+        factor = 0.5 if body == "banana" else 2.0 if name == "table" else 1.0
+        np.testing.assert_allclose(model.geom_friction[geom], before[geom] * [factor, 1, 1])
+
+
+def test_the_camera_moves_and_turns_about_the_worlds_axes(model: mujoco.MjModel, varied: VariedModel) -> None:
+    camera = model.cam(SCENE_CAMERA)
+    before, quat, fovy = camera.pos.copy(), camera.quat.copy(), float(camera.fovy[0])
+    varied.apply(Variation(lens_deg=2.0, camera=(0.1, 0.0, -0.2, 0.0, 0.0, 0.3)))
+    np.testing.assert_allclose(camera.pos - before, (0.1, 0.0, -0.2))
+    assert float(camera.fovy[0]) == fovy + 2.0
+    expected = np.empty(4)
+    mujoco.mju_mulQuat(expected, quat_from_rotation(rotation_z(0.3)), quat)
+    assert abs(expected @ camera.quat) == pytest.approx(1)
+
+
+def test_a_plain_surface_needs_no_texture(model: mujoco.MjModel, varied: VariedModel) -> None:
+    varied.apply(Variation(table=SurfaceVariation("plain", (RED, RED), 3, 0)))
+    assert varied.textures == []
+    material = model.material(int(model.geom("table").matid[0]))
+    assert material.name == "table"
+    np.testing.assert_allclose(material.rgba[:3], RED, atol=1e-6)
+
+
+def test_a_texture_is_in_the_model_and_named(model: mujoco.MjModel, varied: VariedModel) -> None:
+    surface = SurfaceVariation("noise", (GREY, RED), 3, 7)
+    varied.apply(Variation(table=surface, floor=surface))
+    assert varied.textures == [model.texture("table_textured").id, model.texture("floor_textured").id]
+    assert model.material(int(model.geom("table").matid[0])).name == "table_textured"
+    start, image = int(model.tex_adr[varied.textures[0]]), pattern(surface)
+    np.testing.assert_array_equal(model.tex_data[start : start + image.size], image.ravel())
+    assert model.geom("floor_tiles").group[0] > 2
+
+
+def test_a_checkered_floor_is_its_tiles(model: mujoco.MjModel, varied: VariedModel) -> None:
+    varied.apply(Variation(floor=SurfaceVariation("checker", (GREY, RED), 3, 0)))
+    assert varied.textures == []
+    np.testing.assert_allclose(model.material("floor").rgba[:3], GREY, atol=1e-6)
+    np.testing.assert_allclose(model.material("floor_tiles").rgba[:3], RED, atol=1e-6)
+
+
+def test_distractors_add_no_degree_of_freedom(
+    model: mujoco.MjModel, varied: VariedModel, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    plain = build_scene(Session(make_config(), locations)).model
+    assert (model.nq, model.nv, model.nu, model.neq) == (plain.nq, plain.nv, plain.nu, plain.neq)
+
+
+def test_an_absent_distractor_is_nowhere(model: mujoco.MjModel, varied: VariedModel) -> None:
+    mug = model.body("mug")
+    geoms = np.flatnonzero(model.geom_bodyid == mug.id)
+    varied.place("mug", (0.4, 0.1, 0.0, 0.0))
+    assert (model.geom_contype[geoms] == 1).any()
+    assert (model.geom_group[geoms] <= 2).any()
+    varied.place("mug", None)
+    assert not model.geom_contype[geoms].any()
+    assert not model.geom_conaffinity[geoms].any()
+    assert (model.geom_group[geoms] > 3).all()
+    assert mug.pos[2] < -1
+
+
+@pytest.mark.parametrize("texture", ["plain", "checker", "gradient", "noise"])
+def test_patterns_are_made_of_their_two_colours(texture: str) -> None:
+    image = pattern(SurfaceVariation(texture, ((0.2, 0.2, 0.2), (0.8, 0.4, 0.2)), 3, 5), 64).astype(int)
+    assert image.shape == (64, 64, 3)
+    low, high = (51, 51, 51), ((51, 51, 51) if texture == "plain" else (204, 102, 51))
+    assert (image.reshape(-1, 3).min(0) >= np.minimum(low, high)).all()
+    assert (image.reshape(-1, 3).max(0) <= np.maximum(low, high)).all()
+    assert texture == "plain" or image[..., 0].std() > 10
+
+
+def test_a_checkerboard_repeats_as_often_as_it_says() -> None:
+    image = pattern(SurfaceVariation("checker", ((0, 0, 0), (1, 1, 1)), 4, 5), 64)
+    assert (np.diff(image[0, :, 0].astype(int)) != 0).sum() == 2 * 4 - 1
+
+
+def test_noise_can_be_repeated_without_a_seam() -> None:
+    image = pattern(SurfaceVariation("noise", ((0, 0, 0), (1, 1, 1)), 3, 5)).astype(int)[..., 0]
+    inside = np.abs(np.diff(image, axis=0)).max()
+    assert np.abs(image[0] - image[-1]).max() <= inside + 2
+    assert np.abs(image[:, 0] - image[:, -1]).max() <= inside + 2

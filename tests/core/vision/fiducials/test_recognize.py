@@ -1,0 +1,153 @@
+"""Boards that cannot be read: what is taken for one, how sure that is, and where it is looked for."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.board_photos import facing, photograph
+from tests.strangers import KINDS, stranger
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_vector
+from yamsim_cli.core.vision.fiducials.bits import bits_of, evidence, least_chance
+from yamsim_cli.core.vision.fiducials.lattice import board_quads
+from yamsim_cli.core.vision.fiducials.locate import locate
+from yamsim_cli.core.vision.fiducials.print_view import Piece, plane_of, view_print
+from yamsim_cli.core.vision.fiducials.quads import dark_quads
+from yamsim_cli.core.vision.fiducials.sighting import Status
+from yamsim_cli.core.vision.fiducials.smear import Smear
+from yamsim_cli.core.vision.fiducials.suspects import outer_corners, suspects
+from yamsim_cli.core.vision.lens import project_points
+
+CAMERA = CameraModel.pinhole(640, 480, 600.0)
+LENGTH = 0.02923077
+ONE = Board("one", 217, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
+TWO = Board("two", 226, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
+
+
+def corners_of(board: Board, T: Array) -> Array:
+    return project_points(CAMERA, outer_corners(board) @ T[:3, :3].T + T[:3, 3])
+
+
+def off(T: Array, truth: Array) -> tuple[float, float]:
+    return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), float(
+        np.linalg.norm(rotation_vector(T[:3, :3].T @ truth[:3, :3]))
+    )
+
+
+def chance(photo: np.ndarray, board: Board, T: Array) -> float:
+    piece = Piece(board, np.eye(4), tuple(range(9)))
+    plane = plane_of(piece, T)
+    view = view_print(photo.astype(np.float32), CAMERA, piece, plane)
+    assert view is not None
+    return evidence(view, plane, Smear(0.6), 2.0).log_chance
+
+
+def test_the_bits_of_a_far_board_are_no_chance() -> None:
+    truth = facing(0.1, 0.05, 1.4)
+    photo = photograph(CAMERA, [(ONE, truth)])
+    assert chance(photo, ONE, truth) < -80
+    # Another board, another way up, and a place beside it are chance.
+    turned = truth @ pose((0, 0, 0), [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    for board, T in ((TWO, truth), (ONE, turned), (ONE, truth @ pose((0.03215, 0, 0)))):
+        assert chance(photo, board, T) > -12
+
+
+def test_chance_is_bounded_as_it_says() -> None:
+    """Of random bits, no more than the bound's share agrees so well, whichever markers are chosen."""
+    rng = np.random.default_rng(0)
+    bits = bits_of(ONE)
+    found = []
+    for _ in range(4000):
+        values = rng.normal(size=bits.shape)
+        values /= np.linalg.norm(values, axis=1, keepdims=True)
+        tossed = rng.choice([-1.0, 1.0], bits.shape)
+        found.append(least_chance({k: float(values[k] @ tossed[k]) for k in range(9)})[0])
+    for log_chance in (-1.0, -2.0, -3.0, -4.0):
+        assert np.mean(np.array(found) < log_chance) <= math.exp(log_chance)
+    assert least_chance({0: 6.0, 1: 6.0, 2: 6.0, 3: -1.0})[1] == (0, 1, 2)
+
+
+@pytest.mark.parametrize("where", [(0.1, 0.05, 1.4, 0.2, 0.1), (-0.1, 0.0, 1.1, 1.0, 0.3)])
+def test_a_dark_patch_on_a_light_table_is_a_suspect(where: tuple[float, ...]) -> None:
+    truth = facing(*where)
+    photo = photograph(CAMERA, [(ONE, truth)])
+    found = suspects(photo, ONE, dark_quads(photo, whole=True))
+    cell = np.sqrt(cv2.contourArea(corners_of(ONE, truth).astype(np.float32))) / 26
+    assert np.abs(found[0].corners - corners_of(ONE, truth)).max() < 2 * cell
+    assert found[0].agreement > 6
+
+
+def test_on_a_dark_table_the_grid_of_markers_is_one() -> None:
+    truth = facing(0.05, 0.05, 0.9)
+    photo = photograph(CAMERA, [(ONE, truth)], noise=0.0)
+    dark = np.where(photo == 150, 40, photo).astype(np.uint8)
+    # A hand lies over two of the markers.
+    corners = corners_of(ONE, truth)
+    cv2.circle(dark, tuple(np.round(corners[0]).astype(int).tolist()), 16, 90, -1)
+    grids = board_quads(dark_quads(dark, whole=False), ONE)
+    found = suspects(dark, ONE, grids)
+    assert found[0].agreement > 6
+    assert np.abs(found[0].corners - corners).max() < 4
+    (seen,), _ = locate(dark, CAMERA, [ONE])
+    assert seen.T_board_in_cam is not None
+    assert off(seen.T_board_in_cam, truth)[1] < math.radians(1)
+
+
+def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
+    """Its patch runs into a dark thing beside it, and its markers are too small: the rig says where to look."""
+    apart = pose((0.3, 0.0, 0.0))
+    truth = facing(-0.15, 0.0, 1.0, 0.9)
+    photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], blur=2.0)
+    corners = corners_of(TWO, truth @ apart)
+    right = int(corners[:, 0].max())
+    photo[:, right - 8 :] = 35
+    photo[int(corners[:, 1].max()) - 4 :, right - 90 :] = 35
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    assert alone[0].status is Status.OK and alone[1].status is Status.NOT_FOUND
+    # About so; and in a photo just before, nearly there.
+    near = pose((0.004, -0.003, 0.002))
+    beside, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), apart @ near])
+    before, _ = locate(photo, CAMERA, [ONE, TWO], before=[None, truth @ apart @ near])
+    for seen in (beside[1], before[1]):
+        assert seen.T_board_in_cam is not None, seen.explanation
+        shift, turn = off(seen.T_board_in_cam, truth @ apart)
+        assert shift < 0.015 and turn < math.radians(3)
+
+
+def test_the_same_print_twice_is_refused_even_if_it_cannot_be_read() -> None:
+    one, two = facing(-0.2, 0.0, 1.5), facing(0.2, 0.05, 1.5)
+    (seen,), _ = locate(photograph(CAMERA, [(ONE, one), (ONE, two)], blur=1.3), CAMERA, [ONE])
+    assert seen.status is Status.AMBIGUOUS and seen.T_board_in_cam is None
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_strangers_are_no_board(kind: str) -> None:
+    for k in range(2):
+        photo = stranger(np.random.default_rng([1, k]), kind, ONE)
+        for seen in locate(photo, CAMERA, [ONE, TWO], [np.eye(4), inverse(pose((0.3, 0, 0)))])[0]:
+            assert seen.T_board_in_cam is None
+            assert seen.advice or seen.twice
+
+
+@pytest.mark.parametrize(
+    ("spoil", "part"),
+    [({"light": 0.1}, "more light"), ({"blur": 9.0}, "focus"), ({}, "bring the whole board into the photo")],
+    ids=["dark", "blurred", "absent"],
+)
+def test_what_would_help_is_said(spoil: dict[str, float], part: str) -> None:
+    boards = (
+        [(ONE, facing(0, 0, 0.35))]
+        if spoil
+        else [(Board("other", 100, 3, 3, "DICT_4X4_250", LENGTH, LENGTH / 10), facing(0, 0, 0.5))]
+    )
+    photo = photograph(CAMERA, boards, blur=spoil.get("blur", 0.6), noise=4.0)
+    photo = (photo * spoil.get("light", 1.0)).astype(np.uint8)
+    (seen,), _ = locate(photo, CAMERA, [TWO])
+    assert seen.T_board_in_cam is None
+    assert any(part in one for one in seen.advice), seen.advice
+    assert part in seen.explanation

@@ -1,0 +1,84 @@
+"""What happens to boards at work: covered in part, glare, a crease, light from one side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+
+from yamsim_cli.core.geometry.board import Board
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.vision.lens import project_points, rays
+
+Grey = np.ndarray
+# From a random generator, a grey picture (height, width), its camera, a board and its pose (4, 4) in the camera frame.
+Damage = Callable[[np.random.Generator, Grey, CameraModel, Board, Array], Grey]
+
+
+def _seen(camera: CameraModel, T: Array, on_board: np.ndarray) -> np.ndarray:
+    points = np.column_stack([on_board, np.zeros(len(on_board))])
+    return project_points(camera, points @ T[:3, :3].T + T[:3, 3])
+
+
+def half_covered(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
+    """A hand or a cable over one half, up to an edge at any angle through the middle."""
+    angle = rng.uniform(-math.pi, math.pi)
+    along, across = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+    size = 0.8 * board.width
+    quad = np.array([-along, along, along + across, across - along]) * size
+    result = image.copy()
+    pixels = np.round(_seen(camera, T, quad) * 16).astype(np.int32)
+    cv2.fillConvexPoly(result, pixels, float(rng.uniform(40, 200)), cv2.LINE_AA, 4)
+    return result
+
+
+def glaring(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
+    """A lamp mirrored over a third of the board, saturated, with soft edges."""
+    radius = math.sqrt(board.width * board.height / 3 / math.pi)
+    angle = np.linspace(0, 2 * math.pi, 60)
+    middle = rng.uniform(-0.35, 0.35, 2) * board.width
+    disc = middle + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    mask = np.zeros(image.shape, np.float32)
+    pixels = _seen(camera, T, disc)
+    cv2.fillConvexPoly(mask, np.round(pixels * 16).astype(np.int32), 1.0, cv2.LINE_AA, 4)
+    soft = cv2.GaussianBlur(mask, (0, 0), 0.05 * float(np.ptp(pixels, axis=0).max()))
+    return np.clip(image + 260 * soft, 0, 255)
+
+
+def creased(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
+    """The paper folded by 4 degrees along a line parallel to an edge, a third to two thirds across."""
+    fold, at = math.radians(4.0) * rng.choice([-1, 1]), float(rng.uniform(-1 / 6, 1 / 6)) * board.width
+    axis = int(rng.integers(2))
+    height, width = image.shape
+    y, x = np.mgrid[:height, :width]
+    seen = np.column_stack([rays(camera, np.column_stack([x.ravel(), y.ravel()])), np.ones(x.size)])
+    # The folded half's plane: through the crease, turned about it.
+    along, normal = np.eye(3)[axis], np.array([0.0, 0.0, 1.0])
+    bent = math.cos(fold) * along + math.sin(fold) * normal
+    bent_normal = math.cos(fold) * normal - math.sin(fold) * along
+    R, origin = T[:3, :3], T[:3, 3] + T[:3, axis] * at
+    depth = (R @ bent_normal) @ origin / (seen @ (R @ bent_normal))
+    on_fold = (seen * depth[:, None] - origin) @ R
+    past, other = on_fold @ bent, on_fold[:, 1 - axis]
+    half = board.width / 2 + 0.002
+    here = (past > 0) & (past < half - at) & (np.abs(other) < half)
+    flat = np.empty((x.size, 2))
+    flat[:, axis], flat[:, 1 - axis] = at + past, other
+    source = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
+    source[here] = _seen(camera, T, flat[here])
+    maps = source.reshape(height, width, 2).astype(np.float32)
+    return cv2.remap(image, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC)
+
+
+def unevenly_lit(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
+    """Light that falls from all to a quarter across the board."""
+    angle = rng.uniform(-math.pi, math.pi)
+    corners = _seen(camera, T, np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * board.width / 2)
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    axis = np.array([math.cos(angle), math.sin(angle)])
+    low, high = (corners @ axis).min(), (corners @ axis).max()
+    share = np.clip((x * axis[0] + y * axis[1] - low) / (high - low), 0, 1)
+    return image * (0.25 + 0.75 * share)

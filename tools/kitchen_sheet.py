@@ -1,0 +1,69 @@
+"""Draw every thing of the kitchen into one picture, `docs/kitchen.png`, and print the table of `docs/kitchen.md`.
+
+python -m tools.kitchen_sheet
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.images.png import encode_png
+from yamsim_cli.core.opener import Opener
+
+_TILE, _FINE, _COLUMNS = (200, 150), (800, 600), 6
+_FILE = Path(__file__).resolve().parents[1] / "docs" / "kitchen.png"
+
+
+def main() -> None:
+    """Draw, write and print."""
+    opener = Opener(os.environ, sys.stderr.write, str)
+    where = opener.use_gl(opener.locations())
+    # MuJoCo is imported only once it is settled what draws.
+    import mujoco
+
+    from yamsim_cli.core.certify.subject import compiled, grounded_spec, subject, with_camera
+    from yamsim_cli.core.vision.renderer import SceneRenderer
+
+    tiles = []
+    for name in (name for name in where.config_names("objects") if name.startswith("kitchen_")):
+        item = load_config(ObjectConfig, "objects", name, where)
+        looked = subject(item, {}, where)
+        points = looked.surface[0]
+        low, high = points.min(axis=0), points.max(axis=0)
+        size = float(np.linalg.norm(high - low))
+        spec = with_camera(grounded_spec(looked), (low + high) / 2, 0.92 * size)
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = _FINE
+        model = compiled(spec)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        with SceneRenderer(model, _TILE, _FINE) as renderer:
+            tile = renderer.render(data, "view")
+        cv2.putText(tile, item.name, (6, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (20, 20, 20), 1, cv2.LINE_AA)
+        tiles.append(tile)
+        sys.stdout.write(_row(item, (high - low) * 100) + "\n")
+    while len(tiles) % _COLUMNS:
+        tiles.append(np.full_like(tiles[0], 205))
+    rows = [np.hstack(tiles[k : k + _COLUMNS]) for k in range(0, len(tiles), _COLUMNS)]
+    _FILE.write_bytes(encode_png(np.vstack(rows)))
+
+
+def _row(item: ObjectConfig, size: np.ndarray) -> str:
+    assert item.shape is not None
+    stuffs = " and ".join(dict.fromkeys(m.stuff for m in item.shape.materials.values() if m.stuff != "paint"))
+    held = "no"
+    if item.grasp is not None:
+        wide = 2000 * item.grasp.opening
+        held = f"{wide:.3g} mm by friction" if item.grasp.friction else f"{wide:.3g} mm by a weld"
+    extent = " x ".join(f"{value:.3g}" for value in size)
+    return f"| `{item.name}` | {extent} | {stuffs} | {1000 * item.inertia.mass:.0f} g | {held} |"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""An attempt's recorded frames: the low-dimensional data of its states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..dataset.lowdim import SimulationData, frame_data
+from ..geometry.se3 import inverse
+from ..types import Attempt, StepState
+from .simulator import Simulator
+
+
+def frames(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
+    """What is recorded of each state, see `dataset.lowdim`; nothing is rendered for it."""
+    simulator.varied(attempt)
+    return [_frame(simulator, state) for state in states]
+
+
+def _frame(simulator: Simulator, state: StepState) -> dict[str, Any]:
+    config, scene, replica = simulator.config, simulator.scene, simulator.replica
+    task, acting = config.task, state.actions
+    replica.show(state.qpos)
+    bases = [arm.T_base_in_world for arm in scene.arms]
+    return frame_data(
+        joints=replica.joints(),
+        timestamp=state.time,
+        intrinsics={name: replica.intrinsics(name, config.image.size_px).K for name in scene.cameras},
+        extrinsics={name: replica.T_cam_in_base(name) for name in scene.cameras},
+        object_poses={item.name: replica.T_object_in_base(item.name) for item in task.things},
+        ee_pose=replica.T_grasp_in_base(),
+        ctrl=acting.ctrl[0][scene.drives],
+        action_joints=acting.joints[0],
+        magnet=acting.magnet[0],
+        language_task=task.language_task,
+        language_prompt=task.language_prompt,
+        wrist_camera=config.wrist_arms[0].wrist_camera_name if len(config.wrist_arms) == 1 else None,
+        T_right_base_in_left_base=inverse(bases[0]) @ bases[1] if len(bases) > 1 else None,
+        simulation=SimulationData(state.qpos, acting.ctrl, acting.magnet),
+    )

@@ -1,0 +1,50 @@
+"""An attempt's bytes: what a worker gives back."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+
+from ... import __version__
+from ..dataset.layout import lowdim_name
+from ..dataset.lowdim import content_hash, dump_frame
+from ..types import EpisodePayload
+from .frames import frames
+from .physics import Simulated
+from .pictures import image_files
+from .simulator import Simulator
+
+
+def versions() -> dict[str, str]:
+    """Versions of what an episode's bytes depend on."""
+    packages = {name: name for name in ("mujoco", "mink", "daqp", "numpy")} | {"opencv": "opencv-python-headless"}
+    return {"yamsim": __version__, "python": platform.python_version()} | {
+        key: version(name) for key, name in packages.items()
+    }
+
+
+def payload(simulator: Simulator, done: Simulated) -> EpisodePayload:
+    """All that is recorded of an attempt: its files, rendered, if it succeeded.
+
+    Raises:
+        ResourceError: no OpenGL context could be made.
+    """
+    if not done.outcome.success:
+        return result(done)
+    recorded = frames(simulator, done.attempt, done.states)
+    files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(recorded)}
+    files |= image_files(simulator, done.attempt, [state.qpos for state in done.states])
+    return EpisodePayload(
+        done.attempt,
+        done.outcome,
+        files,
+        len(recorded),
+        content_hash(recorded),
+        versions(),
+        simulator.renderer.description,
+    )
+
+
+def result(done: Simulated) -> EpisodePayload:
+    """What became of an attempt, without any files."""
+    return EpisodePayload(done.attempt, done.outcome)

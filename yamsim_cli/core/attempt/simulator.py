@@ -1,0 +1,85 @@
+"""What attempts are made in: all that is expensive, once a process."""
+
+from __future__ import annotations
+
+import functools
+
+from ..closing import Closing
+from ..planning.demonstration import Planner
+from ..planning.planners import make_planner
+from ..scene.build import build_scene
+from ..scene.compiled import CompiledScene
+from ..session import Session
+from ..sim.placement import DistractorPlacer
+from ..sim.replica import Replica
+from ..tasks.kinds import TaskKind, kind_of
+from ..types import Attempt
+from ..vision.labels import SceneLabels, scene_labels
+from ..vision.renderer import SceneRenderer
+from .varied_scene import VariedScene
+
+
+class Simulator(Closing):
+    """A session's compiled scene, and what is made of it when it is first needed: replica, planner and renderer.
+
+    It remembers no attempt: what happens in one is told by functions of this and of the attempt. Close it, or use it as
+    a context manager, since it may own a renderer.
+
+    Attributes:
+        session: of which it was made.
+        config: the session's.
+        kind: of the config's task.
+        scene: compiled. Its model is varied as the attempt that was last asked for, see `varied`.
+
+    Raises:
+        SimulationError: the scene cannot be compiled.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.config = config = session.config
+        self.kind: TaskKind = kind_of(config.task)
+        self.scene = build_scene(session)
+        # Made of the scene before it is varied for the first time.
+        self.labels: SceneLabels | None = _labels(session, self.scene) if config.truth else None
+        self.placer = DistractorPlacer(config, self.scene) if config.randomization.distractors else None
+        self.variations = VariedScene(config, self.scene)
+        self._renderer: SceneRenderer | None = None
+
+    def varied(self, attempt: Attempt) -> CompiledScene:
+        """The scene as it is in an attempt, until this is asked for another one."""
+        return self.variations.of(attempt)
+
+    @functools.cached_property
+    def replica(self) -> Replica:
+        """A copy of the scene that takes on recorded states."""
+        return Replica(self.scene)
+
+    @functools.cached_property
+    def planner(self) -> Planner:
+        """What plans the task; it reads files of the session's locations when it is made."""
+        return make_planner(self.config, self.scene)
+
+    @property
+    def renderer(self) -> SceneRenderer:
+        """The process's one renderer.
+
+        Raises:
+            ResourceError: no OpenGL context could be made.
+        """
+        if self._renderer is None:
+            size = self.config.image.size_px
+            self._renderer = SceneRenderer(self.scene.model, size, self.config.render.fine_size(size))
+        return self._renderer
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
+    config = session.config
+    things = (*config.task.things, *config.randomization.extras)
+    return scene_labels(scene.model, config.rig, [item.name for item in things], boards=config.boards)

@@ -1,0 +1,183 @@
+"""One line on what is wrong with a config: where, the value, and what would be valid."""
+
+from __future__ import annotations
+
+import re
+import types
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from ..errors import counted, suggest
+from .base import Config, ConflictError, ordered
+from .document import Document, KeyPath, is_setting
+
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
+
+
+def explain(
+    model: type[Config], document: Document, error: ValidationError, flags: Mapping[KeyPath, str]
+) -> tuple[str, str]:
+    """The place of the first fault, and one line on it that also says how many more there are.
+
+    Args:
+        flags: key path -> the flag that gave the value there.
+    """
+    found = error.errors(include_url=False)
+    # Pydantic reports a list with a faulty item as too short, too. Only the fault inside says what to mend.
+    inside = {detail["loc"][:depth] for detail in found for depth in range(len(detail["loc"]))}
+    # A mistyped key shows up twice, as unknown and as missing; the place where it stands comes first.
+    details = sorted(
+        (detail for detail in found if detail["loc"] not in inside), key=lambda detail: detail["type"] == "missing"
+    )
+    first = details[0]
+    path: KeyPath = tuple(key for key in first["loc"] if not _is_tag(document.data, first["loc"], key))
+    if first["type"] == "missing" and isinstance(path[-1], int):
+        # The list is too short: the fault is the list's, not the missing item's.
+        path = path[:-1]
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    fault = first.get("ctx", {}).get("error")
+    if isinstance(fault, ConflictError):
+        path, place = _culprit(document, [(*path, *part) for part in fault.paths], flags)
+    else:
+        place = document.place(path)
+    key = "" if is_setting(place) else f"{dotted(path) or 'config'}: "
+    return place, f"{key}{_reason(model, path, first)}{more}"
+
+
+def kind_instead(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[str, Any]) -> str | None:
+    """The other kind of config that a file holds, judging by its keys; None where they may well be of the wanted kind.
+
+    Args:
+        kinds: kind -> its model.
+    """
+    keys = set(data) - {"name"}
+    # Several kinds share some keys, so at least half of them have to be the wanted kind's.
+    if 2 * len(keys & set(kinds[wanted].model_fields)) >= len(keys):
+        return None
+    return next((kind for kind, model in kinds.items() if keys and keys <= set(model.model_fields)), None)
+
+
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """The models named in a field's annotation, also inside tuples, lists and unions."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (Annotated, Union, types.UnionType, tuple, list):
+        return [model for part in get_args(annotation) for model in models_in(part)]
+    return []
+
+
+def dotted(path: KeyPath) -> str:
+    """A key path as people write it: `arms[0].board`."""
+    text = ""
+    for key in path:
+        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
+    return text
+
+
+def _culprit(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, str]) -> tuple[KeyPath, str]:
+    """Path and place of the first value that a flag gave, or else of the first value."""
+    given = next((path for path in paths if path in flags), None)
+    return (paths[0], document.place(paths[0])) if given is None else (given, flags[given])
+
+
+def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:
+    value = detail["input"]
+    if isinstance(detail.get("ctx", {}).get("error"), ConflictError):
+        return detail["msg"].removeprefix("Value error, ")
+    match detail["type"]:
+        case "extra_forbidden":
+            return f"unknown key; {suggest(str(path[-1]), _keys_at(model, path[:-1]))}"
+        case "missing" if isinstance(detail["loc"][-1], int):
+            return f"has {counted(detail['loc'][-1], 'value')}; give {_shape(model, path)}"
+        case "missing":
+            return "missing; add it"
+        case "tuple_type":
+            return f"{value!r} is not valid: give {_shape(model, path)}"
+        case "too_long" | "too_short" if isinstance(value, list) and (shape := _shape(model, path)):
+            return f"has {len(value)} values; give {shape}{_commas(value, detail)}"
+        case "float_parsing" | "int_parsing" if isinstance(value, str) and _DECIMAL_COMMA.fullmatch(value):
+            return f"{value!r} is not valid: a number has a decimal point; write {value.replace(',', '.')}"
+    message = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    return message if isinstance(value, dict) else f"{value!r} is not valid: {message}"
+
+
+def _commas(values: list[Any], detail: ErrorDetails) -> str:
+    """A hint for a list with twice as many items as wanted: decimal commas split its numbers. Empty for any other."""
+    wanted = detail.get("ctx", {}).get("max_length")
+    whole = all(isinstance(value, int) for value in values[1::2])
+    return "; a number has a decimal point, not a comma" if wanted and len(values) == 2 * wanted and whole else ""
+
+
+def _shape(model: type[Config], path: KeyPath) -> str:
+    """The form of the list that a path needs, such as "[low, high]"; "a list" where that is not fixed."""
+    for annotation, metadata in _annotations_at(model, path):
+        parts = get_args(annotation) if get_origin(annotation) is tuple else ()
+        if not parts or Ellipsis in parts:
+            continue
+        if any(getattr(mark, "func", None) is ordered for mark in metadata):
+            return "[low, high]"
+        return "[x, y, z]" if len(parts) == 3 and float in map(_plain, parts) else f"a list of {len(parts)}"
+    return "a list"
+
+
+def _annotations_at(model: type[Config], path: KeyPath) -> Iterable[tuple[Any, tuple[Any, ...]]]:
+    """Each annotation that applies at a path, without its metadata, and the metadata."""
+    if not path or isinstance(path[-1], int):
+        return
+    for candidate in _models_at(model, path[:-1]):
+        if (field := candidate.model_fields.get(path[-1])) is None:
+            continue
+        options = get_args(field.annotation) if _is_union(field.annotation) else (field.annotation,)
+        for option in options:
+            marks = tuple(field.metadata)
+            if get_origin(option) is Annotated:
+                option, *more = get_args(option)
+                marks += tuple(more)
+            yield option, marks
+
+
+def _is_union(annotation: Any) -> bool:
+    return get_origin(annotation) in (Union, types.UnionType)
+
+
+def _plain(annotation: Any) -> Any:
+    """An annotation without its metadata."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    return annotation
+
+
+def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
+    """Whether a part of pydantic's location names a union's branch and no key of the document."""
+    here = data
+    for part in loc:
+        if isinstance(here, dict) and part not in here and part == here.get("type"):
+            if part == key:
+                return True
+            continue
+        try:
+            here = here[part]
+        except (KeyError, IndexError, TypeError):
+            return False
+    return False
+
+
+def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
+    """The keys that are valid at a path, also inside nested models, tuples and unions."""
+    return sorted({name for candidate in _models_at(model, path) for name in candidate.model_fields})
+
+
+def _models_at(model: type[BaseModel], path: KeyPath) -> list[type[BaseModel]]:
+    models = [model]
+    for key in path:
+        found: list[type[BaseModel]] = []
+        for candidate in models:
+            if isinstance(key, int):
+                found.append(candidate)
+            elif key in candidate.model_fields:
+                found.extend(models_in(candidate.model_fields[key].annotation))
+        models = found
+    return models

@@ -1,0 +1,108 @@
+"""Quantities with a unit and plausible bounds: a value far outside was probably given in another unit.
+
+The bounds are wide. They refuse values that nobody means, and allow unusual ones. Configs of datasets are not held to
+them, see `AS_RECORDED`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, FiniteFloat, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
+from pydantic_core import CoreSchema, core_schema
+
+from .base import ordered
+
+# The validation context of a dataset's own config, whose values stay valid whatever the bounds are now.
+AS_RECORDED: Mapping[str, bool] = {"as_recorded": True}
+
+# Unit -> the units that people give in its place -> what one of those is in the first.
+_MISTAKEN: Mapping[str, Mapping[str, float]] = {
+    "m": {"mm": 1e-3, "cm": 1e-2},
+    "mm": {"m": 1e3},
+    "m/s": {"mm/s": 1e-3},
+    "s": {"ms": 1e-3},
+    "g": {"kg": 1e3},
+    "kg m2": {"g mm2": 1e-9, "kg mm2": 1e-6},
+    "rad": {"degrees": math.pi / 180},
+    "degrees": {"radians": 180 / math.pi},
+    "of 1": {"values of 255": 1 / 255},
+}
+
+
+@dataclass(frozen=True)
+class Within:
+    """Marks a number as a quantity in `unit` between two bounds; with `or_zero`, it may also be 0."""
+
+    unit: str
+    low: float
+    high: float
+    or_zero: bool = False
+
+    def check(self, value: float, info: ValidationInfo | None = None) -> float:
+        """The value itself.
+
+        Raises:
+            ValueError: it lies outside the bounds; the text names the unit that was probably meant.
+        """
+        if self._holds(value) or as_recorded(info):
+            return value
+        raise ValueError(f"must lie in {self.low:.6g}..{self.high:.6g} {self.unit}{self._meant(value)}")
+
+    def _holds(self, value: float) -> bool:
+        return self.low <= value <= self.high or (self.or_zero and value == 0)
+
+    def _meant(self, value: float) -> str:
+        others = {name: value * factor for name, factor in _MISTAKEN.get(self.unit, {}).items()}
+        fitting = [f"is it in {name}? Then give {meant:.4g}" for name, meant in others.items() if self._holds(meant)]
+        return "".join(f"; {text}" for text in fitting)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.with_info_after_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        bounds = {"minimum": min(0.0, self.low) if self.or_zero else self.low, "maximum": self.high}
+        return handler(schema) | bounds | {"description": f"in {self.unit}"}
+
+
+def as_recorded(info: ValidationInfo | None) -> bool:
+    """Whether a dataset's own config is being checked, which was recorded with these values."""
+    return info is not None and info.context == AS_RECORDED
+
+
+def _not_in_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+    """The range itself, unless its ends are an eighth, a quarter, half or the whole of a turn in radians."""
+    turns = [2 * math.pi / k for k in (1, 2, 4, 8)]
+    ends = [abs(end) for end in value if end]
+    if not ends or as_recorded(info) or not all(min(abs(end - turn) for turn in turns) < 0.004 for end in ends):
+        return value
+    low, high = (round(math.degrees(end)) for end in value)
+    raise ValueError(
+        f"{value[0]:g}..{value[1]:g} degrees is hardly a turn; is it in radians? Then give [{low}, {high}]"
+    )
+
+
+# A coordinate in a station, m.
+Place = Annotated[FiniteFloat, Within("m", -10, 10)]
+# The size of something in a station, m.
+Size = Annotated[FiniteFloat, Within("m", 1e-3, 10)]
+# A coordinate in the frame of a thing on a table, m.
+Offset = Annotated[FiniteFloat, Within("m", -1, 1)]
+# A gap, or a height above something, m.
+Distance = Annotated[FiniteFloat, Within("m", 0, 1)]
+Heading = Annotated[FiniteFloat, Within("degrees", -360, 360)]
+# The angle from a picture's top to its bottom. Every such angle in radians lies below the lower bound.
+FieldOfView = Annotated[FiniteFloat, Within("degrees", 4, 179)]
+# A joint's angle: none turns more than once around from its zero.
+JointAngle = Annotated[FiniteFloat, Within("rad", -2 * math.pi, 2 * math.pi)]
+
+# A coordinate of things that an arm is to reach, in the frame of the arm's place, m.
+_Reach = Annotated[FiniteFloat, Within("m", -2.5, 2.5)]
+
+PlacePoint = tuple[Place, Place, Place]
+OffsetPoint = tuple[Offset, Offset, Offset]
+ReachRange = Annotated[tuple[_Reach, _Reach], AfterValidator(ordered)]
+HeadingRange = Annotated[tuple[Heading, Heading], AfterValidator(ordered), AfterValidator(_not_in_radians)]

@@ -1,0 +1,136 @@
+"""Export for people: a video of each episode, or one picture of all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..dataset.reader import StoredEpisode
+from ..dataset.recorded_images import recorded_images
+from ..errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest
+from ..files import move_aside, write_file
+from ..images.image import Image
+from ..images.jpeg import decode_jpeg, encode_jpeg
+from ..images.video import VideoWriter, require_encoder
+from ..progress import Progress
+from ..vision.views import label, resized
+from .source import Exported, Source
+from .target import export_directory
+
+_SHEET_QUALITY = 90
+_SHEET_SUFFIXES = (".jpg", ".jpeg")
+# Largest side of a sheet, px: larger ones cannot be opened everywhere.
+_LARGEST_SIDE = 16_000
+
+
+def export_mp4(
+    source: Source,
+    out: Path,
+    cameras: Sequence[str],
+    progress: Progress,
+    *,
+    speed: float = 1.0,
+    overwrite: bool = False,
+) -> Exported:
+    """Write an H.264 video of each episode, with its name, into a directory; frame k is at exactly k periods.
+
+    Args:
+        cameras: cameras to show side by side; empty for all.
+        speed: how fast time passes.
+
+    Raises:
+        UsageError: a camera was not recorded; and see `export_directory`.
+        DatasetError: an image is missing, altered or damaged.
+        ResourceError: PyAV is not installed.
+    """
+    chosen = _cameras(source, cameras)
+    require_encoder()
+    frames = 0
+    with export_directory(out, overwrite=overwrite) as stage:
+        for number, episode in enumerate(source.episodes()):
+            with VideoWriter(stage.path / f"{episode.directory.name}.mp4", source.frame_period / speed) as video:
+                for image in recorded_images(episode, chosen):
+                    video.write(image)
+            frames += video.frames
+            progress(number + 1, len(source))
+    return Exported(out, len(source), frames, stage.moved_aside)
+
+
+def export_sheet(
+    source: Source,
+    out: Path,
+    cameras: Sequence[str],
+    progress: Progress,
+    *,
+    columns: int = 8,
+    width: int = 160,
+    overwrite: bool = False,
+) -> Exported:
+    """Write one JPEG with a row for each episode: images of it, evenly spread from the first to the last.
+
+    Args:
+        cameras: cameras with a row each; empty for the first camera.
+        columns: images in a row.
+        width: width of each image, px.
+
+    Raises:
+        UsageError: a camera was not recorded, `out` is no name for a JPEG or in use, or the picture would be too large.
+        DatasetError: an image is missing, altered or damaged.
+        PartialJobError, InterruptedJobError: it could not be written, or the user stopped it; nothing was written.
+    """
+    chosen = _cameras(source, cameras) if cameras else tuple(source.cameras)[:1]
+    _require_sheet(out, overwrite)
+    heights = {camera: round(width * source.cameras[camera][1] / source.cameras[camera][0]) for camera in chosen}
+    size = (columns * width, len(source) * sum(heights.values()))
+    if max(size) > _LARGEST_SIDE:
+        raise UsageError(
+            f"{len(source)} episodes make a sheet of {size[0]}x{size[1]} px, and {_LARGEST_SIDE} is the most: take "
+            "fewer with --episodes, or a smaller --width"
+        )
+    moved = None
+    try:
+        rows: list[Image] = []
+        for number, episode in enumerate(source.episodes()):
+            rows += [_row(episode, camera, columns, (width, height)) for camera, height in heights.items()]
+            progress(number + 1, len(source))
+        data = encode_jpeg(np.concatenate(rows), _SHEET_QUALITY)
+        if out.exists():
+            moved = move_aside(out)
+        write_file(out, data)
+    except OSError as error:
+        raise PartialJobError(f"{out} cannot be written: {error.strerror or error}; choose another OUT") from error
+    except KeyboardInterrupt:
+        raise InterruptedJobError(f"interrupted: nothing was written to {out}; run it again") from None
+    return Exported(out, len(source), len(rows) * columns, moved)
+
+
+def _require_sheet(out: Path, overwrite: bool) -> None:
+    if out.suffix.lower() not in _SHEET_SUFFIXES:
+        raise UsageError(f"{out} is not a name for a sheet: end it in .jpg")
+    if not out.absolute().parent.is_dir():
+        raise UsageError(f"{out}: there is no directory {out.absolute().parent}; make it, or choose another OUT")
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
+
+
+def _row(episode: StoredEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
+    """Images of one episode side by side, from its first to its last, each of width and height `size`."""
+    images = []
+    for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
+        image = decode_jpeg(episode.image(camera, int(k)))
+        if image is None:
+            raise DatasetError(f"{episode.directory}: frame {k} of {camera} is no JPEG")
+        images.append(resized(image, *size))
+    return label(np.concatenate(images, axis=1), {}, episode.directory.name)
+
+
+def _cameras(source: Source, wanted: Sequence[str]) -> tuple[str, ...]:
+    for name in wanted:
+        if name not in source.cameras:
+            raise UsageError(f"--camera {name!r} is not valid; {suggest(name, source.cameras)}")
+    chosen = tuple(wanted) or tuple(source.cameras)
+    if len({source.cameras[name][1] for name in chosen}) > 1:
+        raise UsageError(f"the images of {' and '.join(chosen)} differ in height: choose one --camera")
+    return chosen

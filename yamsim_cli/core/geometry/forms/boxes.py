@@ -1,0 +1,274 @@
+"""What is moulded, folded or sawn with flat sides: containers, trays, lids, cartons, blocks, folded cloth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..loft import Surface, loft, moved, outline, ring, tube
+from ..se3 import Array
+from .form import Form, Hold, Piece, Plain, box, capsules
+
+# How far under the rim the middle of the pads is, m; what a hand spans, m.
+_UNDER_RIM = 0.008
+# Deeper the palm would come down on it, m.
+_PALM = 0.040
+_WIDEST = 0.091
+
+
+@dataclass(frozen=True)
+class Container:
+    """Sizes of an open box, m.
+
+    Attributes:
+        size: outside, at its rim.
+        corner: radius of its upright edges, outside.
+        taper: how much narrower it is at its foot, on each side.
+        cells: how many compartments lie side by side along x.
+        lip: how far its rim stands out; the size holds with it.
+    """
+
+    size: tuple[float, float, float]
+    wall: float
+    corner: float
+    taper: float = 0.0
+    cells: int = 1
+    lip: float = 0.0
+
+
+def container(size: Container) -> Form:
+    """An open box, or a tray of compartments."""
+    x, y, height = size.size[0] / 2 - size.lip, size.size[1] / 2 - size.lip, size.size[2]
+    wall, corner = size.wall, size.corner
+    pieces = [Piece("body", _open_box(size, x, y))]
+    collision: list[Plain] = [box((0, 0, wall / 2), (2 * x - 2 * corner / 3, 2 * y - 2 * corner / 3, wall))]
+    collision += walls((x - size.taper / 2, y - size.taper / 2), (0.0, height), wall, corner)
+    inner = 2 * x - wall
+    for k in range(1, size.cells):
+        at = -x + wall / 2 + k * inner / size.cells
+        between = block_surface((wall, 2 * y - wall, height - wall), 0.0, wall / 4)
+        pieces.append(Piece("body", moved(between, (at, 0, wall * 0.5))))
+        collision.append(box((at, 0, height / 2 - wall * 0.25), (wall, 2 * y - wall, height - wall * 0.5)))
+    if size.lip:
+        collision += _lip(size, x, y)
+    z = round(height - _UNDER_RIM, 4)
+    lean = size.taper * 2 * _UNDER_RIM / height
+    thick, flat = round(wall + lean + size.lip, 4), not size.lip
+    holds = [
+        Hold("rim", (0.0, round(y - wall / 2, 4), z), 90.0, thick, flat),
+        Hold("rim", (0.0, round(-y + wall / 2, 4), z), 90.0, thick, flat),
+        Hold("rim", (round(x - wall / 2, 4), 0.0, z), 0.0, thick, flat),
+        Hold("rim", (round(-x + wall / 2, 4), 0.0, z), 0.0, thick, flat),
+    ]
+    if size.cells % 2 == 0:
+        holds = holds[2:]
+    return Form(tuple(pieces), tuple(collision), tuple(holds), "in", wall)
+
+
+def _open_box(size: Container, x: float, y: float) -> Surface:
+    height, wall, corner, lip = size.size[2], size.wall, size.corner, size.lip
+    edge = min(corner * 0.35, 0.006)
+    loops = []
+    for angle in np.linspace(0, np.pi / 2, 4):
+        inset = edge * (1 - math.sin(angle)) + size.taper
+        loops.append(outline(x - inset, y - inset, corner - edge * (1 - math.sin(angle)), edge * (1 - math.cos(angle))))
+    loops.append(outline(x, y, corner, height - wall / 2 - (wall if lip else 0)))
+    if lip:
+        loops.append(outline(x + lip * 0.8, y + lip * 0.8, corner + lip, height - wall))
+        loops.append(outline(x + lip, y + lip, corner + lip, height - wall / 2))
+    for angle in np.linspace(0, np.pi, 5)[1:-1]:
+        inset = wall / 2 * (1 - math.cos(angle)) - (lip if lip and angle < 1 else 0) * 0.9
+        loops.append(
+            outline(x - inset, y - inset, corner - min(inset, corner / 2), height - wall / 2 * (1 - math.sin(angle)))
+        )
+    inner = corner - min(wall, corner / 2)
+    loops.append(outline(x - wall, y - wall, inner, height - wall / 2))
+    for angle in np.linspace(0, np.pi / 2, 4):
+        inset = wall + size.taper + edge * (1 - math.cos(angle))
+        loops.append(outline(x - inset, y - inset, inner, wall + edge * (1 - math.sin(angle))))
+    return loft(loops)
+
+
+def walls(half: tuple[float, float], heights: tuple[float, float], wall: float, corner: float) -> list[Plain]:
+    """Boxes for the walls of a box with these outer half-sizes, and one aslant in each round corner, m."""
+    x, y = half
+    low, high = heights
+    middle, tall = (low + high) / 2, high - low
+    cut = corner * (1 - math.tan(math.pi / 8)) if corner > wall else 0.0
+    parts = []
+    for sign in (-1, 1):
+        parts.append(box((sign * (x - wall / 2), 0, middle), (wall, 2 * (y - cut), tall)))
+        parts.append(box((0, sign * (y - wall / 2), middle), (2 * (x - cut), wall, tall)))
+    if cut:
+        # The box touches the round corner in its middle, outside.
+        out = corner - wall / 2
+        long = 2 * corner * math.tan(math.pi / 8)
+        for k, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+            at = (sx * (x - corner + out / math.sqrt(2)), sy * (y - corner + out / math.sqrt(2)), middle)
+            parts.append(box(at, (wall, long, tall), 45.0 + 90.0 * k))
+    return parts
+
+
+def _lip(size: Container, x: float, y: float) -> list[Plain]:
+    z, lip, wall = size.size[2] - size.wall / 2, size.lip, size.wall
+    return [
+        part
+        for sign in (-1, 1)
+        for part in (
+            box((sign * (x + lip / 2), 0, z), (lip, 2 * y, wall)),
+            box((0, sign * (y + lip / 2), z), (2 * x, lip, wall)),
+        )
+    ]
+
+
+def lid(size: tuple[float, float, float], corner: float, plate: float, plug: float, knob: tuple[float, float]) -> Form:
+    """A lid as it closes a container: a plate, a rim below it that goes inside, and a bar on top to hold it by.
+
+    Args:
+        size: of the plate, and the whole height, m.
+        corner: radius of its corners, m.
+        plate: how thick that is, m.
+        plug: how far the rim inside stands in from the plate's edge, m.
+        knob: length and width of the bar, m.
+    """
+    x, y, height = size[0] / 2, size[1] / 2, size[2]
+    deep = height * 0.33
+    over = block_surface((2 * x, 2 * y, plate), corner, plate * 0.4)
+    thick = 0.0025
+    inside = max(corner - plug, thick)
+    a, b = x - plug, y - plug
+    rim = ring(
+        [
+            outline(a - thick, b - thick, inside - thick, deep + plate / 2),
+            outline(a - thick, b - thick, inside - thick, 0.0),
+            outline(a, b, inside, 0.0),
+            outline(a, b, inside, deep + plate / 2),
+        ]
+    )
+    length, width = knob
+    z0, z1 = deep + plate, height
+    bar = block_surface((width, length, z1 - z0 + plate / 2), width / 2.2, 0.002)
+    pieces = (
+        Piece("body", moved(over, (0, 0, deep))),
+        Piece("body", rim),
+        Piece("handle", moved(bar, (0, 0, z0 - plate / 2))),
+    )
+    collision = (
+        box((0, 0, deep + plate / 2), (2 * x - 2 * corner / 3, 2 * y - 2 * corner / 3, plate)),
+        *walls((a, b), (0.0, deep), thick, inside),
+        box((0, 0, (z0 + z1) / 2), (width, length, z1 - z0)),
+    )
+    z = round((z0 + z1) / 2, 4)
+    places = (0.0, length / 4, -length / 4)
+    return Form(pieces, collision, tuple(Hold("handle", (0.0, round(at, 4), z), 0.0, width) for at in places))
+
+
+def block_surface(size: tuple[float, float, float], corner: float, edge: float) -> Surface:
+    """A closed block on the ground with round upright edges of radius `corner` and all others of radius `edge`, m."""
+    x, y, height = size[0] / 2, size[1] / 2, size[2]
+    edge = min(edge, height / 2.001, x, y)
+    corner = max(corner, edge)
+    angles = np.linspace(0, np.pi / 2, 4)
+    loops = [_inset(x, y, corner, edge * (1 - math.sin(a)), edge * (1 - math.cos(a))) for a in angles]
+    loops += [_inset(x, y, corner, edge * (1 - math.cos(a)), height - edge * (1 - math.sin(a))) for a in angles]
+    return loft(loops)
+
+
+def _inset(x: float, y: float, corner: float, by: float, z: float) -> Array:
+    return outline(x - by, y - by, corner - by, z)
+
+
+def block(size: tuple[float, float, float], corner: float, edge: float, band: tuple[float, float] | None) -> Form:
+    """A closed block: a carton, a tin, a piece of wood.
+
+    Args:
+        size: m.
+        corner, edge: radius of its upright edges, and of those above and below, m.
+        band: from and to which share of its height goes a band of another colour; None for none.
+    """
+    pieces = [Piece("body", block_surface(size, corner, edge))]
+    if band:
+        low, high = (share * size[2] for share in band)
+        # Just outside, so that it is seen; paper and print weigh next to nothing.
+        shell = loft([outline(size[0] / 2 + 2e-4, size[1] / 2 + 2e-4, corner, z) for z in (low, high)])
+        pieces.append(Piece("print", shell))
+    collision = [box((0, 0, size[2] / 2), size)]
+    height = max(size[2] / 2, size[2] - _PALM)
+    axes = sorted(((size[0], 0.0), (size[1], 90.0)))
+    holds = [Hold("body", (0.0, 0.0, round(height, 4)), axis, width) for width, axis in axes if width <= _WIDEST]
+    return Form(tuple(pieces), tuple(collision), tuple(holds), support=size[2])
+
+
+def textile(size: tuple[float, float, float], folds: int) -> Form:
+    """Folded cloth that lies flat, and is stiff: its layers show at the edges, and it is held at a corner's edge.
+
+    Args:
+        size: folded, m.
+        folds: how many layers lie on each other.
+    """
+    layer = size[2] / folds
+    pieces = []
+    rng = np.random.default_rng(0)
+    for k in range(folds):
+        shift = rng.uniform(-1, 1, 2) * 0.0012
+        soft = block_surface((size[0] - 0.003, size[1] - 0.003, layer * 1.02), 0.004, layer * 0.48)
+        pieces.append(Piece("body", moved(soft, (*shift, k * layer))))
+    for side in (-1, 1):
+        stripe = block_surface((size[0] * 0.985, size[1] * 0.03, layer * 0.06), 0.001, layer * 0.02)
+        pieces.append(Piece("print", moved(stripe, (0, side * size[1] * 0.38, size[2] - layer * 0.02))))
+    return Form(tuple(pieces), (box((0, 0, size[2] / 2), size),), (), support=size[2])
+
+
+@dataclass(frozen=True)
+class Rack:
+    """Sizes of a dish rack, m.
+
+    Attributes:
+        size: outside.
+        wire: diameter of its wires.
+        slots: how many plates stand in it, one in each.
+        slot: how wide each is.
+    """
+
+    size: tuple[float, float, float]
+    wire: float
+    slots: int
+    slot: float
+
+
+def rack(size: Rack) -> Form:
+    """A rack of bent wire: a low frame, a high one, posts, bars along the floor and pairs of prongs across."""
+    r = size.wire / 2
+    x, y, height = size.size[0] / 2 - r, size.size[1] / 2 - r, size.size[2]
+    floor = 0.012
+    corner = 0.03
+    frames = [outline(x, y, corner, z, 5) for z in (floor, height * 0.62)]
+    pieces, collision = [], list[Plain]()
+
+    def wire(path: Array, role: str = "body") -> None:
+        way = np.asarray(path, float)
+        side = (
+            (0.31, 0.17, 0.93) if abs(way[-1, 2] - way[0, 2]) < 0.5 * np.ptp(way[:, :2], axis=0).max() else (1, 0.1, 0)
+        )
+        pieces.append(Piece(role, tube(way, r, r, side, 8)))
+        collision.extend(capsules(way, r))
+
+    for frame in frames:
+        wire(np.concatenate([frame, frame[:1]]))
+    for sx in (-1, 1):
+        for sy in (-1, 1):
+            # A foot, and the post above it.
+            wire(np.array([[sx * (x - corner), sy * y, r], [sx * (x - corner), sy * y, height * 0.62]]))
+    middle = size.slots * size.slot / 2
+    for k in range(size.slots + 1):
+        at = -middle + k * size.slot
+        for sy in (-1, 1):
+            wire(np.array([[at, sy * 0.045, floor], [at, sy * 0.045, height - r]]))
+        wire(np.array([[at, -y, floor], [at, y, floor]]))
+    for sy in (-1, 1):
+        wire(np.array([[-x, sy * 0.045, floor], [x, sy * 0.045, floor]]))
+    z = round(height * 0.62 - 0.001, 4)
+    holds = (Hold("edge", (round(x, 4), 0.0, z), 0.0, size.wire), Hold("edge", (round(-x, 4), 0.0, z), 0.0, size.wire))
+    return Form(tuple(pieces), tuple(collision), holds)

@@ -1,0 +1,249 @@
+"""What is stamped and bent from a strip: spoons, forks, knives, turners. All lie flat, their handles along y."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..loft import Surface, joined, loft, moved, tube
+from ..se3 import Array
+from .form import Form, Hold, Piece, Plain, capsule, capsules, simplified
+
+Kind = Literal["spoon", "fork", "knife", "turner"]
+
+
+@dataclass(frozen=True)
+class Cutlery:
+    """Sizes, m.
+
+    Attributes:
+        size: width, length and height of the whole.
+        grip: width of the handle where it is widest.
+        thickness: of the metal; a handle of another material is thicker.
+        handle: thickness of the handle.
+    """
+
+    kind: Kind
+    size: tuple[float, float, float]
+    grip: float
+    thickness: float
+    handle: float
+
+
+def cutlery(size: Cutlery) -> Form:
+    """A piece of cutlery on its back, head towards +y."""
+    head, collision = _HEADS[size.kind](size)
+    start = size.size[1] / 2 - _head(size)
+    path, widths = _handle_line(size, start)
+    thick = size.handle / 2
+    surface = tube(path, widths, thick, (1, 0, 0), 16)
+    rails = simplified(np.column_stack([path, widths]), 0.0007)
+    for sign in (-1, 0, 1):
+        way = rails[:, :3] + np.outer(sign * np.maximum(rails[:, 3] - thick, 0), [1, 0, 0])
+        collision += capsules(way, thick)
+    pieces = (Piece("body", head), Piece("handle", surface))
+    places = (0.88, 0.78, 0.68, 0.58, 0.48)
+    holds = []
+    for share in places:
+        k = int(share * (len(path) - 1))
+        x, y, z = (round(float(v), 4) for v in path[k])
+        holds.append(Hold("handle", (x, y, z), 0.0, round(2 * float(widths[k]), 4)))
+    return Form(pieces, tuple(collision), tuple(holds))
+
+
+def _head(size: Cutlery) -> float:
+    """How long the head is, m."""
+    return {"spoon": 0.32, "fork": 0.33, "knife": 0.54, "turner": 0.32}[size.kind] * size.size[1]
+
+
+def _handle_line(size: Cutlery, start: float) -> tuple[Array, Array]:
+    """The handle's middle line (n, 3) from its end to the head, and half its width there (n,), m."""
+    t = np.linspace(0, 1, 25)
+    end = -size.size[1] / 2 + size.handle / 2
+    y = end + (start + 0.006 - end) * t
+    low, high = size.handle / 2, size.size[2] - size.handle / 2
+    if size.kind == "knife":
+        z = np.full_like(t, low)
+        half = size.grip / 2 * np.interp(t, [0, 0.1, 0.5, 1], [0.72, 0.95, 1.0, 0.88])
+    else:
+        # Up from the end that touches the table to the highest place, and down to the head.
+        neck = _neck_height(size)
+        z = np.interp(t, [0.0, 0.74, 1.0], [low, high, neck])
+        z = np.convolve(np.pad(z, 3, mode="edge"), np.ones(7) / 7, mode="valid")
+        z = low + (z - z[0]) * (high - low) / (z.max() - z[0])
+        z[-1] = neck
+        # Straight where it is held: pads lie on it with their faces.
+        half = size.grip / 2 * np.interp(t, [0, 0.1, 0.84, 1], [0.7, 1.0, 0.96, 0.55])
+    return np.column_stack([np.zeros_like(t), y, z]), half
+
+
+def _neck_height(size: Cutlery) -> float:
+    return {"spoon": 0.55, "fork": 0.75, "turner": 0.45, "knife": 0.0}[size.kind] * size.size[2]
+
+
+def _sheet(
+    outline_: Callable[[float], tuple[float, float]],
+    height: Callable[[Array, float], Array],
+    length: tuple[float, float],
+    thick: float,
+    steps: int = 21,
+    across: int = 15,
+) -> Surface:
+    """A sheet: at each place along y from left to right edge, at a height of its own, so thick."""
+    loops = []
+    u = np.linspace(-1, 1, across)
+    # Closer together at both ends, where outlines turn.
+    for t in (1 - np.cos(np.linspace(0, np.pi, steps))) / 2:
+        left, right = outline_(float(t))
+        x = (left + right) / 2 + (right - left) / 2 * u
+        z = height(x, float(t))
+        y = np.full_like(x, length[0] + (length[1] - length[0]) * t)
+        above = np.column_stack([x, y, z + thick])
+        below = np.column_stack([x, y, z])
+        loops.append(np.concatenate([below, above[::-1]]))
+    return loft(loops[::-1])
+
+
+def _spoon(size: Cutlery) -> tuple[Surface, list[Plain]]:
+    long, wide, thick = _head(size), size.size[0], size.thickness
+    y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
+    deep, neck = 0.40 * size.size[2], _neck_height(size)
+
+    def along(t: float) -> float:
+        # From -1 to 1, rather faster at the beginning: an egg, its blunt end at the tip.
+        return float(2 * t**0.9 - 1)
+
+    def half(t: float) -> float:
+        return float(wide / 2 * np.sqrt(max(1 - along(t) ** 2, 0.0)) + 1e-4)
+
+    def rim(t: float) -> float:
+        return float(deep + (neck - thick / 2 - deep) * max(0.0, 1 - t / 0.5) ** 2)
+
+    def height(x: Array, t: float) -> Array:
+        hollow = np.maximum(1 - along(t) ** 2 - (x / (wide / 2)) ** 2, 0.0)
+        bottom: Array = np.maximum(rim(t) - deep * hollow**0.6, 0.0)
+        return bottom
+
+    surface = _sheet(lambda t: (-half(t), half(t)), height, (y0, y1), thick)
+    radius = thick * 0.6
+    turn = np.linspace(0.03, 0.97, 8)
+    edge = [
+        (s * (half(float(t)) - radius), y0 + long * float(t), rim(float(t)) + thick - radius)
+        for s in (1, -1)
+        for t in turn[::s]
+    ]
+    parts: list[Plain] = capsules(np.array(edge), radius, closed=True)
+    # The bottom: bars lengthwise, as deep as the bowl is there, and close enough that nothing falls through.
+    for share in (-0.66, -0.33, 0.0, 0.33, 0.66):
+        t = np.linspace(0.1, 0.92, 7)
+        way = np.array(
+            [
+                (
+                    share * half(float(s)),
+                    y0 + long * s,
+                    float(height(np.array([share * half(float(s))]), float(s))[0]) + radius,
+                )
+                for s in t
+            ]
+        )
+        parts += capsules(simplified(way, 0.0006), radius)
+    return surface, parts
+
+
+def _fork(size: Cutlery) -> tuple[Surface, list[Plain]]:
+    long, wide, thick = _head(size), size.size[0], size.thickness
+    y0 = size.size[1] / 2 - long
+    neck = _neck_height(size)
+    root = 0.42
+
+    def height(t: float) -> float:
+        # Down to the table in the middle, up again at the tips.
+        return float(
+            np.interp(t, [0, 0.25, 0.5, 0.75, 1], [neck - thick / 2, 0.42 * neck, 0.08 * neck, 0.0, 0.22 * neck])
+        )
+
+    def half(t: float) -> float:
+        return float(wide / 2 * np.interp(t / root, [0, 0.3, 0.7, 1], [0.18, 0.45, 0.9, 1.0]))
+
+    palm = _sheet(
+        lambda t: (-half(root * t), half(root * t)),
+        lambda x, t: np.full_like(x, height(root * t)),
+        (y0, y0 + root * long),
+        thick,
+    )
+    surfaces, parts = [palm], list[Plain]()
+    radius = thick / 2
+    for k in range(4):
+        x = wide * (k - 1.5) / 4 * 1.02
+        t = np.linspace(root - 0.04, 1, 11)
+        path = np.array([(x, y0 + long * s, height(float(s)) + radius) for s in t])
+        width = np.interp(t, [root, 0.85, 1], [wide * 0.085, wide * 0.07, wide * 0.025])
+        surfaces.append(tube(path - [0, radius, 0], width, radius, (1, 0, 0), 10))
+        parts += capsules(simplified(path - [0, radius, 0], 0.0005), radius)
+    t = np.linspace(0, root, 5)
+    for sign in (-1.0, -0.35, 0.35, 1.0):
+        way = np.array([(sign * (half(float(s)) - radius), y0 + long * s, height(float(s)) + radius) for s in t])
+        parts += capsules(way, radius)
+    lift = max(0.0, radius - thick / 2)
+    return moved(joined(surfaces), (0, 0, lift)), parts
+
+
+def _knife(size: Cutlery) -> tuple[Surface, list[Plain]]:
+    long, wide, thick = _head(size), size.size[0], size.thickness
+    y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
+    z0 = size.handle / 2 - thick / 2
+
+    def edges(t: float) -> tuple[float, float]:
+        back = wide / 2 * float(np.interp(t, [0, 0.6, 0.9, 1], [0.55, 0.62, 0.4, 0.05]))
+        blade = -wide / 2 * float(np.interp(t, [0, 0.12, 0.7, 0.92, 1], [0.5, 0.95, 1.0, 0.62, 0.0]))
+        return blade, back
+
+    def height(x: Array, t: float) -> Array:
+        return np.full_like(x, z0)
+
+    surface = _sheet(edges, height, (y0, y1), thick)
+    radius = thick / 2
+    t = np.linspace(0.0, 0.99, 7)
+    parts: list[Plain] = []
+    for share in (0.0, 0.33, 0.67, 1.0):
+        way = []
+        for s in t:
+            low, high = edges(float(s))
+            way.append((low + radius + share * max(high - low - 2 * radius, 0), y0 + (long - radius) * s, z0 + radius))
+        parts += capsules(simplified(np.array(way), 0.0008), radius)
+    return surface, parts
+
+
+def _turner(size: Cutlery) -> tuple[Surface, list[Plain]]:
+    long, wide, thick = _head(size), size.size[0], size.thickness
+    y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
+    neck = _neck_height(size)
+
+    def half(t: float) -> float:
+        return float(wide / 2 * np.interp(t, [0, 0.12, 0.35, 0.9, 1], [0.2, 0.35, 0.88, 1.0, 0.93]))
+
+    def level(t: float) -> float:
+        return float((neck - thick / 2) * max(0.0, 1 - t / 0.5) ** 1.6)
+
+    surface = _sheet(lambda t: (-half(t), half(t)), lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
+    radius = thick / 2
+    t = np.linspace(0, 1, 9)
+    parts: list[Plain] = []
+    for share in (-1.0, -0.6, -0.2, 0.2, 0.6, 1.0):
+        way = np.array(
+            [(share * (half(float(s)) - radius), y0 + (long - radius) * s, level(float(s)) + radius) for s in t]
+        )
+        parts += capsules(simplified(way, 0.0006), radius)
+    parts.append(capsule((-half(1.0) + radius, y1 - radius, radius), (half(1.0) - radius, y1 - radius, radius), radius))
+    return surface, parts
+
+
+_HEADS: Mapping[Kind, Callable[[Cutlery], tuple[Surface, list[Plain]]]] = {
+    "spoon": _spoon,
+    "fork": _fork,
+    "knife": _knife,
+    "turner": _turner,
+}

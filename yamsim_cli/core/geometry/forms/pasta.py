@@ -1,0 +1,48 @@
+"""Dry pasta: tubes cut straight or aslant, ridged or plain, and rods. All lie along y."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..loft import Surface, loft, ring
+from ..se3 import Array
+from .form import Form, Hold, Piece, capsule
+
+_AROUND = 48
+
+
+def pasta(diameter: float, length: float, wall: float, slant_deg: float, ridges: int) -> Form:
+    """One piece.
+
+    Args:
+        diameter, length: outside, m.
+        wall: how thick a tube's is, m; 0 for a rod.
+        slant_deg: how far its ends are from being cut straight across.
+        ridges: how many go along it.
+    """
+    radius = diameter / 2
+    surface = _pipe(radius, length, wall, np.tan(np.radians(slant_deg)), ridges)
+    half = max(length / 2 - radius * (1 if wall == 0 else 0.9), 0.0005)
+    hull = capsule((0, -half, radius), (0, half, radius), radius)
+    hold = Hold("body", (0.0, 0.0, round(radius, 4)), 0.0, diameter)
+    return Form((Piece("body", surface),), (hull,), (hold,), rolls=radius)
+
+
+def _pipe(radius: float, length: float, wall: float, slant: float, ridges: int) -> Surface:
+    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    outer = radius * (1 - (0.03 + 0.03 * np.cos(ridges * angle) if ridges else 0.0 * angle))
+    # The longest outside is the whole length.
+    cut = slant * radius
+    straight = length / 2 - cut
+
+    def loop(r: Array, end: float, inset: float) -> Array:
+        x, z = r * np.cos(angle), r * np.sin(angle)
+        return np.column_stack([x, end * (straight - inset) + slant * z, z + radius])
+
+    bevel = min(0.0006, radius / 6)
+    loops = [loop(outer - bevel, -1, 0), loop(outer, -1, bevel), loop(outer, 1, bevel), loop(outer - bevel, 1, 0)]
+    if not wall:
+        return loft(loops[::-1])
+    inner = np.full(_AROUND, radius - wall)
+    loops += [loop(inner, 1, 0), loop(inner, -1, 0)]
+    return ring(loops[::-1])

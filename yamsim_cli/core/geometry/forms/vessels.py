@@ -1,0 +1,210 @@
+"""What is turned on a wheel or blown: plates, bowls, cups, pots, jars, bottles, caps, and fruit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..loft import Surface, arc, thickened, tube, turned
+from ..se3 import Array
+from .form import Form, Hold, Piece, Plain, capsules, cylinder, rings, simplified, sphere
+
+Handles = Literal["none", "loop", "ears"]
+
+# Faces and boxes around the axis, and how far straight pieces may stray from a profile, m.
+_SEEN = 48
+_BOXES, _FEW_BOXES = 24, 16
+_NARROW = 0.05
+_TOLERANCE = 0.0010
+
+# A body wider than this is held by its rim: linear_4310 opens 95 mm.
+_WIDEST = 0.091
+# How far under the rim the middle of the pads is, and under the top at most: deeper the palm comes down on it, m.
+_UNDER_RIM, _PALM = 0.008, 0.040
+# A neck is held by its middle, so far under its rim, m.
+_NECK = 0.014
+
+
+@dataclass(frozen=True)
+class Vessel:
+    """Sizes of an open vessel, m.
+
+    Attributes:
+        diameter: where it is widest, outside.
+        foot: outer diameter of its bottom.
+        flare: how its wall widens from foot to rim: as the height to this power. Below 1 it is round like a bowl, 1 is
+            a cone, above 1 like a trumpet.
+        fillet: radius of the edge between floor and wall, inside.
+        neck, shoulder, slope: outer diameter of a neck; the height where the body ends; how high it narrows over.
+        handles: one upright loop, or two ears.
+        reach: how far handles stand out from the body.
+    """
+
+    diameter: float
+    height: float
+    foot: float
+    wall: float
+    flare: float = 1.0
+    fillet: float = 0.0
+    neck: float | None = None
+    shoulder: float = 0.0
+    slope: float = 0.0
+    handles: Handles = "none"
+    reach: float = 0.0
+
+    def inside(self) -> Array:
+        """Radius and height (n, 2) of the inner surface from the axis to the rim, m."""
+        floor, top = self.wall, self.height - self.wall / 2
+        foot, widest = self.foot / 2 - self.wall, self.diameter / 2 - self.wall
+        fillet = min(self.fillet, foot * 0.8)
+        points = [np.array([[0.0, floor], [foot - fillet, floor]])]
+        if fillet:
+            points.append(arc((foot - fillet, floor + fillet), fillet, -90, 0)[1:])
+        wall_top = self.shoulder if self.neck else top
+        share = np.linspace(0, 1, 13)[1:] ** (1.0 / min(self.flare, 1.0))
+        z = floor + fillet + share * (wall_top - floor - fillet)
+        points.append(np.column_stack([foot + (widest - foot) * share**self.flare, z]))
+        if self.neck:
+            neck = self.neck / 2 - self.wall
+            t = np.linspace(0, 1, 9)[1:]
+            blend = (1 - np.cos(np.pi * t)) / 2
+            points.append(np.column_stack([widest + (neck - widest) * blend, self.shoulder + self.slope * t]))
+            points.append(np.array([[neck, top]]))
+        return np.concatenate(points)
+
+
+def vessel(size: Vessel) -> Form:
+    """An open vessel that stands on its foot."""
+    inside = size.inside()
+    pieces = [Piece("body", turned(thickened(inside, size.wall), _SEEN))]
+    segments = _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
+    wall = inside[int(np.flatnonzero(np.diff(inside[:, 1]) > 1e-9)[0]) :]
+    collision: list[Plain] = [cylinder(0.0, size.wall, float(wall[0, 0]) + size.wall / 2)]
+    collision += rings(simplified(wall, _TOLERANCE), size.wall, segments)
+    for surface, path, radius in _handles(size):
+        pieces.append(Piece("handle", surface))
+        collision += capsules(simplified(path, _TOLERANCE), radius)
+    deep = size.height > 0.03
+    return Form(tuple(pieces), tuple(collision), tuple(_holds(size, inside)), "in" if deep else "on", size.wall)
+
+
+def _outer(size: Vessel, inside: Array, height: float) -> float:
+    """The outer radius at a height, m."""
+    wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9]
+    return float(np.interp(height, wall[:, 1], wall[:, 0])) + size.wall
+
+
+def _handles(size: Vessel) -> list[tuple[Surface, Array, float]]:
+    """Each handle's surface, its middle line (n, 3), and its radius, m."""
+    inside, top = size.inside(), size.height
+    if size.handles == "loop":
+        low, high = 0.22 * top, 0.85 * top
+        thick = min(0.0065, size.reach / 4)
+        start, end = (_outer(size, inside, height) + 0.75 * thick - size.wall for height in (high, low))
+        turn = np.linspace(0, np.pi, 15)
+        # A D on its side: from the wall, out, down and back.
+        x = np.interp(turn, [0, np.pi], [start, end]) + (size.reach - 1.75 * thick) * np.sin(turn) ** 0.6
+        rise = (high + low) / 2 + (high - low) / 2 * np.cos(turn)
+        path = np.column_stack([x, np.zeros_like(x), rise])
+        return [(tube(path, thick, thick * 0.75, (0, 1, 0)), path, thick * 0.85)]
+    if size.handles == "ears":
+        thick, z = 0.0055, top - 0.022
+        # The round ends stay within the wall.
+        radius = _outer(size, inside, z) + thick - size.wall
+        half = np.radians(17)
+        turn = np.linspace(-1, 1, 15)
+        ears = []
+        for side in (0.0, np.pi):
+            out = (
+                radius * np.cos(half * turn)
+                + (size.reach - 2 * thick) * np.clip(np.cos(np.pi / 2 * turn), 0, 1) ** 0.45
+            )
+            along = radius * np.sin(half * turn)
+            path = np.column_stack([np.cos(side) * out, np.cos(side) * along, z + 0.006 * np.cos(np.pi / 2 * turn)])
+            ears.append((tube(path, thick, thick, (0, 0, 1)), path, thick))
+        return ears
+    return []
+
+
+def _holds(size: Vessel, inside: Array) -> list[Hold]:
+    """Across the body where a hand spans it, at the rim in any case, then at an upright handle."""
+    found: list[Hold] = []
+    neck = size.neck is not None
+    height = max(0.55 * size.height, size.height - _PALM)
+    if size.neck and size.neck < 0.06:
+        height = size.height - _NECK
+    width = 2 * _outer(size, inside, height)
+    if width <= _WIDEST:
+        axes = (90.0, 0.0) if size.handles == "none" else (90.0,)
+        found += [Hold("body", (0.0, 0.0, round(height, 4)), axis, round(width, 4)) for axis in axes]
+    if not neck or size.neck > 0.05:  # type: ignore[operator]  # a neck that a finger fits into
+        z = size.height - _UNDER_RIM
+        radius = round(_outer(size, inside, z) - size.wall / 2, 4)
+        places = {0.0: (radius, 0.0), 90.0: (0.0, radius), 180.0: (-radius, 0.0)}
+        kept = places if size.handles == "none" else {90.0: places[90.0], 270.0: (0.0, -radius)}
+        lean = _lean(inside)
+        found += [
+            Hold("rim", (x, y, round(z, 4)), axis % 180, round(size.wall + lean, 4)) for axis, (x, y) in kept.items()
+        ]
+    return found
+
+
+def _lean(inside: Array) -> float:
+    """How far the wall leans outwards over the height of a pad under the rim, m."""
+    high = inside[-1, 1]
+    wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9]
+    return abs(float(inside[-1, 0] - np.interp(high - 2 * _UNDER_RIM, wall[:, 1], wall[:, 0])))
+
+
+def cap(diameter: float, height: float, wall: float, grips: int) -> Form:
+    """A screw cap or lid that lies as it closes a vessel, its hollow side down; `grips` ridges go round it."""
+    radius = diameter / 2
+    top = np.concatenate([[[0.0, height]], arc((radius - 0.0015, height - 0.0015), 0.0015, 90, 0, 4), [[radius, 0.0]]])
+    under = np.array([[radius - wall, 0.0], [radius - wall, height - wall], [0.0, height - wall]])
+    profile = np.concatenate([top, under])[::-1]
+    body = turned(profile, 96 if grips else _SEEN, grips, 0.012 if grips else 0.0)
+    skirt = np.array([[radius - wall, 0.0], [radius - wall, height]])
+    collision = [cylinder(height - wall, height, radius), *rings(skirt, wall, _FEW_BOXES)]
+    width = round(2 * radius, 4)
+    z = round(height / 2, 4)
+    holds = [Hold("body", (0.0, 0.0, z), axis, width) for axis in (90.0, 0.0)] if width <= _WIDEST else []
+    return Form((Piece("body", body),), tuple(collision), tuple(holds), support=height)
+
+
+def fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float) -> Form:
+    """A round fruit with `lobes` swellings of a share `depth`, a dent on top and a stalk in it."""
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 33)
+    radius = diameter / 2 / (1 + depth) * np.cos(turn) ** 0.85
+    z = height / 2 * (1 + np.sin(turn))
+    dent = 0.10 * height * np.exp(-((radius / (0.22 * diameter)) ** 2))
+    flat = 0.03 * height * np.exp(-((radius / (0.25 * diameter)) ** 2))
+    z = np.where(turn > 0, z - dent, z + flat)
+    radius[0] = radius[-1] = 0.0
+    foot = float(z.min())
+    profile = np.column_stack([radius, z - foot])
+    top = float(profile[-1, 1])
+    pieces = [Piece("body", turned(profile, 72, lobes, depth))]
+    if stalk:
+        bend = np.linspace(0, 1, 6)
+        path = np.column_stack([0.004 * bend**2, 0 * bend, top - 0.004 + (stalk + 0.004) * bend])
+        pieces.append(Piece("stalk", tube(path, 0.0022, 0.0022, (0, 1, 0), 8)))
+        leaf = np.linspace(0, 1, 8)
+        for k in range(5):
+            angle = 2 * np.pi * k / 5
+            out = 0.26 * diameter * leaf
+            drop = np.interp(out, radius[::-1][:14], profile[::-1, 1][:14])
+            way = np.column_stack([out * np.cos(angle), out * np.sin(angle), drop + 0.0012])
+            side = (-np.sin(angle), np.cos(angle), 0)
+            width = 0.0038 * np.sin(np.pi * np.clip(leaf * 0.9 + 0.08, 0, 1)) + 0.0004
+            pieces.append(Piece("stalk", tube(way, width, 0.0007, side, 8)))
+    middle = float((profile[:, 1].max()) / 2)
+    ball = min(diameter / 2, middle)
+    waist = max(diameter / 2 - ball, 0.0)
+    parts = [sphere((0.0, 0.0, middle), ball)]
+    if waist > 0.001:
+        around = np.radians(np.arange(0, 360, 45))
+        parts = [sphere((waist * np.cos(a), waist * np.sin(a), middle), ball) for a in around]
+    holds = [Hold("body", (0.0, 0.0, round(middle, 4)), axis, round(diameter, 4)) for axis in (90.0, 0.0, 45.0, 135.0)]
+    return Form(tuple(pieces), tuple(parts), tuple(holds), rolls=ball)

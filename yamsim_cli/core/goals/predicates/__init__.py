@@ -1,0 +1,32 @@
+"""All predicates by the names that a task's goal calls them by. A new one is a module here, and a line in the table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from .above import Above
+from .base import Predicate as Predicate
+from .handed_over import HandedOver
+from .held_by import HeldBy
+from .inside import Inside
+from .near import Near
+from .on import On
+from .open import Open
+from .sorted import Sorted
+from .stacked import Stacked
+from .swapped import Swapped
+from .upright import Upright
+
+PREDICATES: Mapping[str, type[Predicate]] = {
+    "on": On,
+    "in": Inside,
+    "stacked": Stacked,
+    "upright": Upright,
+    "near": Near,
+    "above": Above,
+    "held_by": HeldBy,
+    "handed_over": HandedOver,
+    "sorted": Sorted,
+    "open": Open,
+    "swapped": Swapped,
+}

@@ -1,0 +1,25 @@
+"""What every predicate is: its arguments as a config, and a function of the world."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+from ...documents.base import Config
+from ..cast import Cast
+from ..measure import Measure
+from ..world import World
+
+
+class Predicate(Config):
+    """Base of the predicates. A subclass's fields are its arguments; those that name a role are listed in `ROLES`."""
+
+    ROLES: ClassVar[tuple[str, ...]]
+
+    @abstractmethod
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """One measure for each thing, or pair of things, that it is about: all have to hold."""
+
+    def roles(self) -> tuple[tuple[str, str], ...]:
+        """The arguments that name roles, and the roles."""
+        return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)

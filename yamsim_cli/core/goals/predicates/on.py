@@ -1,0 +1,49 @@
+"""Whether things rest on a surface."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from ...documents.base import NonNegative
+from ..cast import Cast
+from ..measure import Measure, either
+from ..world import TABLE, World
+from ._shapes import overlap_xy
+from .base import Predicate
+
+
+class On(Predicate):
+    """Each thing touches its surface, its middle lies over it, and no hand holds it.
+
+    Attributes:
+        thing, surface: roles; the surface may be `table`.
+        inside: how far inside the surface's outline the thing's middle has to lie, m.
+        radius: rather, how near the two origins have to be seen from above, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
+    thing: str
+    surface: str
+    inside: NonNegative = 0.0
+    radius: NonNegative | None = None
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        if self.surface == TABLE:
+            return [self._measure(world, thing, TABLE) for thing in cast.of(self.thing)]
+        return [self._measure(world, *pair) for pair in cast.pairs(self.thing, self.surface)]
+
+    def _measure(self, world: World, thing: str, surface: str) -> Measure:
+        what = f"on({thing}, {surface})"
+        if holders := world.holders(thing):
+            return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")
+        if not world.touching(thing, surface):
+            return either(what, False, "they do not touch")
+        if surface == TABLE:
+            return either(what, True)
+        if self.radius is not None:
+            apart = world.pose(thing)[:2, 3] - world.pose(surface)[:2, 3]
+            distance = float((apart @ apart) ** 0.5)
+            return Measure(what, self.radius - distance, "m", f"{distance * 1000:.0f} mm from the middle")
+        inside = overlap_xy(world, thing, surface)
+        return Measure(what, inside - self.inside, "m", f"its middle {inside * 1000:.0f} mm inside the outline")

@@ -1,0 +1,229 @@
+"""Settle what has to be known before anything runs: a config, where files are, the meshes, and what renders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, MutableMapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .errors import ResourceError, UsageError
+from .session import Session
+
+if TYPE_CHECKING:
+    from .assets import AssetLock, AssetStore
+    from .config.recording import RecordConfig, RenderConfig
+    from .config.rig import RigConfig
+    from .documents.document import KeyPath
+    from .resources import Locations
+
+# What MuJoCo and OpenCV can be asked for without a machine running out of memory.
+_SIZES = range(16, 4097)
+
+# What `Opener.skip_gl` writes. MuJoCo takes it as it takes "disabled", which a user may have set and which is then
+# kept to.
+_NO_GL = "off"
+
+# What each setting sets. A task comes before its parts.
+_SETS: dict[str, tuple[str, ...]] = {
+    "rig": ("rig",),
+    "revision": ("rig", "revision"),
+    "margin": ("rig", "margin"),
+    "task": ("task",),
+    "object": ("task", "object"),
+    "target": ("task", "target"),
+    "threshold": ("task", "success", "threshold"),
+    "n": ("episodes",),
+    "workers": ("workers",),
+    "seed": ("seed",),
+    "grasp": ("grasp",),
+    "arm": ("arm",),
+    "wrist": ("wrist",),
+    "camera": ("cameras",),
+    "boards": ("boards",),
+    "truth": ("truth",),
+    "size": ("image", "size_px"),
+    "jpeg_quality": ("image", "jpeg_quality"),
+    "quality": ("render",),
+    "randomize": ("randomization",),
+}
+
+
+@dataclass(frozen=True)
+class Opener:
+    """Opens sessions, for the command line or for a program.
+
+    Attributes:
+        environ: the process's environment. What renders is settled in it: MuJoCo reads it when it is imported.
+        notify: told what a user should read, a sentence at a time.
+        spell: a setting's name -> how whoever asks writes it, for messages.
+        thing: makes a config of what names a thing otherwise, such as by its file, and gives its place.
+    """
+
+    environ: MutableMapping[str, str]
+    notify: Callable[[str], None]
+    spell: Callable[[str], str]
+    thing: Callable[[str, Locations, Callable[[str], None]], str] = lambda name, where, notify: name
+
+    def open(self, name: str, *, renders: bool = True, parallel: bool = True, **given: Any) -> Session:
+        """A session of a record config with settings put over it.
+
+        Args:
+            renders: whether anything is rendered; otherwise neither OpenGL nor meshes are looked for.
+            parallel: whether several processes render, see `use_gl`.
+            given: see `config`.
+
+        Raises:
+            ConfigError, UsageError: a value is not valid. It is told before OpenGL is tried, which takes seconds.
+            ResourceError: nothing can render here.
+        """
+        where = self.locations()
+        for setting in ("object", "target"):
+            if isinstance(named := given.get(setting), str):
+                given[setting] = self.thing(named, where, self.notify)
+        session = Session(self.config(name, where, **given), where)
+        if not renders:
+            self.skip_gl()
+            return session
+        where = self.use_gl(where, workers=parallel)
+        return self.with_meshes(Session(self.config(name, where, **given), where))
+
+    def locations(self) -> Locations:
+        """Where configs, models and meshes are, from the environment."""
+        from .resources import Locations
+
+        return Locations.find(self.environ)
+
+    def config(self, name: str, where: Locations, **given: Any) -> RecordConfig:
+        """The named record config with settings put over it.
+
+        Args:
+            given: settings by their names; None for those that were not given. `randomize` keeps the ranges that a
+                config has of its own.
+
+        Raises:
+            ConfigError, UsageError: a value is not valid; what cannot be demonstrated is told before anything is made.
+        """
+        from .config.loader import load_config
+        from .config.recording import RecordConfig
+        from .tasks.kinds import kind_of
+
+        if isinstance(size := given.get("size"), str):
+            given["size"] = parse_size(size)
+        if (randomize := given.get("randomize")) is not None:
+            own = self.config(name, where, **(given | {"randomize": None})).randomization.parts
+            given["randomize"] = (None if own else "default") if randomize else "none"
+        overrides: dict[KeyPath, tuple[str, Any]] = {
+            path: (self.spell(setting), given[setting])
+            for setting, path in _SETS.items()
+            if given.get(setting) is not None
+        }
+        config = load_config(RecordConfig, "record", name, where, overrides)
+        kind_of(config.task)
+        return config
+
+    def rig(self, name: str, where: Locations, margin: float | None = None, revision: str | None = None) -> RigConfig:
+        """The named rig, with another margin, or another revision of its robots, if one was given."""
+        from .config.loader import load_config
+        from .config.rig import RigConfig
+
+        overrides: dict[KeyPath, tuple[str, Any]] = {}
+        if margin is not None:
+            overrides["margin",] = (self.spell("margin"), margin)
+        if revision is not None:
+            overrides["revision",] = (self.spell("revision"), revision)
+        return load_config(RigConfig, "rigs", name, where, overrides)
+
+    def use_gl(self, where: Locations, *, workers: bool = False) -> Locations:
+        """Settle on an OpenGL backend that works, for this process and its workers; rather before mujoco is imported.
+
+        Args:
+            workers: several processes render, so that none may take more than one core: Mesa's software renderer would
+                start a thread a core in each.
+
+        Returns:
+            `where`, with the quality that suits the backend as `auto`.
+        """
+        from .gl import bind_backend, find_backend
+
+        asked = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _NO_GL)}
+        backend = find_backend(asked)
+        if backend.name is not None:
+            self.environ["MUJOCO_GL"] = backend.name
+            bind_backend(backend.name)
+        if workers and backend.software:
+            self.environ.setdefault("LP_NUM_THREADS", "0")
+        return replace(where, auto_quality="balanced" if backend.software else "high")
+
+    def skip_gl(self) -> None:
+        """Keep MuJoCo from loading any OpenGL: nothing will be rendered."""
+        self.environ.setdefault("MUJOCO_GL", _NO_GL)
+
+    def with_meshes(self, session: Session) -> Session:
+        """The same session with the meshes of everything that its scene shows."""
+        from .scene.blueprint import recording_blueprint
+        from .scene.compose import mesh_sets
+
+        names = mesh_sets(recording_blueprint(session.config))
+        return replace(session, locations=self.find_meshes(session.locations, names, session.config.render))
+
+    def find_meshes(self, where: Locations, names: Iterable[str], quality: RenderConfig | None = None) -> Locations:
+        """`where`, with the folder of each mesh set; the user is told of sets that are not here.
+
+        Args:
+            quality: rather the meshes that it asks for: reduced ones are made when they are not there yet.
+        """
+        from .assets import AssetStore, is_own, load_lock, resolve_own
+        from .resources import IMPORTED
+
+        lock, store = load_lock(where), AssetStore(where.assets)
+        wanted = set(names)
+        own = {name for name in wanted if is_own(name)}
+        locked = wanted - own - {IMPORTED}
+        meshes = {assets.name: store.resolve(assets) for assets in (lock.select(locked) if locked else ())}
+        if missing := [name for name, folder in meshes.items() if folder is None]:
+            asked = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
+            self.notify(
+                f"The meshes of {' and '.join(missing)} are not here, so primitives are shown: run `yamsim assets "
+                f"fetch{asked}`, or `yamsim doctor`."
+            )
+        if quality is not None and quality.reduced_meshes:
+            meshes |= {name: self._reduced(lock, store, name, folder) for name, folder in meshes.items() if folder}
+        meshes |= {name: resolve_own(store, name) for name in sorted(own)}
+        if lost := [name for name in sorted(own) if meshes[name] is None]:
+            self.notify(
+                f"The files of {' and '.join(lost)} are not here, or not as they were imported: copy the folder of "
+                f"that name into {where.assets}, or import the thing again."
+            )
+        if IMPORTED in wanted:
+            meshes[IMPORTED] = where.assets / IMPORTED
+        return replace(where, meshes=meshes)
+
+    def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
+        """The set's reduced meshes; its own, with a word to the user, where there are none and none can be made."""
+        from .assets import find_reduced, make_reduced
+
+        assets = lock.sets[name]
+        try:
+            found = find_reduced(store, assets)
+            if found is None:
+                self.notify(f"The meshes of {name} are being reduced, which is done once.")
+                found = make_reduced(store, assets, folder, lock.notices[assets.notice])
+        except ResourceError as error:
+            self.notify(f"The meshes of {name} are shown in full, which takes longer: {error}")
+            return folder
+        return found.directory
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT as two numbers of pixels.
+
+    Raises:
+        UsageError: it is not of that form, or out of range.
+    """
+    width, cross, height = text.lower().partition("x")
+    if not cross or not width.isdecimal() or not height.isdecimal():
+        raise UsageError(f"--size {text!r} is not valid: give WIDTHxHEIGHT in pixels, such as 640x480")
+    if int(width) not in _SIZES or int(height) not in _SIZES:
+        raise UsageError(f"--size {text!r} is not valid: width and height must lie in {_SIZES[0]}..{_SIZES[-1]} pixels")
+    return int(width), int(height)

@@ -1,0 +1,170 @@
+"""What an arm, and the thing in its hand, would touch at given joints, everything else standing where it stands."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from ..geometry.se3 import Array, pose, quat_from_rotation
+from ..goals.world import TABLE
+from ..scene.compiled import SceneArm
+
+# How far an arm stays away from what it must not touch, and what it carries from everything else, m.
+_ARM_DISTANCE = 0.004
+_THING_DISTANCE = 0.003
+
+# Fingers that close on a thing may come as near as this, and no nearer, m. Contacts are soft in physics.
+_FINGER_DEPTH = 5e-4
+
+# How a thing's way down is searched for what it meets: in steps of so much, m, the last one halved so often.
+_DESCENT = 0.004
+_HALVINGS = 6
+
+
+@dataclass(frozen=True)
+class Load:
+    """A thing in a hand.
+
+    Attributes:
+        thing: its name.
+        T_thing_in_pinch: its pose (4, 4) in the pinch frame.
+        may_touch: names of things, or `TABLE`, that it may touch on its way.
+    """
+
+    thing: str
+    T_thing_in_pinch: Array
+    may_touch: Collection[str] = field(default=())
+
+
+class Obstacles:
+    """Looks for contacts in a copy of a scene.
+
+    Args:
+        model: the compiled scene.
+        things: names of the things in it.
+        fingers: geoms of each arm's fingers, in the order of `arms`.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        arms: Sequence[SceneArm],
+        things: Sequence[str],
+        fingers: Sequence[Array],
+    ) -> None:
+        self._model = copy.copy(model)
+        self._data = mujoco.MjData(self._model)
+        self._arms, self._things = arms, tuple(things)
+        root = model.body_rootid[model.geom_bodyid]
+        self._arm_of = np.full(model.ngeom, -1)
+        for k, arm in enumerate(arms):
+            self._arm_of[root == model.body(f"{arm.prefix}arm").id] = k
+        self._thing_of = np.full(model.ngeom, -1)
+        for k, name in enumerate(things):
+            self._thing_of[root == model.body(name).id] = k
+        self._finger = np.isin(np.arange(model.ngeom), np.concatenate(list(fingers)))
+        self._table = np.arange(model.ngeom) == model.geom(TABLE).id
+        self._model.geom_margin[self._arm_of >= 0] = _ARM_DISTANCE
+        self._model.geom_margin[self._thing_of >= 0] = _THING_DISTANCE
+
+    def touched(
+        self,
+        qpos: Array,
+        arm: int,
+        joints: Array,
+        opening: float,
+        load: Load | None = None,
+        between: str | None = None,
+    ) -> str | None:
+        """Names of two geoms that come too near each other; None if there are none.
+
+        Args:
+            qpos: MuJoCo's positions (nq,) of everything else.
+            arm: which arm moves.
+            joints: where it would be (dof,), rad.
+            opening: of one of its fingers, m.
+            load: what it carries.
+            between: a thing that its fingers are around, which they may come near to.
+        """
+        data = self._pose(qpos, arm, joints, opening, load)
+        mujoco.mj_collision(self._model, data)
+        if not data.ncon:
+            return None
+        geoms = data.contact.geom
+        near = self._counts(geoms, data.contact.dist, arm, load, between)
+        if not near.any():
+            return None
+        one, other = (self._model.geom(int(geom)).name for geom in geoms[near][0])
+        return f"{one} and {other}"
+
+    def posed(self, qpos: Array, arm: int, joints: Array, opening: float, load: Load | None = None) -> Array:
+        """MuJoCo's positions (nq,) with an arm, and what it carries, elsewhere; see `touched`."""
+        positions: Array = self._pose(qpos, arm, joints, opening, load).qpos.copy()
+        return positions
+
+    def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
+        """The height at which a thing that comes straight down at a pose (4, 4), and turned so, meets something, m.
+
+        Args:
+            lowest: where the search ends.
+        """
+        data, address = self._data, int(self._model.joint(thing).qposadr[0])
+        data.qpos[:] = qpos
+        data.qpos[address : address + 2] = T_in_world[:2, 3]
+        data.qpos[address + 3 : address + 7] = quat_from_rotation(T_in_world[:3, :3])
+
+        def meets(height: float) -> bool:
+            data.qpos[address + 2] = height
+            mujoco.mj_kinematics(self._model, data)
+            mujoco.mj_collision(self._model, data)
+            geoms = data.contact.geom
+            of_thing = self._thing_of[geoms] == self._things.index(thing)
+            of_arm = self._arm_of[geoms] >= 0
+            touching = of_thing.any(axis=1) & ~of_thing.all(axis=1) & ~of_arm.any(axis=1)
+            return bool((touching & (data.contact.dist < 0)).any())
+
+        high = float(T_in_world[2, 3])
+        while not meets(high - _DESCENT):
+            high -= _DESCENT
+            if high < lowest:
+                return lowest
+        low = high - _DESCENT
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if meets(middle) else (low, middle)
+        return high
+
+    def _pose(self, qpos: Array, arm: int, joints: Array, opening: float, load: Load | None) -> mujoco.MjData:
+        data, moving = self._data, self._arms[arm]
+        data.qpos[:] = qpos
+        data.qpos[moving.joint_qpos] = joints
+        if moving.fingers is not None:
+            data.qpos[moving.fingers.qpos] = opening * moving.fingers.sign
+        mujoco.mj_kinematics(self._model, data)
+        if load is not None:
+            site = data.site(f"{moving.prefix}pinch_site")
+            T = pose(site.xpos, site.xmat.reshape(3, 3)) @ load.T_thing_in_pinch
+            address = self._model.joint(load.thing).qposadr[0]
+            data.qpos[address : address + 3] = T[:3, 3]
+            data.qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+            mujoco.mj_kinematics(self._model, data)
+        return data
+
+    def _counts(self, geoms: Array, distances: Array, arm: int, load: Load | None, between: str | None) -> Array:
+        """Which contacts (n,) are of what moves with what it must not touch."""
+        of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
+        of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
+        # Where both sides move with the hand nothing comes nearer: the model's own exclusions see to the arm's links.
+        counts = (of_arm | of_load).any(axis=1) & ~(of_arm | of_load).all(axis=1)
+        for name in load.may_touch if load else ():
+            other = self._table[geoms] if name == TABLE else of_thing == self._things.index(name)
+            counts &= ~(of_load.any(axis=1) & other.any(axis=1))
+        if between is not None:
+            fingers = (of_arm & self._finger[geoms]).any(axis=1) & (of_thing == self._things.index(between)).any(axis=1)
+            counts &= ~(fingers & (distances > -_FINGER_DEPTH))
+        found: Array = counts
+        return found

@@ -1,0 +1,281 @@
+"""An arm's MJCF with a gripper's put into its flange: one model, as if it had been written so."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Iterator, Mapping
+
+from ..errors import ConfigError
+from ..geometry.se3 import pose_from_quat, quat_from_rotation
+from .finray.chain import grow
+from .models import ArmModel, Fit, Gripper, JointChange, Mjcf, Placement
+
+Element = ElementTree.Element
+
+# What of a gripper's MJCF comes along, beside its body and its classes.
+_SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
+# What only an arm's may say. Keyframes fit one model alone: whoever composes a scene writes its own.
+_ARMS_OWN = ("option", "size", "visual", "statistic", "custom")
+
+# Where sections outside `worldbody` name a body.
+_BODY_KEYS = ("body", "body1", "body2")
+
+# Key of a joint's change -> the element that has it, and as which attribute.
+_CHANGES = {
+    "range": ("joint", "range"),
+    "armature": ("joint", "armature"),
+    "frictionloss": ("joint", "frictionloss"),
+    "kp": ("drive", "kp"),
+    "kv": ("drive", "kv"),
+    "torque": ("drive", "forcerange"),
+}
+
+
+def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
+    """The whole MJCF of an arm with a gripper.
+
+    The gripper's classes carry its name before their own, so that both files may call theirs alike. An asset that both
+    have in the same words is one.
+
+    Raises:
+        ConfigError: a file is no MJCF of this kind, or the two do not go together.
+    """
+    root, hand = parse(arm.mjcf), parse(gripper.mjcf)
+    if gripper.finray is not None:
+        for foot in gripper.finray.feet:
+            body(hand, foot, gripper.mjcf)
+        grow(hand, gripper.name, gripper.finray)
+    _check_sections(root, arm.mjcf, (*_SECTIONS, *_ARMS_OWN))
+    _check_sections(hand, gripper.mjcf, _SECTIONS)
+    if (ours := _attributes(root, "compiler")) != (theirs := _attributes(hand, "compiler")):
+        raise ConfigError(f"{gripper.mjcf.file}: <compiler> says {theirs}, and {arm.mjcf.file} {ours}; make them equal")
+    flange = body(root, arm.flange, arm.mjcf)
+    frame = _gripper_frame(hand, gripper.mjcf)
+    _check_names(root, frame, arm.mjcf, gripper.mjcf)
+    _prefix_classes(hand, gripper.name)
+    _rename_body(hand, frame.get("name", ""), arm.flange)
+    _fill(flange, frame, fit.mount)
+    _add(root, hand, "default")
+    _add_assets(root, hand, arm.mjcf, gripper.mjcf)
+    for one, other in fit.excludes:
+        _section(root, "contact").append(Element("exclude", {"body1": one, "body2": other}))
+    for section in _SECTIONS[1:]:
+        _add(root, hand, section)
+    _change_joints(root, arm, fit.joints)
+    return root
+
+
+def parse(mjcf: Mjcf) -> Element:
+    """The root element of an MJCF.
+
+    Raises:
+        ConfigError: it is none, or declares entities.
+    """
+    if "<!DOCTYPE" in mjcf.text or "<!ENTITY" in mjcf.text:
+        raise ConfigError(f"{mjcf.file}: declares a document type, which no MJCF needs; remove it")
+    try:
+        root = ElementTree.fromstring(mjcf.text)
+    except ElementTree.ParseError as error:
+        raise ConfigError(f"{mjcf.file}: not valid XML: {error}") from error
+    if root.tag != "mujoco":
+        raise ConfigError(f"{mjcf.file}: begins with <{root.tag}>; an MJCF begins with <mujoco>")
+    return root
+
+
+def body(root: Element, name: str, mjcf: Mjcf) -> Element:
+    """The body of that name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    bodies = {found.get("name", ""): found for found in root.iter("body")}
+    if name not in bodies:
+        raise ConfigError(f"{mjcf.file}: has no body {name!r}; its bodies: {', '.join(bodies) or 'none'}")
+    return bodies[name]
+
+
+def joint(root: Element, name: str, mjcf: Mjcf) -> Element:
+    """The joint of that name, not an equality between joints.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    joints = {found.get("name", ""): found for found in _section(root, "worldbody").iter("joint")}
+    if name not in joints:
+        raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")
+    return joints[name]
+
+
+def drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
+    """The position drive of a joint.
+
+    Raises:
+        ConfigError: it has none, or several, or one of another kind.
+    """
+    found = [element for element in _section(root, "actuator") if element.get("joint") == joint]
+    if len(found) != 1 or found[0].tag != "position" or not found[0].get("name"):
+        raise ConfigError(f"{mjcf.file}: joint {joint!r} needs one <position> actuator with a name of its own")
+    return found[0]
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Numbers as an attribute, so that they read back as they are."""
+    return " ".join(repr(float(value)).removesuffix(".0") for value in values)
+
+
+def _check_sections(root: Element, mjcf: Mjcf, allowed: Iterable[str]) -> None:
+    valid = ("compiler", "default", "worldbody", *allowed)
+    for section in root:
+        if section.tag not in valid:
+            raise ConfigError(f"{mjcf.file}: <{section.tag}> has no place here; valid: {', '.join(sorted(valid))}")
+    for default in root.findall("default"):
+        for element in default:
+            if element.tag != "default":
+                raise ConfigError(
+                    f"{mjcf.file}: <default> has <{element.tag}> in no class, which would change other models too; "
+                    "put it into a <default class=...>"
+                )
+
+
+def _attributes(root: Element, tag: str) -> dict[str, str]:
+    return {key: value for element in root.findall(tag) for key, value in sorted(element.attrib.items())}
+
+
+def _gripper_frame(hand: Element, mjcf: Mjcf) -> Element:
+    """The gripper's one body."""
+    bodies = list(_section(hand, "worldbody"))
+    if len(bodies) != 1 or bodies[0].tag != "body" or not bodies[0].get("name"):
+        raise ConfigError(f"{mjcf.file}: <worldbody> must hold one body with a name, the gripper's frame, and no more")
+    frame = bodies[0]
+    if extra := sorted(set(frame.attrib) - {"name", "childclass"}):
+        raise ConfigError(
+            f"{mjcf.file}: body {frame.get('name')!r} becomes part of the flange and cannot have {', '.join(extra)}; "
+            "where it sits is said by `mount`"
+        )
+    if frame.find("joint") is not None or frame.find("freejoint") is not None:
+        raise ConfigError(f"{mjcf.file}: body {frame.get('name')!r} has a joint; it becomes part of the flange")
+    return frame
+
+
+def _check_names(root: Element, frame: Element, arms: Mjcf, grippers: Mjcf) -> None:
+    taken = {
+        (element.tag, element.get("name")) for element in _section(root, "worldbody").iter() if element.get("name")
+    }
+    for element in (part for child in frame for part in child.iter()):
+        if (element.tag, element.get("name")) in taken:
+            raise ConfigError(
+                f"{grippers.file}: {arms.file} too has a {element.tag} {element.get('name')!r}; rename it"
+            )
+
+
+def _prefix_classes(hand: Element, name: str) -> None:
+    for element in hand.iter():
+        for key in ("class", "childclass"):
+            if key in element.attrib:
+                element.set(key, f"{name}_{element.get(key)}")
+
+
+def _rename_body(hand: Element, name: str, new: str) -> None:
+    for section in hand:
+        if section.tag != "worldbody":
+            for element in section.iter():
+                for key in _BODY_KEYS:
+                    if element.get(key) == name:
+                        element.set(key, new)
+
+
+def _fill(flange: Element, frame: Element, mount: Placement) -> None:
+    """Put what is in the gripper's frame into the flange."""
+    inside = Element("frame")
+    if childclass := frame.get("childclass"):
+        inside.set("childclass", childclass)
+    moved = mount != Placement()
+    if moved:
+        inside.set("pos", numbers(mount.position))
+        inside.set("quat", numbers(mount.quat))
+    for element in frame:
+        if element.tag != "inertial":
+            inside.append(element)
+            continue
+        for own in flange.findall("inertial"):
+            flange.remove(own)
+        if moved:
+            _move(element, mount)
+        flange.insert(0, element)
+    if len(inside):
+        flange.append(inside)
+
+
+def _move(inertial: Element, mount: Placement) -> None:
+    """Give an inertial of the gripper's frame in the flange's."""
+    place, turn = (
+        [float(number) for number in inertial.get(key, default).split()]
+        for key, default in (("pos", "0 0 0"), ("quat", "1 0 0 0"))
+    )
+    T = mount.T @ pose_from_quat(place, turn)
+    inertial.set("pos", numbers(T[:3, 3]))
+    inertial.set("quat", numbers(quat_from_rotation(T[:3, :3])))
+
+
+def _section(root: Element, tag: str) -> Element:
+    """The section of that name, made where there is none."""
+    found = root.find(tag)
+    return ElementTree.SubElement(root, tag) if found is None else found
+
+
+def _parts(root: Element, section: str) -> Iterator[Element]:
+    for found in root.findall(section):
+        yield from found
+
+
+def _add(root: Element, hand: Element, section: str) -> None:
+    if parts := list(_parts(hand, section)):
+        _section(root, section).extend(parts)
+
+
+def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> None:
+    known = {(element.tag, element.get("name")): element for element in _parts(root, "asset")}
+    for element in _parts(hand, "asset"):
+        same = known.get((element.tag, element.get("name")))
+        if same is None:
+            _section(root, "asset").append(element)
+        elif same.attrib != element.attrib:
+            raise ConfigError(
+                f"{grippers.file}: <{element.tag}> {element.get('name')!r} is not as in {arms.file}; rename it"
+            )
+
+
+def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChange]) -> None:
+    """Write the joints' stops, and what else a gripper changes."""
+    names = [limits.name for limits in arm.joints]
+    for name in changes:
+        if name not in names:
+            raise ConfigError(f"{arm.name}: a gripper changes joint {name!r}; its joints: {', '.join(names)}")
+    for limits in arm.joints:
+        parts = {"joint": joint(root, limits.name, arm.mjcf), "drive": drive(root, limits.name, arm.mjcf)}
+        if "range" in parts["joint"].attrib:
+            raise ConfigError(
+                f"{arm.mjcf.file}: joint {limits.name!r} has a range; model.yaml has it, leave it out here"
+            )
+        change = changes.get(limits.name, JointChange())
+        said = change.model_copy(update={"range": change.range or limits.range})
+        for key, (part, attribute) in _CHANGES.items():
+            value = getattr(said, key)
+            if value is not None:
+                values = (-value, value) if key == "torque" else value if isinstance(value, tuple) else (value,)
+                parts[part].set(attribute, numbers(values))
+
+
+def coupling(root: Element, one: str, other: str) -> float:
+    """By how much the first of two joints moves when the second moves by 1, by an equality; 1 if there is none.
+
+    Equalities with a constant or a curve are none of fingers.
+    """
+    for element in _parts(root, "equality"):
+        factor = float(element.get("polycoef", "0 1 0 0 0").split()[1])
+        match element.get("joint1"), element.get("joint2"):
+            case (first, second) if element.tag == "joint" and (first, second) == (one, other):
+                return factor
+            case (first, second) if element.tag == "joint" and (first, second) == (other, one):
+                return 1.0 / factor
+    return 1.0

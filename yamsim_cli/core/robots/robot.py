@@ -1,0 +1,136 @@
+"""An arm with its gripper: what the scene is built from, and what everything else asks about it."""
+
+from __future__ import annotations
+
+import functools
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import ConfigError
+from ..geometry.se3 import Array
+from . import mjcf
+from .models import ArmModel, Fingers, Gripper, JointChange, JointLimits, fit
+
+
+@dataclass(frozen=True)
+class Robot:
+    """An arm with its gripper.
+
+    Attributes:
+        model, gripper: their names.
+        xml: the MJCF of both together.
+        base: the body whose frame is the arm's base frame.
+        flange: the body that turns with the last joint, and carries the gripper.
+        joints: from the base to the flange, with the stops that they have with this gripper.
+        joint_drives: the actuators of these joints, in the same order.
+        home, start: the joints at rest, and when a task starts that says nothing else, rad.
+        fingers: None where the gripper has none.
+        finger_signs: whether a finger's joint counts its opening up (1) or down (-1), the left one's first.
+        mesh_sets: the asset sets that the MJCF takes meshes from.
+        T_base_mesh: pose (4, 4) of the frame that boards and mounts are given in, in the base frame.
+    """
+
+    model: str
+    gripper: str
+    xml: str = field(repr=False)
+    base: str
+    flange: str
+    joints: tuple[JointLimits, ...]
+    joint_drives: tuple[str, ...]
+    home: tuple[float, ...]
+    start: tuple[float, ...]
+    fingers: Fingers | None
+    finger_signs: tuple[float, float]
+    mesh_sets: tuple[str, ...]
+    T_base_mesh: Array = field(repr=False, compare=False)
+
+    @property
+    def dof(self) -> int:
+        """How many joints the arm has, fingers not counted."""
+        return len(self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints from the base to the flange."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def drives(self) -> tuple[str, ...]:
+        """Names of all drives: one for each joint, and the gripper's where it has one."""
+        return (*self.joint_drives, *((self.fingers.drive,) if self.fingers else ()))
+
+    @property
+    def joint_range(self) -> Array:
+        """The joints' stops (dof, 2), rad."""
+        return np.array([joint.range for joint in self.joints])
+
+
+@functools.lru_cache(maxsize=64)
+def assemble(arm: ArmModel, gripper: Gripper) -> Robot:
+    """Put a gripper onto an arm.
+
+    Raises:
+        ValueError: the gripper does not fit there.
+        ConfigError: an MJCF lacks what its YAML names, or the two do not go together.
+    """
+    how = fit(arm, gripper)
+    root = mjcf.with_gripper(arm, gripper, how)
+    mjcf.body(root, arm.base, arm.mjcf)
+    signs = _write_fingers(root, gripper) if gripper.fingers else (1.0, 1.0)
+    root.set("model", f"{arm.name}_{gripper.name}")
+    ranges = {name: change.range for name, change in how.joints.items() if change.range}
+    return Robot(
+        model=arm.name,
+        gripper=gripper.name,
+        xml=ElementTree.tostring(root, encoding="unicode"),
+        base=arm.base,
+        flange=arm.flange,
+        joints=tuple(joint.model_copy(update={"range": ranges.get(joint.name, joint.range)}) for joint in arm.joints),
+        joint_drives=tuple(mjcf.drive(root, joint.name, arm.mjcf).get("name", "") for joint in arm.joints),
+        home=arm.home,
+        start=arm.home if arm.start is None else arm.start,
+        fingers=gripper.fingers,
+        finger_signs=signs,
+        mesh_sets=tuple(dict.fromkeys((*arm.mesh_sets, *gripper.mesh_sets))),
+        T_base_mesh=arm.base_mesh.T,
+    )
+
+
+def widest_joints(arm: ArmModel) -> tuple[JointLimits, ...]:
+    """An arm's joints as far as they go with any of the grippers that its own file names."""
+
+    def widest(joint: JointLimits) -> tuple[float, float]:
+        changed = (how.joints.get(joint.name, JointChange()).range for how in arm.grippers.values())
+        ranges = [joint.range, *(found for found in changed if found)]
+        return min(low for low, _ in ranges), max(high for _, high in ranges)
+
+    return tuple(joint.model_copy(update={"range": widest(joint)}) for joint in arm.joints)
+
+
+def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, float]:
+    """Write the fingers' stops into the MJCF.
+
+    Returns:
+        What each finger's joint is when both are open by 1 m.
+    """
+    fingers = gripper.fingers
+    assert fingers is not None
+    drive = mjcf.drive(root, fingers.joints[0], gripper.mjcf)
+    if drive.get("name") != fingers.drive:
+        raise ConfigError(
+            f"{gripper.mjcf.file}: the drive of {fingers.joints[0]!r} is called {drive.get('name')!r}, and in "
+            f"gripper.yaml {fingers.drive!r}"
+        )
+    left_for_right = mjcf.coupling(root, *fingers.joints)
+    signs = (1.0, 1.0 / left_for_right)
+    for name, body, sign in zip(fingers.joints, fingers.bodies, signs, strict=True):
+        mjcf.body(root, body, gripper.mjcf)
+        joint = mjcf.joint(root, name, gripper.mjcf)
+        if "range" in joint.attrib:
+            raise ConfigError(
+                f"{gripper.mjcf.file}: joint {name!r} has a range; gripper.yaml has it, leave it out here"
+            )
+        joint.set("range", mjcf.numbers(sorted(sign * end for end in fingers.range)))
+    return signs

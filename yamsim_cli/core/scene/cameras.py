@@ -1,0 +1,73 @@
+"""Cameras of a scene, as values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ..config.rig import ArmConfig, RigCamera, RigConfig
+from ..config.scene import FixedCamera
+from ..geometry.camera import opencv_from_mujoco
+from ..geometry.se3 import Array, pose, quat_from_rotation
+
+WORLD = "world"
+
+
+@dataclass(frozen=True)
+class SceneCamera:
+    """A camera that stands in a scene, or moves with a part of it.
+
+    Attributes:
+        body: that it moves with; `WORLD` stands still.
+        T_in_body: its pose (4, 4), as MuJoCo has cameras: -z towards what it sees, +y up in the image.
+        fovy_deg: vertical field of view.
+    """
+
+    name: str
+    body: str
+    T_in_body: Array
+    fovy_deg: float
+
+
+def fixed_camera(name: str, camera: FixedCamera) -> SceneCamera:
+    """A camera that stands still and looks at a point."""
+    return SceneCamera(name, WORLD, pose(camera.position, _look_at(camera)), camera.fovy_deg)
+
+
+def station_camera(rig: RigConfig, camera: RigCamera, size: tuple[int, int]) -> SceneCamera:
+    """One of a rig's own cameras, for images of `size` (width, height) pixels."""
+    T = rig.T_cam_in_world(camera)
+    return SceneCamera(camera.name, WORLD, pose(T[:3, 3], opencv_from_mujoco(T[:3, :3])), camera.fovy(size))
+
+
+def wrist_camera(arm: ArmConfig, size: tuple[int, int]) -> SceneCamera:
+    """An arm's wrist camera, which moves with its hand, for images of `size` (width, height) pixels."""
+    camera = arm.wrist_camera
+    x = np.asarray(camera.x_axis) / np.linalg.norm(camera.x_axis)
+    y = np.asarray(camera.y_axis) / np.linalg.norm(camera.y_axis)
+    R = opencv_from_mujoco(np.column_stack([x, y, np.cross(x, y)]))
+    flange = arm.prefix + arm.robot.flange
+    return SceneCamera(arm.wrist_camera_name, flange, pose(camera.position, R), camera.fovy(size))
+
+
+def add_camera(spec: mujoco.MjSpec, camera: SceneCamera) -> None:
+    """Add a camera to a composed scene."""
+    T = camera.T_in_body
+    spec.body(camera.body).add_camera(
+        name=camera.name, pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]), fovy=camera.fovy_deg
+    )
+
+
+def _look_at(camera: FixedCamera) -> Array:
+    """Rotation (3, 3) of a MuJoCo camera in `world`: -z towards the target, +y as far up as it can be."""
+    forward = np.asarray(camera.look_at) - np.asarray(camera.position)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    if np.linalg.norm(right) < 1e-6:
+        # Straight up or down: image up is then +x, away from the arm.
+        right = np.array([0.0, -1.0, 0.0]) * math.copysign(1.0, -forward[2])
+    right /= np.linalg.norm(right)
+    return np.column_stack([right, np.cross(right, forward), -forward])

@@ -1,0 +1,188 @@
+"""Put an attempt's variation into a compiled model, and take it out again: the model is compiled once.
+
+Everything is set from a copy of the model as it was compiled, so that no attempt leaves anything to the next.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..config.randomization import RandomizationConfig, SurfaceRanges
+from ..config.recording import SCENE_CAMERA
+from ..config.scene import SceneConfig
+from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
+from ..resources import Meshes
+from ..variation import LightVariation, SurfaceVariation, Variation
+from .textures import SIZE, pattern
+from .thing_looks import HIDDEN_GROUP
+from .things import add_object
+
+# Absent distractors are seen by no camera, touch nothing, and lie out of everything's reach.
+_ABSENT_GROUP = 4
+_PARKED = (0.0, 0.0, -5.0)
+_TEXTURED = "_textured"
+_TILES = "floor_tiles"
+# How often a floor's texture repeats for each time that a table's would: it is ten times as wide.
+_FLOOR_REPEAT = 8
+# Part -> the geom that shows it.
+_SURFACES = {"table": "table", "floor": "safety_plane"}
+
+_SAVED = (
+    "light_diffuse", "light_dir", "light_pos",
+    "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "body_pos", "body_quat",
+    "geom_friction", "geom_matid", "geom_group", "geom_contype", "geom_conaffinity",
+    "cam_fovy", "cam_pos", "cam_quat", "mat_rgba", "mat_specular", "mat_shininess",
+)  # fmt: skip
+_SAVED_HEADLIGHT = ("ambient", "diffuse")
+
+
+def is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
+    """Whether a surface may need a texture; the floor's tiles are geometry."""
+    free = {"plain", "checker"} if part == "floor" else {"plain"}
+    return ranges is not None and not free.issuperset(ranges.textures)
+
+
+def add_variable_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshes: Meshes) -> None:
+    """Add what a randomization needs to a composed scene: distractors, and a second look of surfaces."""
+    for item in config.extras:
+        add_object(spec, item, meshes, fixed=True)
+    for part in _SURFACES:
+        if is_textured(getattr(config, part), part):
+            name = part + _TEXTURED
+            spec.add_texture(
+                name=name,
+                type=mujoco.mjtTexture.mjTEXTURE_2D,
+                builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+                rgb1=(1, 1, 1),
+                width=SIZE,
+                height=SIZE,
+            )
+            repeat = _FLOOR_REPEAT if part == "floor" else 1
+            material = spec.add_material(
+                name=name, specular=0.1, shininess=0.1, texuniform=False, texrepeat=[repeat, repeat]
+            )
+            material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+class VariedModel:
+    """A compiled model that is changed from attempt to attempt.
+
+    Attributes:
+        textures: ids of the textures that the last variation changed, which a renderer has to be told of.
+
+    Args:
+        model: as it was compiled, with what `add_variable_parts` adds.
+        scene: whose lights it has.
+    """
+
+    def __init__(self, model: mujoco.MjModel, config: RandomizationConfig, scene: SceneConfig) -> None:
+        self._model = model
+        self._camera = model.cam(SCENE_CAMERA).id
+        self._lights = [model.light(f"light_{k}").id for k in range(len(scene.lights))]
+        self._extras = {item.name: model.body(item.name).id for item in config.extras}
+        self._materials = {model.material(k).name: k for k in range(model.nmat)}
+        of_body = model.body_rootid[model.geom_bodyid]
+        self._seen = {body: list(np.flatnonzero(of_body == body)) for body in self._extras.values()}
+        self._saved = {key: getattr(model, key).copy() for key in _SAVED}
+        self._headlight = {key: getattr(model.vis.headlight, key).copy() for key in _SAVED_HEADLIGHT}
+        self.textures: list[int] = []
+
+    def apply(self, variation: Variation) -> None:
+        """Give the model all of a variation, and take everything out that it had of another."""
+        model = self._model
+        for key, value in self._saved.items():
+            getattr(model, key)[:] = value
+        for key, value in self._headlight.items():
+            getattr(model.vis.headlight, key)[:] = value
+        self.textures = []
+        for number, light in zip(self._lights, variation.lights, strict=False):
+            self._light(number, light)
+        if variation.headlight:
+            model.vis.headlight.diffuse *= variation.headlight[0]
+            model.vis.headlight.ambient *= variation.headlight[1]
+        for name, factor in variation.mass.items():
+            scale_mass(model, model.body(name).id, factor)
+        for name, factor in variation.friction.items():
+            self._friction(name, factor)
+        if variation.lens_deg is not None:
+            model.cam_fovy[self._camera] += variation.lens_deg
+        if variation.camera:
+            self._move_camera(np.array(variation.camera))
+        for part, surface in (("table", variation.table), ("floor", variation.floor)):
+            if surface:
+                self._surface(part, surface)
+        for name, look in variation.looks.items():
+            material = self._materials[name]
+            model.mat_rgba[material, :3] = look.rgb
+            model.mat_specular[material], model.mat_shininess[material] = look.specular, look.shininess
+        for name in self._extras:
+            self.place(name, variation.distractors.get(name))
+
+    def place(self, name: str, where: UprightPose | None) -> None:
+        """Put a distractor on the table at `[x, y, z, yaw]`, or away."""
+        model, body = self._model, self._extras[name]
+        geoms = self._seen[body]
+        if where is None:
+            model.body_pos[body] = _PARKED
+            model.geom_group[geoms] = _ABSENT_GROUP
+            model.geom_contype[geoms] = model.geom_conaffinity[geoms] = 0
+            return
+        x, y, z, yaw = where
+        model.body_pos[body] = x, y, z
+        model.body_quat[body] = quat_from_rotation(rotation_z(yaw))
+        for key in ("geom_group", "geom_contype", "geom_conaffinity"):
+            getattr(model, key)[geoms] = self._saved[key][geoms]
+
+    def _light(self, number: int, light: LightVariation) -> None:
+        model = self._model
+        centre = model.light_pos[number] + model.light_dir[number]
+        direction = rotation_from_vector(light.turn) @ model.light_dir[number]
+        model.light_dir[number] = direction
+        # Where a directional light's shadow map is centred, see `surroundings.add_lights`.
+        model.light_pos[number] = centre - direction
+        model.light_diffuse[number] *= light.colour
+
+    def _friction(self, name: str, factor: float) -> None:
+        model = self._model
+        if name in _SURFACES:
+            geoms = [model.geom(_SURFACES[name]).id]
+        else:
+            geoms = list(np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body(name).id))
+        model.geom_friction[geoms, 0] *= factor
+
+    def _move_camera(self, moved: Array) -> None:
+        model, camera = self._model, self._camera
+        R = pose_from_quat((0, 0, 0), model.cam_quat[camera])[:3, :3]
+        model.cam_pos[camera] += moved[:3]
+        model.cam_quat[camera] = quat_from_rotation(rotation_from_vector(moved[3:]) @ R)
+
+    def _surface(self, part: str, surface: SurfaceVariation) -> None:
+        model = self._model
+        tiles = part == "floor" and surface.texture in ("plain", "checker")
+        if tiles or surface.texture == "plain":
+            for material, colour in zip((part, _TILES), surface.colours, strict=True):
+                if material == part or part == "floor":
+                    model.mat_rgba[self._materials[material], :3] = colour
+            return
+        material = part + _TEXTURED
+        model.geom_matid[model.geom(_SURFACES[part]).id] = self._materials[material]
+        if part == "floor":
+            model.geom_group[model.geom(_TILES).id] = HIDDEN_GROUP
+        texture = model.texture(material).id
+        start = int(model.tex_adr[texture])
+        image = pattern(surface)
+        model.tex_data[start : start + image.size] = image.ravel()
+        self.textures.append(texture)
+
+
+def scale_mass(model: mujoco.MjModel, body: int, factor: float) -> None:
+    """Multiply a free body's mass, and with it all that MuJoCo has derived from it when it compiled the model."""
+    added = (factor - 1.0) * model.body_mass[body]
+    model.body_subtreemass[0] += added
+    model.body_mass[body] *= factor
+    model.body_subtreemass[body] *= factor
+    model.body_inertia[body] *= factor
+    model.body_invweight0[body] /= factor
+    first = int(model.body_dofadr[body])
+    model.dof_invweight0[first : first + 6] /= factor

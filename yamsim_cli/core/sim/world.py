@@ -1,0 +1,212 @@
+"""What is true in a scene now: the facts that goals and skills ask for, read from MuJoCo's state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.se3 import Array, inverse, pose
+from ..goals.world import TABLE
+from ..scene.compiled import Ids, SceneArm
+from .shapes import body_block, geom_bounds, geom_points
+
+# How finely the volume of a thing is sampled. One point more or less is a thousandth of it.
+_POINTS = 1000
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of a thing: a block in a frame of its own.
+
+    Attributes:
+        thing: what it is part of.
+        T_in_thing: pose (4, 4) of its frame, which lies in the middle of its floor, in the thing's.
+        size: of the block (3,), which stands on the floor, m.
+    """
+
+    thing: str
+    T_in_thing: Array
+    size: Array
+
+    @property
+    def corners(self) -> Array:
+        """The lowest and highest corner (2, 3) in its own frame, m."""
+        x, y, z = self.size
+        return np.array([[-x / 2, -y / 2, 0.0], [x / 2, y / 2, z]])
+
+
+class SimWorld:
+    """The things of a compiled scene, by name; see `goals.world.World`.
+
+    Args:
+        things: their names, in order. Each is a body of that name with what hangs on it.
+        sides: the arms' sides, "left" or "right", in the order of `arms`.
+        interiors: container -> the lowest and highest corner (2, 3) of its interior, in its own frame, m.
+        regions: name -> a part of a thing that has a name of its own, such as a tray's compartment.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        arms: Sequence[SceneArm],
+        sides: Sequence[str],
+        things: Sequence[str],
+        interiors: Mapping[str, Array] | None = None,
+        regions: Mapping[str, Region] | None = None,
+    ) -> None:
+        self._model, self._data = model, data
+        self.arms, self.sides, self.things = tuple(arms), tuple(sides), tuple(things)
+        self._interiors, self._regions = interiors or {}, regions or {}
+        root = model.body_rootid[model.geom_bodyid]
+        self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
+        self._geoms[TABLE] = np.array([model.geom(TABLE).id])
+        self._of_geom: Ids = np.full(model.ngeom, -1)
+        for k, name in enumerate(things):
+            self._of_geom[self._geoms[name]] = k
+        self._fingers = [_finger_geoms(model, arm) for arm in arms]
+        self._points: dict[str, Array] = {}
+        self._hands: dict[str, list[str]] = {name: [] for name in things}
+        self._starts: dict[str, Array] = {}
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's state, with poses and contacts as of its last forward pass."""
+        return self._data
+
+    def pose(self, thing: str) -> Array:
+        """See `World`."""
+        if region := self._regions.get(thing):
+            return self.pose(region.thing) @ region.T_in_thing
+        body = self._data.body(self._known(thing))
+        return pose(body.xpos, body.xmat.reshape(3, 3))
+
+    def start(self, thing: str) -> Array:
+        """See `World`; as of the last `begin`."""
+        return self._starts[self._known(thing)]
+
+    def begin(self) -> None:
+        """Note where things are as an attempt begins, and forget whose hands held them before."""
+        self._starts = {name: self.pose(name) for name in self.things}
+        self._hands = {name: [] for name in self.things}
+
+    def bounds(self, thing: str) -> tuple[Array, Array]:
+        """See `World`: exact for primitives and for the vertices of meshes, of what collides."""
+        if region := self._regions.get(thing):
+            T = self.pose(thing)
+            corners = np.array([T[:3, :3] @ corner + T[:3, 3] for corner in _block_corners(region.corners)])
+            return corners.min(axis=0), corners.max(axis=0)
+        geoms = self._geoms[self._known(thing)]
+        solid = geoms[self._model.geom_contype[geoms] != 0]
+        corners = np.array([geom_bounds(self._model, self._data, int(geom)) for geom in solid])
+        return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+
+    def speed(self, thing: str) -> float:
+        """See `World`."""
+        dof = self._model.joint(self._known(thing)).dofadr[0]
+        return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
+
+    def touching(self, one: str, other: str) -> bool:
+        """See `World`; what touches a region's thing touches the region."""
+        one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
+        geoms = self._data.contact.geom
+        first, second = (np.isin(geoms, self._geoms[self._known(name)]) for name in (one, other))
+        return bool(((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any())
+
+    def holders(self, thing: str) -> frozenset[str]:
+        """See `World`."""
+        geoms = self._data.contact.geom
+        on_thing = np.isin(geoms, self._geoms[self._known(thing)]).any(axis=1)
+        touching = geoms[on_thing]
+        return frozenset(
+            side
+            for side, fingers in zip(self.sides, self._fingers, strict=True)
+            if len(fingers) and all(np.isin(touching, finger).any() for finger in fingers)
+        )
+
+    def passed_to(self, thing: str) -> tuple[str, ...]:
+        """See `World`; as far as `watch` has seen."""
+        return tuple(self._hands[self._known(thing)])
+
+    def share_inside(self, thing: str, container: str) -> float:
+        """See `World`: of points spread evenly over a thing's primitives, those in the block of the interior."""
+        T = inverse(self.pose(container)) @ self.pose(thing)
+        points = self._volume(thing) @ T[:3, :3].T + T[:3, 3]
+        low, high = self.interior(container)
+        return float(((points >= low) & (points <= high)).all(axis=1).mean())
+
+    def opening(self, thing: str, joint: str) -> float:
+        """See `World`."""
+        found = self._model.joint(f"{self._known(thing)}_{joint}")
+        low, high = found.range
+        return float((self._data.qpos[found.qposadr[0]] - low) / (high - low))
+
+    def part_pose(self, thing: str, part: str) -> Array:
+        """Pose (4, 4) in `world` of a part that moves on a thing."""
+        body = self._data.body(f"{self._known(thing)}_{part}")
+        return pose(body.xpos, body.xmat.reshape(3, 3))
+
+    def watch(self) -> None:
+        """Note whose hands hold what now, for `passed_to`. A thing that no hand holds and that lies on something
+        begins anew.
+        """
+        for thing, hands in self._hands.items():
+            holders = self.holders(thing)
+            if not holders:
+                if hands and self._supported(thing):
+                    hands.clear()
+                continue
+            for side in sorted(holders):
+                if len(holders) == 1 and (not hands or hands[-1] != side):
+                    hands.append(side)
+
+    def _supported(self, thing: str) -> bool:
+        return any(self.touching(thing, other) for other in (TABLE, *self.things) if other != thing)
+
+    def _known(self, thing: str) -> str:
+        if thing not in self._geoms:
+            raise KeyError(thing)
+        return thing
+
+    def block(self, thing: str) -> Array:
+        """The lowest and highest corner (2, 3) of the block along a thing's own axes that encloses it, m."""
+        geoms = [int(g) for g in self._geoms[self._known(thing)] if self._model.geom_contype[g]]
+        return body_block(self._model, geoms)
+
+    def interior(self, container: str) -> Array:
+        """The lowest and highest corner (2, 3) of a container's interior in its own frame; of one that says nothing,
+        its `block`.
+        """
+        if region := self._regions.get(container):
+            return region.corners
+        if container not in self._interiors:
+            return self.block(container)
+        return self._interiors[container]
+
+    def _volume(self, thing: str) -> Array:
+        """Points (n, 3) spread evenly over a thing's volume, in its own frame."""
+        if thing not in self._points:
+            geoms = [int(g) for g in self._geoms[thing] if self._model.geom_contype[g]]
+            self._points[thing] = geom_points(self._model, geoms, _POINTS)
+        return self._points[thing]
+
+
+def _block_corners(block: Array) -> list[Array]:
+    return [np.array([block[i, 0], block[j, 1], block[k, 2]]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+
+
+def _finger_geoms(model: mujoco.MjModel, arm: SceneArm) -> tuple[NDArray[np.int_], ...]:
+    """The geoms of each of an arm's fingers, what hangs on them included."""
+    fingers = []
+    for address in () if arm.fingers is None else arm.fingers.qpos:
+        joint = int(np.searchsorted(model.jnt_qposadr, address))
+        bodies = {int(model.jnt_bodyid[joint])}
+        for body in range(model.nbody):
+            if int(model.body_parentid[body]) in bodies:
+                bodies.add(body)
+        fingers.append(np.flatnonzero(np.isin(model.geom_bodyid, list(bodies))))
+    return tuple(fingers)

@@ -1,0 +1,273 @@
+"""What skills work with: the scene as it is now, the hands, and motions that touch nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ..config.things import ObjectConfig
+from ..geometry.se3 import Array, inverse, pose, rotation_z
+from ..goals.world import TABLE
+from ..planning.joint_motion import LINE_SPEED, clear, ease, straight, through, traced
+from ..planning.obstacles import Load, Obstacles
+from ..planning.tree_search import search
+from ..sim.antipodal import Span, spans
+from ..sim.world import SimWorld
+from ..types import Cause, JointPath
+from .errors import SkillFailedError
+from .grips import CLEARANCE, Grip, found_grips, grips
+from .hand import PASSING, Hand, Held
+
+# Over the table, a hand that crosses it stays at least so high, m.
+_CROSSING = 0.22
+_RAISE = 0.05
+_GRAVITY = 9.81
+
+# Room around a thing that is put down, and where in front of the arms there may be some, m.
+_ROOM = 0.02
+_AHEAD = (0.34, 0.42, 0.28)
+_ASIDE = (0.0, 0.10, -0.10, 0.20, -0.20)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of motion of all arms: one path each, all of one length."""
+
+    paths: tuple[JointPath, ...]
+
+    @property
+    def ticks(self) -> int:
+        """How many control ticks it takes."""
+        return len(self.paths[0].gripper)
+
+
+@dataclass(frozen=True)
+class Fingers:
+    """What fingers do during a motion: they go from where they are to an opening (m) and a grip (N)."""
+
+    opening: float
+    grip: float = 0.0
+
+
+class Bench:
+    """The state that skills find, and what they plan with.
+
+    Args:
+        world: the things, as they are now.
+        items: thing -> its config.
+        rng: for searches; it makes nothing random that was not sampled from an attempt's numbers.
+        tick: length of a control tick, s.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        world: SimWorld,
+        hands: Sequence[Hand],
+        items: Mapping[str, ObjectConfig],
+        obstacles: Obstacles,
+        rng: np.random.Generator,
+        tick: float,
+    ) -> None:
+        self.model, self.world, self.hands, self.items = model, world, tuple(hands), items
+        self.obstacles, self._rng, self.tick = obstacles, rng, tick
+        self._spans: dict[str, list[Span]] = {}
+
+    # -- the state
+
+    @property
+    def qpos(self) -> Array:
+        """MuJoCo's positions (nq,) now."""
+        positions: Array = self.world.data.qpos
+        return positions
+
+    def T_pinch(self, hand: Hand) -> Array:
+        """Where a hand's pinch frame really is (4, 4), in `world`."""
+        site = self.world.data.site(f"{hand.arm.prefix}pinch_site")
+        return pose(site.xpos, site.xmat.reshape(3, 3))
+
+    def look_at(self, hand: Hand) -> Held:
+        """What a hand holds, and how, now.
+
+        Raises:
+            SkillFailedError: it holds nothing any more.
+        """
+        held = hand.held
+        assert held is not None, "a hand that holds nothing is not asked what it holds"
+        if hand.side not in self.world.holders(held.thing):
+            hand.held = None
+            raise SkillFailedError(Cause.DROPPED, f"the {held.thing} fell out of the {hand.side} hand")
+        hand.held = Held(held.thing, inverse(self.T_pinch(hand)) @ self.world.pose(held.thing))
+        return hand.held
+
+    def grips(self, thing: str, widest: float) -> Iterator[Grip]:
+        """The ways in which a hand, whose fingers open so far each (m), can hold a thing: the best known ones first."""
+        yield from grips(self.items[thing])
+        if thing not in self._spans:
+            body = self.model.body(thing).id
+            self._spans[thing] = spans(self.model, self.world.data, body, 2 * (widest - CLEARANCE / 2))
+        yield from found_grips(self.items[thing], self._spans[thing])
+
+    def half_outline(self, thing: str, heading: float) -> Array:
+        """Half the room (2,) that a thing takes along x and y when it stands upright, turned by `heading`, m."""
+        low, high = self.world.block(thing)
+        corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
+        half: Array = np.abs(corners @ rotation_z(heading)[:2, :2].T).max(axis=0)
+        return half
+
+    def height_on(self, thing: str, place: Array, onto: str, heading: float) -> float:
+        """Height in `world` at which a thing's origin comes to rest, upright, over a place (2,), m."""
+        top = float(self.world.bounds(onto)[1][2])
+        low, high = self.world.block(thing)
+        T = pose((*place, top + float(high[2] - low[2])), rotation_z(heading))
+        return self.obstacles.rest_height(self.qpos, thing, T, float(self.world.bounds(TABLE)[0][2]))
+
+    def is_free(self, thing: str, place: Array) -> bool:
+        """Whether a thing that stands upright would have room at a place (2,) on the table, m."""
+        room = float(np.hypot(*self.half_outline(thing, 0.0))) + _ROOM
+        low, high = self.world.bounds(TABLE)
+        if (place - room < low[:2]).any() or (place + room > high[:2]).any():
+            return False
+        for other in self.world.things:
+            if other != thing:
+                near, far = self.world.bounds(other)
+                gap = np.maximum(np.maximum(near[:2] - place, place - far[:2]), 0.0)
+                if float(np.hypot(*gap)) < room:
+                    return False
+        return True
+
+    def middle_places(self) -> list[Array]:
+        """Places (2,) on the table that are about as near to all arms, in `world`, m."""
+        middle = np.mean([hand.arm.T_base_in_world[:2, 3] for hand in self.hands], axis=0)
+        return [middle + np.array((ahead, aside)) for ahead in _AHEAD for aside in _ASIDE]
+
+    def clearance(self, thing: str) -> float:
+        """How much wider than around a thing each finger opens to let it go, m."""
+        grasp = self.items[thing].grasp
+        return grasp.clearance if grasp is not None else CLEARANCE
+
+    def touched(
+        self, hand: Hand, joints: Array, opening: float, load: Load | None = None, between: str | None = None
+    ) -> str | None:
+        """What a hand would touch at given joints, see `Obstacles.touched`."""
+        return self.obstacles.touched(self.qpos, hand.number, joints, opening, load, between)
+
+    def imagined(self, hand: Hand, joints: Array, opening: float, held: Held | None) -> Array:
+        """MuJoCo's positions (nq,) with a hand, and what it holds, elsewhere, and all else as it is."""
+        load = None if held is None else Load(held.thing, held.T_thing_in_pinch)
+        return self.obstacles.posed(self.qpos, hand.number, joints, opening, load)
+
+    # -- motions
+
+    def way(self, hand: Hand, goal: Array, opening: float | None = None, load: Load | None = None) -> Array:
+        """A motion (n + 1, dof) of a hand to joints `goal` that touches nothing: the simplest that is free.
+
+        Raises:
+            SkillFailedError: none was found.
+        """
+        start = hand.joints
+        wide = max(hand.opening, opening if opening is not None else 0.0)
+
+        def touched(joints: Array) -> str | None:
+            return self.touched(hand, joints, wide, load)
+
+        for points in self._simple_ways(hand, start, goal):
+            path = through(points, hand.arm.motor_speed, self.tick)
+            if clear(path, touched):
+                return path
+        found = search(start, goal, hand.arm.joint_range, touched, self._rng)
+        if found is None:
+            blocked = touched(goal) or touched(start) or "everything between"
+            raise SkillFailedError(Cause.UNREACHABLE, f"no free way for the {hand.side} arm: {blocked} is in the way")
+        return through(found, hand.arm.motor_speed, self.tick)
+
+    def _simple_ways(self, hand: Hand, start: Array, goal: Array) -> list[list[Array]]:
+        """Straight there; or up, across and down; or by way of the posture in which the arm is ready."""
+        raised = []
+        for joints in (start, goal):
+            T = hand.pinch_at(joints)
+            T[2, 3] = max(T[2, 3] + _RAISE, _CROSSING)
+            raised.append(hand.reach(T, [joints], PASSING))
+        up, down = raised
+        ways = [[start, goal]]
+        if up is not None and down is not None:
+            ways.append([start, up, down, goal])
+        ways += [[start, via, goal] for via in (down, up, hand.ready) if via is not None]
+        return ways
+
+    def line(self, hand: Hand, T_pinch_in_world: Array, speed: float = LINE_SPEED) -> Array:
+        """A motion (n + 1, dof) that takes a hand's pinch frame straight to a pose (4, 4).
+
+        Raises:
+            SkillFailedError: the line leaves the arm's reach.
+        """
+        path = straight(hand.ik, hand.joints, T_pinch_in_world, self.tick, speed)
+        if path is None:
+            raise SkillFailedError(Cause.UNREACHABLE, f"a straight line leaves the {hand.side} arm's reach")
+        return path
+
+    def curve(self, hand: Hand, pose_at: Callable[[float], Array], seconds: float) -> Array:
+        """A motion (n + 1, dof) that takes a hand's pinch frame along a curve, see `joint_motion.traced`.
+
+        Raises:
+            SkillFailedError: the curve leaves the arm's reach.
+        """
+        path = traced(hand.ik, hand.joints, pose_at, seconds, self.tick)
+        if path is None:
+            raise SkillFailedError(Cause.UNREACHABLE, f"the way of what it holds leaves the {hand.side} arm's reach")
+        return path
+
+    def still(self, hand: Hand, ticks: int) -> Array:
+        """A hand that stays where it is (ticks + 1, dof)."""
+        return np.tile(hand.joints, (ticks + 1, 1))
+
+    def segment(self, motions: Mapping[Hand, Array], fingers: Mapping[Hand, Fingers] | None = None) -> Segment:
+        """What all arms do while some move: the others hold their place, and what they hold.
+
+        Args:
+            motions: hand -> joints (n + 1, dof); a shorter motion than the longest waits at its end.
+            fingers: hand -> what its fingers do meanwhile; of others they stay as they are.
+        """
+        ticks = max(len(motion) for motion in motions.values()) - 1
+        paths = []
+        for hand in self.hands:
+            joints = motions.get(hand)
+            joints = self.still(hand, ticks) if joints is None else _filled(joints, ticks)
+            to = (fingers or {}).get(hand, Fingers(hand.opening, hand.grip))
+            moved = np.array([ease((k + 1) / ticks) for k in range(ticks)])
+            opening = hand.opening + moved * (to.opening - hand.opening)
+            grip = hand.grip + moved * (to.grip - hand.grip)
+            paths.append(
+                JointPath(
+                    joints=joints,
+                    torques=self._torques(hand, joints, opening),
+                    gripper=opening,
+                    grip=grip,
+                    magnet=(False,) * ticks,
+                    tick=self.tick,
+                    position_error=0.0,
+                    tilt=0.0,
+                )
+            )
+            hand.joints, hand.opening, hand.grip = joints[-1].copy(), to.opening, to.grip
+        return Segment(tuple(paths))
+
+    def wait(self, ticks: int) -> Segment:
+        """All hands hold their places."""
+        return self.segment({self.hands[0]: self.still(self.hands[0], ticks)})
+
+    def _torques(self, hand: Hand, joints: Array, opening: Array) -> Array:
+        torques = hand.dynamics.torques(joints, opening, self.tick)
+        if hand.held is None:
+            return torques
+        item = self.items[hand.held.thing]
+        centre = hand.held.T_thing_in_pinch @ np.array([*item.inertia.centre, 1.0])
+        weight = item.inertia.mass * _GRAVITY
+        return torques + hand.dynamics.weight_torques((joints[1:] + joints[:-1]) / 2, centre[:3], weight)
+
+
+def _filled(joints: Array, ticks: int) -> Array:
+    return np.concatenate([joints, np.tile(joints[-1], (ticks + 1 - len(joints), 1))])

@@ -1,0 +1,106 @@
+"""The ways in which a hand can hold a thing: those that its config names, and those that its shape offers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config.things import ObjectConfig
+from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ..sim.antipodal import Span
+
+# How far a hand may lean about the axis along which its fingers close, in the order in which that is tried. So turned,
+# flat pads press on the same two places. Of a thing that lies on its side, a quarter turn is what comes from above.
+_LEANS = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90))
+
+# No arm that stands on the table points its fingers farther up than this, as the sine of the angle; nor farther back
+# towards its base, as the cosine of the angle to what leads away from it.
+_UP = 0.3
+_BACK = -0.5
+
+# Of things that do not say, m and N.
+CLEARANCE = 0.010
+_FORCE = 15.0
+
+# Of the places that a thing's own shape offers: how many are tried, how far apart they are, m, and from where around
+# the line on which the fingers close.
+_MOST_SPANS = 12
+_SPAN_APART = 0.015
+_AROUND = tuple(math.radians(angle) for angle in range(0, 360, 45))
+
+
+@dataclass(frozen=True)
+class Grip:
+    """One way to hold a thing.
+
+    Attributes:
+        T_pinch_in_thing: the pinch frame (4, 4) in the thing's: z into the grasp, y along the closing direction.
+        opening: of one finger around the thing, m.
+        clearance: how much wider each finger is before it closes and after it opened, m.
+        force: with which each finger presses, N.
+    """
+
+    T_pinch_in_thing: Array
+    opening: float
+    clearance: float
+    force: float
+
+
+def grips(item: ObjectConfig) -> Iterator[Grip]:
+    """The ways to hold a thing by friction, the hand leaning less before it leans more."""
+    places = list(_places(item))
+    for lean in _LEANS:
+        for T, opening, clearance, force in places:
+            for turn in (0.0, math.pi):
+                leaning = pose(rotation=rotation_z(turn) @ rotation_from_vector([0.0, lean, 0.0]))
+                yield Grip(T @ leaning, opening, clearance, force)
+
+
+def found_grips(item: ObjectConfig, spans: Sequence[Span]) -> Iterator[Grip]:
+    """The ways to hold a thing at the ends of lines through it, the hand coming from all around each line."""
+    grasp = item.grasp
+    force = grasp.friction.force if grasp is not None and grasp.friction is not None else _FORCE
+    clearance = grasp.clearance if grasp is not None else CLEARANCE
+    for span in _apart(spans):
+        x = np.cross(span.direction, (0.0, 0.0, 1.0) if abs(span.direction[2]) < 0.9 else (1.0, 0.0, 0.0))
+        x /= np.linalg.norm(x)
+        frame = np.column_stack([x, span.direction, np.cross(x, span.direction)])
+        for angle in _AROUND:
+            T = pose(span.middle, frame @ rotation_from_vector([0.0, angle, 0.0]))
+            for turn in (0.0, math.pi):
+                yield Grip(T @ pose(rotation=rotation_z(turn)), span.width / 2, clearance, force)
+
+
+def _apart(spans: Sequence[Span]) -> list[Span]:
+    """The best spans that differ from each other in where they are, or along which direction they go."""
+    kept: list[Span] = []
+    for span in spans:
+        if len(kept) == _MOST_SPANS:
+            break
+        if all(
+            np.linalg.norm(span.middle - other.middle) > _SPAN_APART or abs(span.direction @ other.direction) < 0.9
+            for other in kept
+        ):
+            kept.append(span)
+    return kept
+
+
+def _places(item: ObjectConfig) -> Iterator[tuple[Array, float, float, float]]:
+    """Pinch frame (4, 4), opening, clearance and force of each place where a thing can be held."""
+    if item.grasp is not None and item.grasp.friction is not None:
+        for point in item.grasp.friction.points:
+            T = point.T_pinch_in_object(flipped=False)
+            yield T, point.opening, item.grasp.clearance, item.grasp.friction.force
+
+
+def points_well(T_pinch_in_world: Array, T_base_in_world: Array) -> bool:
+    """Whether a hand at a pose (4, 4) would point where an arm's hand can point: a look before kinematics."""
+    ahead, away = T_pinch_in_world[:3, 2], (T_pinch_in_world - T_base_in_world)[:2, 3]
+    if ahead[2] > _UP:
+        return False
+    level = math.hypot(ahead[0], ahead[1])
+    distance = math.hypot(away[0], away[1])
+    return level < 0.5 or distance < 1e-6 or float(ahead[:2] @ away) / (level * distance) > _BACK

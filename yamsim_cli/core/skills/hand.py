@@ -1,0 +1,106 @@
+"""One arm as skills see it: what it was told last, what it holds, and how it reaches."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.se3 import Array
+from ..planning.dynamics import ArmDynamics
+from ..planning.ik import IkSolution, IkSolver
+from ..planning.quick_reach import QuickReach
+from ..scene.compiled import SceneArm
+
+# Enough to finish what is near already.
+_ITERATIONS = 30
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How near inverse kinematics has to come: m, rad, and rad from a joint's stop."""
+
+    position: float
+    rotation: float
+    margin: float = 0.05
+
+
+# Where fingers close or open; and where a hand only passes.
+EXACT = Tolerance(1.5e-3, math.radians(2.0))
+PASSING = Tolerance(4e-3, math.radians(6.0))
+
+
+@dataclass(frozen=True)
+class Held:
+    """A thing in a hand, by its pose (4, 4) in the pinch frame, when it was last looked at."""
+
+    thing: str
+    T_thing_in_pinch: Array
+
+
+class Hand:
+    """An arm with its gripper.
+
+    Attributes:
+        number: of the arm in its scene.
+        side: "left" or "right".
+        arm: where its parts lie in MuJoCo's arrays, and what it can do.
+        joints: what it was told to reach last (dof,), rad.
+        opening: of one finger, as told last, m.
+        grip: how hard each finger is to press, N.
+        held: what it holds.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        side: str,
+        arm: SceneArm,
+        ik: IkSolver,
+        quick: QuickReach,
+        dynamics: ArmDynamics,
+        ready: Array,
+        opening: float,
+    ) -> None:
+        self.number, self.side, self.arm = number, side, arm
+        self._ik, self._quick, self.dynamics = ik, quick, dynamics
+        self.ready = ready
+        self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
+        self.held: Held | None = None
+
+    @property
+    def widest(self) -> float:
+        """How far one finger can be told to open, m."""
+        assert self.arm.fingers is not None, "skills are for hands with fingers"
+        return float(self.arm.fingers.ctrl_range[1])
+
+    @property
+    def ik(self) -> IkSolver:
+        """Inverse kinematics of the pinch frame."""
+        self._ik.hold(np.eye(4))
+        return self._ik
+
+    def pinch_at(self, joints: Array) -> Array:
+        """Pose (4, 4) of the pinch frame in `world` with the arm at `joints` (dof,)."""
+        return self.ik.pose_of(joints)
+
+    def reach(self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = EXACT) -> Array | None:
+        """Joints (dof,) that bring the pinch frame to a pose (4, 4), from the first seed that leads there."""
+        for seed in seeds:
+            near = self._quick.solve(T_pinch_in_world, seed)
+            if near is None:
+                continue
+            solution = self.ik.solve(T_pinch_in_world, near, _ITERATIONS)
+            if _is_near(solution, tolerance):
+                return solution.joints
+        return None
+
+
+def _is_near(solution: IkSolution, tolerance: Tolerance) -> bool:
+    return (
+        solution.position_error <= tolerance.position
+        and solution.tilt_error + solution.heading_error <= tolerance.rotation
+        and solution.margin >= tolerance.margin
+    )

@@ -1,0 +1,60 @@
+"""Put what a hand holds into a container, wherever in it there is most room."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from ..geometry.se3 import Array, pose, rotation_z, yaw
+from ..goals.cast import Cast
+from .bench import Bench
+from .place import Placing
+
+# How finely places in a container are tried, m, and how much lower a place has to be to be the better one, m.
+_GRID = 0.03
+_LOWER = 0.01
+
+# Headings that are tried, as turns from along the container.
+_TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
+
+
+class Insert(Placing):
+    """Put a thing into a container: where it comes to lie lowest, near the container's middle.
+
+    Attributes:
+        thing: a role; it is in a hand.
+        into: a role: what contains it then.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
+    into: str
+
+    def support(self, cast: Cast) -> str:
+        """See `Placing`."""
+        return cast.one(self.into)
+
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """See `Placing`."""
+        container = cast.one(self.into)
+        T, (low, high) = bench.world.pose(container), bench.world.interior(container)
+        found = []
+        for turn in _TURNS:
+            heading = yaw(T) + turn
+            half = bench.half_outline(thing, turn)
+            room = [(low[k] + half[k], high[k] - half[k]) for k in (0, 1)]
+            if any(first > last for first, last in room):
+                continue
+            middles = [(first + last) / 2 for first, last in room]
+            for x in _spread(*room[0]):
+                for y in _spread(*room[1]):
+                    place = (T @ (x, y, 0.0, 1.0))[:2]
+                    height = bench.height_on(thing, place, container, heading)
+                    off = float(np.hypot(x - middles[0], y - middles[1]))
+                    found.append((round(height / _LOWER), off, pose((*place, height), rotation_z(heading))))
+        return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
+
+
+def _spread(first: float, last: float) -> Array:
+    return np.linspace(first, last, max(1, math.ceil((last - first) / _GRID)) + 1)

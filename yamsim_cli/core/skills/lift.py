@@ -1,0 +1,116 @@
+"""Lift a thing with both hands at once."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from ..documents.units import Distance
+from ..geometry.se3 import Array, inverse, pose
+from ..goals.cast import Cast
+from ..types import Cause
+from .base import Skill
+from .bench import Bench, Fingers, Segment
+from .errors import SkillFailedError
+from .grips import Grip, points_well
+from .hand import PASSING, Hand, Held
+from .moves import GRIP_TICKS, let_go, rest
+
+# From so far hands come straight, m; how far apart they take hold at least, m; and how many grips a hand is tried with.
+_APPROACH = 0.08
+_APART = 0.12
+_MOST_GRIPS = 24
+
+# Both hands move at this speed, m/s.
+_SPEED = 0.10
+
+
+class Lift(Skill):
+    """Take a thing at two places, one with each hand, and lift it level.
+
+    Attributes:
+        thing: a role.
+        by: how high, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    thing: str
+    by: Distance = 0.10
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing = cast.one(self.thing)
+        one, other = bench.hands[:2]
+        found = self._pair(bench, one, other, thing)
+        wide = {hand: min(grip.opening + grip.clearance, hand.widest) for hand, grip, *_ in found}
+        for hand, _, before, _ in found:
+            yield bench.segment({hand: bench.way(hand, before, wide[hand])}, {hand: Fingers(wide[hand])})
+        T_thing = bench.world.pose(thing)
+        lines = {hand: bench.line(hand, T_thing @ grip.T_pinch_in_thing) for hand, grip, *_ in found}
+        yield bench.segment(lines)
+        closing = {hand: Fingers(grip.opening, grip.force) for hand, grip, *_ in found}
+        yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in closing}, closing)
+        yield rest(bench)
+        holders = bench.world.holders(thing)
+        if not {hand.side for hand in closing} <= holders:
+            for hand, grip, *_ in found:
+                yield from let_go(bench, hand, grip.clearance)
+            raise SkillFailedError(Cause.SLIPPED, f"the {thing} is not in both hands")
+        for hand in closing:
+            hand.held = Held(thing, inverse(bench.T_pinch(hand)) @ bench.world.pose(thing))
+        up = {}
+        for hand in closing:
+            T_up = hand.pinch_at(hand.joints)
+            T_up[2, 3] += self.by
+            up[hand] = bench.line(hand, T_up, _SPEED)
+        yield bench.segment(up)
+        for hand in closing:
+            bench.look_at(hand)
+
+    def _pair(self, bench: Bench, one: Hand, other: Hand, thing: str) -> list[tuple[Hand, Grip, Array, Array]]:
+        """Each hand with its grip, and its joints (dof,) before it and at it; those that are far apart first."""
+        reached = {hand: list(self._reached(bench, hand, thing)) for hand in (one, other)}
+        pairs = sorted(
+            itertools.product(*reached.values()),
+            key=lambda pair: (
+                -float(np.linalg.norm(pair[0][1].T_pinch_in_thing[:3, 3] - pair[1][1].T_pinch_in_thing[:3, 3]))
+            ),
+        )
+        for first, second in pairs:
+            apart = _place(first[1]) - _place(second[1])
+            if float(np.linalg.norm(apart)) < _APART:
+                break
+            there = bench.imagined(first[0], first[3], first[1].opening, None)
+            if bench.obstacles.touched(there, second[0].number, second[3], second[1].opening, between=thing) is None:
+                return [first, second]
+        raise SkillFailedError(Cause.UNREACHABLE, f"no two places at which both hands can take the {thing}")
+
+    def _reached(self, bench: Bench, hand: Hand, thing: str) -> Iterator[tuple[Hand, Grip, Array, Array]]:
+        T_thing, number = bench.world.pose(thing), 0
+        for grip in bench.grips(thing, hand.widest):
+            T_at = T_thing @ grip.T_pinch_in_thing
+            if not points_well(T_at, hand.arm.T_base_in_world):
+                continue
+            at = hand.reach(T_at, (hand.ready,))
+            before = None if at is None else hand.reach(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), PASSING)
+            if at is None or before is None:
+                continue
+            wide = min(grip.opening + grip.clearance, hand.widest)
+            if bench.touched(hand, at, wide, between=thing) or bench.touched(hand, before, wide):
+                continue
+            T_up = T_at.copy()
+            T_up[2, 3] += self.by
+            if hand.reach(T_up, (at,), PASSING) is None:
+                continue
+            number += 1
+            yield hand, grip, before, at
+            if number == _MOST_GRIPS:
+                return
+
+
+def _place(grip: Grip) -> Array:
+    place: Array = grip.T_pinch_in_thing[:3, 3]
+    return place

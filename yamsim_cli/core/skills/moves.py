@@ -1,0 +1,46 @@
+"""Motions that several skills are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..geometry.se3 import pose
+from .bench import Bench, Fingers, Segment
+from .errors import SkillFailedError
+from .hand import Hand
+
+# Control ticks in which fingers close on something, or open; and in which what was let go comes to rest.
+GRIP_TICKS = 10
+_OPEN_TICKS = 8
+_REST_TICKS = 4
+
+# How far a hand draws back from what it let go, m.
+_BACK = 0.07
+
+
+def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
+    """Open the fingers by so much a finger, and draw the hand back the way it points, or up."""
+    wide = min(hand.opening + clearance, hand.widest)
+    yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(wide)})
+    hand.held = None
+    T = hand.pinch_at(hand.joints)
+    back, up = T @ pose((0.0, 0.0, -_BACK)), T.copy()
+    up[2, 3] += _BACK
+    for T_clear in (back, up):
+        try:
+            path = bench.line(hand, T_clear)
+        except SkillFailedError:
+            continue
+        yield bench.segment({hand: path})
+        return
+
+
+def park(bench: Bench, hand: Hand) -> Iterator[Segment]:
+    """Bring a hand that holds nothing out of the way."""
+    if abs(hand.joints - hand.ready).max() > 1e-6:
+        yield bench.segment({hand: bench.way(hand, hand.ready)})
+
+
+def rest(bench: Bench) -> Segment:
+    """Let everything come to rest."""
+    return bench.wait(_REST_TICKS)

@@ -1,0 +1,119 @@
+"""Open or close a part of an articulated thing by its handle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field, FiniteFloat
+
+from ..config.articulation import Link
+from ..geometry.se3 import Array, inverse, pose, rotation_from_vector
+from ..goals.cast import Cast
+from ..types import Cause
+from .base import Side, Skill
+from .bench import Bench, Fingers, Segment
+from .errors import SkillFailedError
+from .grips import CLEARANCE
+from .hand import PASSING, Hand
+from .moves import GRIP_TICKS, let_go, rest
+
+# From so far the hand comes to a handle straight, m; how hard it holds it, N; and how fast it moves it, m/s.
+_APPROACH = 0.08
+_FORCE = 25.0
+_SPEED = 0.12
+
+# A joint that is as near as this to where it was to go, as a share of its range, is there.
+_NEAR = 0.1
+
+
+class Operate(Skill):
+    """Take a handle, move it the way its joint goes, and let go.
+
+    Attributes:
+        thing: a role.
+        joint: the name of the part that moves, such as `drawer`.
+        to: how far open, as a share of its range: 1 opens it, 0 closes it.
+        arm: which arm.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    thing: str
+    joint: str
+    to: Annotated[FiniteFloat, Field(ge=0, le=1)]
+    arm: Side = "any"
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing = cast.one(self.thing)
+        link = next((link for link in bench.items[thing].links if link.name == self.joint), None)
+        if link is None or not link.handles:
+            raise SkillFailedError(Cause.UNREACHABLE, f"the {thing} has no part {self.joint!r} with a handle")
+        if abs(bench.world.opening(thing, self.joint) - self.to) <= _NEAR:
+            return
+        yield from self._move(bench, thing, link)
+        yield rest(bench)
+        if abs((share := bench.world.opening(thing, self.joint)) - self.to) > _NEAR:
+            raise SkillFailedError(Cause.OFF_TARGET, f"the {self.joint} of the {thing} is open by {share:.0%}")
+
+    def _move(self, bench: Bench, thing: str, link: Link) -> Iterator[Segment]:
+        T_part = bench.world.part_pose(thing, link.name)
+        fault = f"no arm reaches a handle of the {link.name}"
+        for hand in (hand for hand in bench.hands if self.arm in ("any", hand.side) and hand.held is None):
+            for handle in link.handles:
+                for turn in (0.0, math.pi):
+                    T_in_part = handle.T_pinch_in_part @ pose(rotation=rotation_from_vector([0.0, 0.0, turn]))
+                    wide = min(handle.opening + CLEARANCE, hand.widest)
+                    before = self._before(bench, hand, thing, T_part @ T_in_part, wide)
+                    way = self._way(bench, thing, link, T_part, T_in_part)
+                    if before is None or not _reaches(hand, before, way):
+                        continue
+                    try:
+                        path = bench.way(hand, before, wide)
+                    except SkillFailedError as error:
+                        fault = str(error)
+                        continue
+                    yield bench.segment({hand: path}, {hand: Fingers(wide)})
+                    yield bench.segment({hand: bench.line(hand, T_part @ T_in_part)})
+                    closing = Fingers(handle.opening, _FORCE)
+                    yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
+                    seconds = float(np.linalg.norm(way(1.0)[:3, 3] - way(0.0)[:3, 3])) / _SPEED
+                    yield bench.segment({hand: bench.curve(hand, way, seconds)})
+                    yield rest(bench)
+                    yield from let_go(bench, hand, CLEARANCE)
+                    return
+        raise SkillFailedError(Cause.UNREACHABLE, fault)
+
+    def _before(self, bench: Bench, hand: Hand, thing: str, T_at: Array, wide: float) -> Array | None:
+        at = hand.reach(T_at, (hand.joints, hand.ready))
+        if at is None or bench.touched(hand, at, wide, between=thing):
+            return None
+        before = hand.reach(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), PASSING)
+        return None if before is None or bench.touched(hand, before, wide) else before
+
+    def _way(self, bench: Bench, thing: str, link: Link, T_part: Array, T_in_part: Array) -> Callable[[float], Array]:
+        """Where the hand is when the joint has gone a share of its way."""
+        joint = link.joint
+        low, high = (joint.si(end) for end in joint.range)
+        now = low + bench.world.opening(thing, link.name) * (high - low)
+        goal = low + self.to * (high - low)
+        axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+        about = pose(joint.position)
+
+        def way(share: float) -> Array:
+            moved = share * (goal - now)
+            if joint.turns:
+                return T_part @ about @ pose(rotation=rotation_from_vector(axis * moved)) @ inverse(about) @ T_in_part
+            return T_part @ pose(axis * moved) @ T_in_part
+
+        return way
+
+
+def _reaches(hand: Hand, start: Array, way: Callable[[float], Array]) -> bool:
+    """Whether a hand can follow all of a way, looked at in a few places."""
+    joints: Array | None = start
+    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+        joints = None if joints is None else hand.reach(way(share), (joints,), PASSING)
+    return joints is not None

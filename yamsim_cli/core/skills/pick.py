@@ -1,0 +1,124 @@
+"""Take a thing from where it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..documents.units import Distance
+from ..geometry.se3 import Array, inverse, pose
+from ..goals.cast import Cast
+from ..types import Cause
+from .base import Side, Skill, holder_of
+from .bench import Bench, Fingers, Segment
+from .errors import SkillFailedError
+from .grips import Grip, points_well
+from .hand import PASSING, Hand, Held
+from .moves import GRIP_TICKS, let_go, park, rest
+
+# From so far the hand comes straight, m.
+_APPROACH = 0.09
+
+
+@dataclass(frozen=True)
+class _Reach:
+    """A grip that a hand can take: its joints (dof,) before it and at it, and how wide its fingers are then, m."""
+
+    grip: Grip
+    before: Array
+    at: Array
+    wide: float
+
+
+class Pick(Skill):
+    """Take a thing and lift it, by the arm and the grip with which what follows can be done too.
+
+    Attributes:
+        thing: a role.
+        arm: which arm.
+        lift: how high, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    thing: str
+    arm: Side = "any"
+    lift: Distance = 0.06
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing = cast.one(self.thing)
+        if holder_of(bench, thing) is not None:
+            return
+        places = ahead[0].places(bench, cast, thing) if ahead else ()
+        reasons: dict[str, int] = {}
+        for hand in self._hands(bench, thing, places):
+            for found in _reaches(bench, cast, hand, thing, ahead[:1], reasons):
+                for other in bench.hands:
+                    if other is not hand and other.held is None:
+                        yield from park(bench, other)
+                yield from self._take(bench, hand, thing, found)
+                return
+        said = "; ".join(f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3])
+        raise SkillFailedError(
+            Cause.UNREACHABLE, f"no way to take the {thing}: {said or 'it has no place to be held at'}"
+        )
+
+    def _hands(self, bench: Bench, thing: str, goals: Sequence[Array]) -> list[Hand]:
+        """The hands that may do it, the nearest to where the thing lies and is to lie first."""
+        places = [bench.world.pose(thing)[:2, 3], *goals]
+        hands = [hand for hand in bench.hands if self.arm in ("any", hand.side) and hand.held is None]
+
+        def distance(hand: Hand) -> float:
+            base = hand.arm.T_base_in_world[:2, 3]
+            return max(float(np.linalg.norm(place - base)) for place in places)
+
+        return sorted(hands, key=distance)
+
+    def _take(self, bench: Bench, hand: Hand, thing: str, found: _Reach) -> Iterator[Segment]:
+        grip = found.grip
+        yield bench.segment({hand: bench.way(hand, found.before, found.wide)}, {hand: Fingers(found.wide)})
+        yield bench.segment({hand: bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)})
+        closing = Fingers(grip.opening, grip.force)
+        yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
+        yield rest(bench)
+        if hand.side not in bench.world.holders(thing):
+            yield from let_go(bench, hand, grip.clearance)
+            raise SkillFailedError(Cause.SLIPPED, f"the {thing} is not between the {hand.side} hand's fingers")
+        hand.held = Held(thing, inverse(bench.T_pinch(hand)) @ bench.world.pose(thing))
+        T_up = hand.pinch_at(hand.joints)
+        T_up[2, 3] += self.lift
+        yield bench.segment({hand: bench.line(hand, T_up)})
+        try:
+            bench.look_at(hand)
+        except SkillFailedError:
+            yield from let_go(bench, hand, grip.clearance)
+            raise
+
+
+def _reaches(
+    bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
+) -> Iterator[_Reach]:
+    """The grips that a hand can take now, and with which what follows can go on."""
+    T_thing = bench.world.pose(thing)
+    for grip in bench.grips(thing, hand.widest):
+        wide = min(grip.opening + grip.clearance, hand.widest)
+        T_at = T_thing @ grip.T_pinch_in_thing
+        if not points_well(T_at, hand.arm.T_base_in_world):
+            continue
+        at = hand.reach(T_at, (hand.joints, hand.ready))
+        if at is None:
+            why: str | None = f"the {hand.side} arm does not reach it so"
+        elif (before := hand.reach(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), PASSING)) is None:
+            why = f"the {hand.side} arm does not reach the place before it"
+        else:
+            why = bench.touched(hand, at, wide, between=thing) or bench.touched(hand, before, wide)
+            if why is None and ahead:
+                why = ahead[0].fault(bench, cast, hand, thing, inverse(grip.T_pinch_in_thing), at)
+            if why is None:
+                yield _Reach(grip, before, at, wide)
+                why = "it failed"
+        said = str(why)
+        reasons[said] = reasons.get(said, 0) + 1

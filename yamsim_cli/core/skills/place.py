@@ -1,0 +1,169 @@
+"""Put what a hand holds down: onto something, into something, or at a place."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field, FiniteFloat, model_validator
+
+from ..geometry.se3 import Array, inverse, pose, rotation_z, yaw
+from ..goals.cast import Cast
+from ..goals.world import TABLE
+from ..planning.obstacles import Load
+from ..types import Cause
+from .base import Skill, holder_of
+from .bench import Bench, Segment
+from .errors import SkillFailedError
+from .hand import PASSING, Hand
+from .moves import let_go, rest
+
+# From so high a thing comes straight down, at this speed, and is let go so much above where it will lie; m and m/s.
+_OVER = 0.07
+_LOWERING = 0.15
+_GAP = 0.002
+
+# A thing farther than this from where it was to lie has not been placed, m.
+_NEAR = 0.03
+
+# Headings that are tried, as turns from the present one: small ones first.
+_TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
+
+
+class Placing(Skill):
+    """Base of the skills that put down what a hand holds: they differ in where.
+
+    Attributes:
+        thing: a role; it is in a hand.
+    """
+
+    thing: str
+
+    @abstractmethod
+    def support(self, cast: Cast) -> str:
+        """What the thing is put onto, or into: a thing or `table`."""
+
+    @abstractmethod
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """Where the thing may come to lie: poses (4, 4) in `world`, the best first."""
+
+    def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
+        """See `Skill`."""
+        return [T[:2, 3] for T in self.goals(bench, cast, thing)[:1]]
+
+    def fault(
+        self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, joints: Array
+    ) -> str | None:
+        """See `Skill`."""
+        fault = None
+        load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
+        for T_goal in self.goals(bench, cast, thing):
+            T_pinch = T_goal @ inverse(T_thing_in_pinch)
+            there = hand.reach(T_pinch, (joints, hand.ready))
+            if there is None:
+                fault = f"the {hand.side} arm does not reach its goal with it"
+            elif hand.reach(_raised(T_goal, _OVER) @ inverse(T_thing_in_pinch), (there,), PASSING) is None:
+                fault = f"the {hand.side} arm does not reach over its goal with it"
+            elif blocked := bench.touched(hand, there, hand.opening, load):
+                fault = f"{blocked} at its goal"
+            else:
+                return None
+        return fault
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing = cast.one(self.thing)
+        hand = holder_of(bench, thing)
+        if hand is None:
+            raise SkillFailedError(Cause.DROPPED, f"no hand holds the {thing} that is to be put down")
+        held = bench.look_at(hand)
+        fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
+        for T_goal in self.goals(bench, cast, thing):
+            over = _raised(T_goal, _OVER) @ inverse(held.T_thing_in_pinch)
+            joints = hand.reach(over, (hand.joints, hand.ready), PASSING)
+            if joints is None or hand.reach(T_goal @ inverse(held.T_thing_in_pinch), (joints,), PASSING) is None:
+                continue
+            try:
+                path = bench.way(hand, joints, load=Load(thing, held.T_thing_in_pinch))
+            except SkillFailedError as error:
+                fault = str(error)
+                continue
+            yield bench.segment({hand: path})
+            yield from self._lower(bench, hand, thing, T_goal)
+            self._check(bench, thing, self.support(cast), T_goal)
+            return
+        raise SkillFailedError(Cause.UNREACHABLE, fault)
+
+    def _lower(self, bench: Bench, hand: Hand, thing: str, T_goal: Array) -> Iterator[Segment]:
+        held = bench.look_at(hand)
+        # The arm sags a little under its load: what it was told lies so far off what it does.
+        T_told_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
+        T_down = _raised(T_goal, _GAP) @ inverse(held.T_thing_in_pinch) @ T_told_in_pinch
+        yield bench.segment({hand: bench.line(hand, T_down, _LOWERING)})
+        yield rest(bench)
+        yield from let_go(bench, hand, bench.clearance(thing))
+        yield rest(bench)
+
+    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
+        T = bench.world.pose(thing)
+        off = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
+        if off > _NEAR or T[2, 3] < T_goal[2, 3] - _NEAR:
+            raise SkillFailedError(
+                Cause.OFF_TARGET, f"the {thing} lies {off * 1000:.0f} mm beside its place on the {onto}"
+            )
+
+
+class Place(Placing):
+    """Put a thing down upright, its heading as suits the arm.
+
+    Attributes:
+        thing: a role; it is in a hand.
+        on: a role, or `table`; the thing comes to lie over the middle of what plays it, on it or in it.
+        at: where on it: x and y in its frame, or in `world` for the table, m.
+        start_of: rather, a role: where its thing started.
+        step, number: so far beside it, m, and so many times.
+        heading_deg: of the thing in the frame of what it is put on; without, any.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
+    on: str
+    at: tuple[FiniteFloat, FiniteFloat] | None = None
+    start_of: str | None = None
+    step: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    number: Annotated[int, Field(ge=0)] = 0
+    heading_deg: Annotated[FiniteFloat, Field(ge=-360, le=360)] | None = None
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Place:
+        if self.on == TABLE and self.at is None and self.start_of is None:
+            raise ValueError("`on: table` needs `at` or `start_of`: where on it")
+        return self
+
+    def support(self, cast: Cast) -> str:
+        """See `Placing`."""
+        return TABLE if self.on == TABLE else cast.one(self.on)
+
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """See `Placing`."""
+        onto = self.support(cast)
+        T_onto = pose() if onto == TABLE else bench.world.pose(onto)
+        x, y = np.array(self.at or (0.0, 0.0)) + self.number * np.array(self.step)
+        place = (T_onto @ (x, y, 0.0, 1.0))[:2]
+        if self.start_of is not None:
+            place = bench.world.start(cast.one(self.start_of))[:2, 3]
+        if self.heading_deg is not None:
+            headings = [yaw(T_onto) + math.radians(self.heading_deg)]
+        else:
+            headings = [yaw(bench.world.pose(thing)) + turn for turn in _TURNS]
+        return [
+            pose((*place, bench.height_on(thing, place, onto, heading)), rotation_z(heading)) for heading in headings
+        ]
+
+
+def _raised(T: Array, height: float) -> Array:
+    raised = T.copy()
+    raised[2, 3] += height
+    return raised

@@ -1,0 +1,190 @@
+"""Programs: a task's list of skills, read from its YAML, and run on a bench."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..documents.base import ConflictError
+from ..errors import suggest
+from ..goals.cast import Cast
+from .base import Skill
+from .bench import Bench, Segment
+from .errors import SkillFailedError
+from .handover import Handover
+from .insert import Insert
+from .lift import Lift
+from .moves import let_go, park
+from .operate import Operate
+from .pick import Pick
+from .place import Place
+from .push import Push
+from .put_aside import PutAside
+from .regrasp import Regrasp
+from .set_upright import SetUpright
+
+# A new skill is a module here, and a line in the table.
+SKILLS: Mapping[str, type[Skill]] = {
+    "pick": Pick,
+    "place": Place,
+    "insert": Insert,
+    "handover": Handover,
+    "put_aside": PutAside,
+    "push": Push,
+    "set_upright": SetUpright,
+    "regrasp": Regrasp,
+    "operate": Operate,
+    "lift": Lift,
+}
+
+# What goes through the things of a role: `each: {of: cup, do: [...]}`.
+_EACH = "each"
+
+# How often a skill is tried before the program gives up.
+_TRIES = 3
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """A skill that had to be tried again.
+
+    Attributes:
+        step: its number in the program as run.
+        skill: its name.
+        detail: what went wrong the first time.
+    """
+
+    step: int
+    skill: str
+    detail: str
+
+
+@dataclass
+class Diary:
+    """What happened while a program ran."""
+
+    recoveries: list[Recovery] = field(default_factory=list)
+
+
+def read_program(steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()) -> list[Skill]:
+    """The skills of a program, loops unrolled for a cast.
+
+    Args:
+        steps: as a task's YAML has them: each of one key, a skill's name or `each`.
+        path: where they stand, for messages.
+
+    Raises:
+        ConflictError: a step is not valid; its path is where.
+    """
+    return [skill for k, step in enumerate(steps) for skill in _read_step(step, cast, (*path, k), {})]
+
+
+def _read_step(
+    step: Mapping[str, Any], cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]
+) -> Iterator[Skill]:
+    if len(step) != 1:
+        known = ", ".join((_EACH, *SKILLS))
+        raise ConflictError(f"a step of a program has one key; give one of {known}", path)
+    key, given = next(iter(step.items()))
+    if key == _EACH:
+        yield from _read_each(given, cast, (*path, key), names)
+    elif key not in SKILLS:
+        raise ConflictError(f"unknown skill {key!r}; {suggest(key, [*SKILLS, _EACH])}", (*path, key))
+    else:
+        yield _read_skill(key, given, cast, (*path, key), names)
+
+
+def _read_each(given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]) -> Iterator[Skill]:
+    """`of`: a role; `do`: steps, in which `it` is the role's thing, `previous` the one before, and `number` how many
+    came before; `skip`: how many of the first to leave out; `order`: kinds of things, in which order they come.
+    """
+    if not isinstance(given, Mapping) or not {"of", "do"} <= set(given) <= {"of", "do", "skip", "order"}:
+        raise ConflictError(
+            "`each` has the keys `of`, a role, `do`, a list of steps, and perhaps `skip` and `order`", path
+        )
+    if given["of"] not in cast.things:
+        raise ConflictError(f"unknown role {given['of']!r}; {suggest(str(given['of']), cast.things)}", (*path, "of"))
+    if not isinstance(given["do"], list | tuple) or not given["do"]:
+        raise ConflictError("`do` is a list of steps", (*path, "do"))
+    things = list(cast.of(given["of"]))
+    order = list(given.get("order", ()))
+    if order:
+        things = sorted(
+            (name for name in things if cast.kinds[name] in order), key=lambda name: order.index(cast.kinds[name])
+        )
+    skip = given.get("skip", 0)
+    if not isinstance(skip, int) or skip < 0:
+        raise ConflictError(f"`skip` {skip!r} is not valid: give a number of things, 0 or more", (*path, "skip"))
+    for number in range(skip, len(things)):
+        inner = {**names, "it": things[number], "number": number} | ({"previous": things[number - 1]} if number else {})
+        for k, step in enumerate(given["do"]):
+            yield from _read_step(step, cast, (*path, "do", k), inner)
+
+
+def _read_skill(key: str, given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]) -> Skill:
+    if not isinstance(given, Mapping):
+        raise ConflictError(f"`{key}` has keys of its own: {', '.join(SKILLS[key].model_fields)}", path)
+    filled = {name: names.get(value, value) if isinstance(value, str) else value for name, value in given.items()}
+    try:
+        skill = SKILLS[key].model_validate(filled)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+        if first["type"] == "extra_forbidden":
+            message = f"unknown key; {suggest(str(first['loc'][-1]), SKILLS[key].model_fields)}"
+        raise ConflictError(message, (*path, *first["loc"])) from error
+    known = {*cast.things, *(name for things in cast.things.values() for name in things), "table"}
+    for argument, role in skill.roles():
+        if role not in known:
+            raise ConflictError(f"unknown role {role!r}; {suggest(role, sorted(known))}", (*path, argument))
+    return skill
+
+
+def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, diary: Diary) -> Iterator[Segment]:
+    """Run skills one after the other; one that fails is tried again, from the state that it left.
+
+    Raises:
+        SkillFailedError: one failed as often as it is tried.
+    """
+    number = 0
+    tries: dict[int, int] = {}
+    while number < len(program):
+        skill = program[number]
+        try:
+            yield from skill.run(bench, cast, program[number + 1 :])
+        except SkillFailedError as error:
+            tries[number] = tries.get(number, 0) + 1
+            if tries[number] >= _TRIES:
+                raise
+            diary.recoveries.append(Recovery(number, _name(skill), str(error)))
+            yield from _recover(bench)
+            number = _again_from(program, number, bench)
+        else:
+            number += 1
+    for hand in bench.hands:
+        if hand.held is None:
+            yield from park(bench, hand)
+
+
+def _name(skill: Skill) -> str:
+    return next(name for name, known in SKILLS.items() if type(skill) is known)
+
+
+def _again_from(program: Sequence[Skill], number: int, bench: Bench) -> int:
+    """Where to go on after a failure: with what took the thing into the hand, if it is not there any more."""
+    if all(hand.held is None for hand in bench.hands):
+        while number and not isinstance(program[number], Pick):
+            number -= 1
+    return number
+
+
+def _recover(bench: Bench) -> Iterator[Segment]:
+    """Bring hands that hold nothing out of the way, their fingers open."""
+    for hand in bench.hands:
+        if hand.held is None:
+            if hand.opening < hand.widest / 4:
+                yield from let_go(bench, hand, hand.widest / 2)
+            yield from park(bench, hand)

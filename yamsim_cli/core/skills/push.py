@@ -1,0 +1,115 @@
+"""Push a thing over the table with closed fingers."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
+
+import numpy as np
+from pydantic import FiniteFloat
+
+from ..documents.base import Positive
+from ..geometry.se3 import Array, pose, rotation_z
+from ..goals.cast import Cast
+from ..goals.world import TABLE
+from ..types import Cause
+from .base import Side, Skill
+from .bench import Bench, Fingers, Segment
+from .errors import SkillFailedError
+from .hand import PASSING, Hand
+from .moves import GRIP_TICKS, rest
+
+# The fingers come down so far behind the thing, from so high, and push at this height over the table, m.
+_BEHIND = 0.03
+_ABOVE = 0.10
+_HEIGHT = 0.02
+
+# A push goes no faster than this, m/s.
+_PUSHING = 0.10
+
+# How often a thing is pushed on, if it did not get there at once.
+_PUSHES = 3
+
+# How the hand may be turned about straight down from the fingers side by side, and how far it may lean, rad.
+_TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
+_LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
+
+
+class Push(Skill):
+    """Push a thing to a place, in a straight line.
+
+    Attributes:
+        thing: a role.
+        to: x and y in `world`, m.
+        radius: how near to it the thing has to come, m.
+        arm: which arm.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    thing: str
+    to: tuple[FiniteFloat, FiniteFloat]
+    radius: Positive = 0.02
+    arm: Side = "any"
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing = cast.one(self.thing)
+        for _ in range(_PUSHES):
+            if self._off(bench, thing) <= self.radius:
+                return
+            yield from self._push(bench, thing)
+            yield rest(bench)
+        if (off := self._off(bench, thing)) > self.radius:
+            raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} was pushed to {off * 1000:.0f} mm from its place")
+
+    def _off(self, bench: Bench, thing: str) -> float:
+        return float(np.linalg.norm(bench.world.pose(thing)[:2, 3] - self.to))
+
+    def _push(self, bench: Bench, thing: str) -> Iterator[Segment]:
+        start = bench.world.pose(thing)[:2, 3]
+        way = np.array(self.to) - start
+        heading = math.atan2(way[1], way[0])
+        half = float(bench.half_outline(thing, -heading)[0])
+        along = way / np.linalg.norm(way)
+        first, last = start - along * (half + _BEHIND), np.array(self.to) - along * half
+        hands = [hand for hand in bench.hands if self.arm in ("any", hand.side) and hand.held is None]
+        for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
+            for lean, turn in itertools.product(_LEANS, _TURNS):
+                found = self._reach(bench, hand, first, last, heading + turn, lean)
+                if found is None:
+                    continue
+                joints, T_first, T_last = found
+                closed = Fingers(0.0)
+                yield bench.segment({hand: bench.way(hand, joints)}, {hand: closed})
+                yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closed})
+                yield bench.segment({hand: bench.line(hand, T_first)})
+                yield bench.segment({hand: bench.line(hand, T_last, _PUSHING)})
+                T_back = T_last.copy()
+                T_back[:2, 3] -= along * _BEHIND
+                yield bench.segment({hand: bench.line(hand, T_back)})
+                T_back[2, 3] += _ABOVE
+                yield bench.segment({hand: bench.line(hand, T_back)})
+                return
+        raise SkillFailedError(Cause.UNREACHABLE, f"no arm reaches behind the {thing} and its place")
+
+    def _reach(
+        self, bench: Bench, hand: Hand, first: Array, last: Array, heading: float, lean: float
+    ) -> tuple[Array, Array, Array] | None:
+        """Joints (dof,) over where the push begins, and the pinch frame (4, 4) where it begins and where it ends."""
+        height = float(bench.world.bounds(TABLE)[1][2]) + _HEIGHT
+        # Fingers down, the closing axis across the way.
+        down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+        c, s = math.cos(lean), math.sin(lean)
+        R = rotation_z(heading) @ down @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+        T_first, T_last = pose((*first, height), R), pose((*last, height), R)
+        T_over = T_first.copy()
+        T_over[2, 3] += _ABOVE
+        over = hand.reach(T_over, (hand.joints, hand.ready), PASSING)
+        if over is None or bench.touched(hand, over, 0.0):
+            return None
+        begun = hand.reach(T_first, (over,), PASSING)
+        if begun is None or bench.touched(hand, begun, 0.0) or hand.reach(T_last, (begun,), PASSING) is None:
+            return None
+        return over, T_first, T_last

@@ -1,0 +1,39 @@
+"""Put what a hand holds down where there is room."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from ..geometry.se3 import Array, pose, rotation_z, yaw
+from ..goals.cast import Cast
+from ..goals.world import TABLE
+from .bench import Bench
+from .place import Placing
+
+# Headings that are tried, as turns from the present one.
+_TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
+
+
+class PutAside(Placing):
+    """Put a thing down on the table where there is room, near both arms.
+
+    Attributes:
+        thing: a role; it is in a hand.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+
+    def support(self, cast: Cast) -> str:
+        """See `Placing`."""
+        return TABLE
+
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """See `Placing`."""
+        places = [place for place in bench.middle_places() if bench.is_free(thing, place)]
+        heading = yaw(bench.world.pose(thing))
+        return [
+            pose((*place, bench.height_on(thing, place, TABLE, heading + turn)), rotation_z(heading + turn))
+            for place in places
+            for turn in _TURNS
+        ]

@@ -1,0 +1,76 @@
+"""Writes the pages of datasets and of batches; a page is written whole or not at all."""
+
+from __future__ import annotations
+
+import datetime
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ... import __version__
+from ..config.task import Sampling
+from ..dataset.checks.facts import EpisodeFacts
+from ..dataset.survey import Survey
+from ..errors import ResourceError
+from ..files import write_file
+from ..images.jpeg import thumbnail
+from ..report.page import Strip, page
+from ..report.trials_page import trials_page
+
+_STRIPS = 6
+_THUMBNAIL_PX = 240
+
+
+def write_report(survey: Survey, summary: Mapping[str, Any], path: Path) -> None:
+    """Write a dataset's page, replacing what is there.
+
+    Raises:
+        ResourceError: the file cannot be written.
+    """
+    _write(page(survey, summary, contact_sheet(survey), _made()), path)
+
+
+def write_trials_page(report: Mapping[str, Any], sampling: Sampling, path: Path) -> None:
+    """Write a batch's page, replacing what is there. Raises as `write_report`."""
+    _write(trials_page(report, (sampling.x, sampling.y), _made()), path)
+
+
+def _made() -> str:
+    return f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
+
+
+def _write(text: str, path: Path) -> None:
+    try:
+        write_file(path, text.encode())
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --html") from error
+
+
+def contact_sheet(survey: Survey) -> list[Strip]:
+    """First, middle and last picture of a handful of episodes, those that ended farthest from the target first."""
+    shown = sorted((episode for episode in survey.episodes if any(episode.images.values())), key=_badness, reverse=True)
+    return [strip for episode in shown[:_STRIPS] if (strip := _strip(survey.path, episode)).pictures]
+
+
+def _badness(episode: EpisodeFacts) -> tuple[int, float]:
+    distance = episode.outcome.dxy_m if episode.outcome else None
+    return (0, 0.0) if distance is None else (1, distance)
+
+
+def _strip(dataset: Path, episode: EpisodeFacts) -> Strip:
+    # A fixed camera shows more of what happened than one at the wrist.
+    _, names = min((("wrist" in camera, camera), names) for camera, names in episode.images.items() if names)
+    chosen = [names[k] for k in dict.fromkeys((0, (len(names) - 1) // 2, len(names) - 1))]
+    pictures = [picture for name in chosen if (picture := _picture(dataset / episode.name / name))]
+    distance = episode.outcome.dxy_m if episode.outcome else None
+    caption = "" if distance is None else f"ended {distance * 1000:.1f} mm off"
+    return Strip(episode.name, caption, pictures)
+
+
+def _picture(path: Path) -> bytes | None:
+    """A thumbnail; None if the file has changed since it was checked, and is no picture any more."""
+    try:
+        return thumbnail(path.read_bytes(), _THUMBNAIL_PX) if stat.S_ISREG(path.stat().st_mode) else None
+    except OSError:
+        return None

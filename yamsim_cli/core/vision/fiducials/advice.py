@@ -1,0 +1,98 @@
+"""What would help a board to be found, from what was measured of the photo."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...boards.board_image import marker_cells
+from ...geometry.board import Board
+from ...geometry.camera import CameraModel
+from ..lens import project_points
+from .align import Alignment
+from .suspects import outer_corners
+
+Grey = NDArray[np.uint8]
+
+# What spoils a photo: motion and blur (sigma) beyond this, px; less contrast than this many times the noise; cells of
+# the print smaller than this, px. Source: `make bench-fiducials`, below which nearly all boards are found.
+_MOTION, _BLUR, _CONTRAST, _CELL = 3.0, 1.5, 8.0, 0.8
+# A photo whose grey levels have less range than this is dark, or lacks contrast.
+_RANGE = 60.0
+# An edge with more blur than this (sigma, px) is not sharp, and a whole photo without sharper ones is blurred.
+_SOFT = 2.5
+_SMOOTHED = 1.5
+_ENDS = (0.5, 99.5)
+
+
+@dataclass(frozen=True)
+class Looks:
+    """How a board looks in a photo.
+
+    Attributes:
+        cell: the shorter side of a cell of its print, px.
+        blur, motion: sigma and length, px.
+        contrast: grey levels from its black to its white, and `noise` beside it.
+    """
+
+    cell: float
+    blur: float
+    motion: float
+    contrast: float
+    noise: float
+
+
+def looks_of(board: Board, camera: CameraModel, photo: NDArray[np.float32], fit: Alignment) -> Looks:
+    """How a board looks at a fitted pose in a photo (height, width)."""
+    T = fit.T_ref_in_cam
+    corners = project_points(camera, outer_corners(board) @ T[:3, :3].T + T[:3, 3])
+    area = cv2.contourArea(corners.astype(np.float32))
+    longer = max(float(np.linalg.norm(corners[a] - corners[b])) for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)))
+    across = board.width / board.marker_length * marker_cells(board).shape[1]
+    left, top = np.maximum(corners.min(axis=0), 0).astype(int)
+    right, bottom = np.ceil(corners.max(axis=0)).astype(int)
+    part = photo[top : bottom + 1, left : right + 1]
+    low, high = np.percentile(part, _ENDS) if part.size else (0.0, 0.0)
+    shorter = area / max(longer, 1.0)
+    return Looks(shorter / across, fit.smear.blur, fit.smear.length, float(high - low), fit.noise)
+
+
+def advice_on(looks: Looks) -> tuple[str, ...]:
+    """What would help a board that looks so; empty where nothing in particular spoils it."""
+    found = []
+    if looks.motion > _MOTION:
+        found.append(f"hold still (it is smeared by {looks.motion:.0f} px)")
+    if looks.blur > _BLUR:
+        found.append(f"focus (its blur is {looks.blur:.1f} px)")
+    if looks.contrast < _CONTRAST * looks.noise:
+        found.append(f"more light (its contrast is {looks.contrast:.0f} of 255, the noise {looks.noise:.0f})")
+    if looks.cell < _CELL:
+        found.append(
+            f"come closer, look from less of a slant or use a higher resolution (a cell is {looks.cell:.1f} px)"
+        )
+    return tuple(found)
+
+
+def advice_on_photo(grey: Grey) -> tuple[str, ...]:
+    """What would help in a photo (height, width) in which nothing looks like a board."""
+    low, high = np.percentile(grey[::2, ::2], _ENDS)
+    found = []
+    if high - low < _RANGE:
+        found.append(f"more light or contrast (grey levels are {low:.0f} to {high:.0f} of 255)")
+    if (blur := _least_blur(grey, float(high - low))) > _SOFT:
+        found.append(f"focus or hold still (no edge is sharper than {blur:.1f} px)")
+    return tuple(found) or ("bring the whole board into the photo, or come closer",)
+
+
+def _least_blur(grey: Grey, contrast: float) -> float:
+    """About the sigma (px) of a photo's sharpest edges: an edge of full contrast is steepest where it is sharp."""
+    # Against noise, which is then taken out of what is found.
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHED)
+    across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(smooth, cv2.CV_32F, 0, 1) / 32
+    steepest = float(np.percentile(np.hypot(across, down)[::2, ::2], 99.9))
+    blur = contrast / (math.sqrt(2 * math.pi) * max(steepest, 0.1))
+    return math.sqrt(max(blur**2 - _SMOOTHED**2, 0.0))

@@ -1,0 +1,93 @@
+"""Whether a fitted pose is sure enough to be given, and how far it may be off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...geometry.board import Board
+from ...geometry.camera import CameraModel
+from ...geometry.se3 import Array
+from .advice import advice_on, looks_of
+from .align import INFLATION, Alignment
+from .fits import PoseFit, angle_between, clearly_better, rival_of
+from .linearize import Tile
+from .sighting import Sighting, Status
+
+# Accepted poses are known at least this well.
+_MAX_TURN_SIGMA = math.radians(2.0)
+_MAX_SHIFT_SIGMA = 0.03  # of the distance
+
+# With more blur than this (sigma, px), what lies beside the print is smeared into it more than the fit makes up for.
+# Source: photos at 0.8 m with a blur of 4 px, whose errors were 1.1 times what was stated in the median, without it.
+_SHARP = 1.5
+
+# What a printed board's scale is known to where nobody measured it. A printer stretches by a few tenths of a percent.
+PRINT_SIGMA = 0.0025
+
+
+def judge(
+    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit, fits: Sequence[PoseFit]
+) -> Sighting:
+    """What is said of a board whose pose is fitted: the pose, or why it is not sure enough.
+
+    Args:
+        photo: grey levels (height, width).
+        fit: the best pose.
+        fits: all that were fitted.
+    """
+    rival = rival_of(photo, camera, board, fit, fits)
+    if rival is not None and clearly_better(rival, fit):
+        # The fit began at the wrong one of the two poses that a flat board may have.
+        fit, rival = rival, rival_of(photo, camera, board, rival, [*fits, fit])
+    ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
+    rms = shift_rms(fit.alignment.tiles[0])
+    covariance, shared = uncertainty(fit.alignment, camera, np.zeros(3))
+
+    def refused(status: Status, reason: str) -> Sighting:
+        advice = advice_on(looks_of(board, camera, photo, fit.alignment))
+        return Sighting(board, ids, status, reason, reprojection_rms=rms, smear=fit.alignment.smear, advice=advice)
+
+    if rival is not None:
+        apart = math.degrees(angle_between(fit.T, rival.T))
+        reason = (
+            f"two poses, {apart:.0f} degrees apart, explain the {len(ids)} markers about equally well: take the photo "
+            "from nearer by or from a slant"
+        )
+        return refused(Status.AMBIGUOUS, reason)
+    sighting = Sighting(board, ids, Status.OK, "", fit.T, covariance, shared, rms, fit.alignment.smear)
+    turn, shift = sighting.rotation_sigma, sighting.position_sigma
+    assert turn is not None and shift is not None
+    distance = float(np.linalg.norm(fit.T[:3, 3]))
+    if turn > _MAX_TURN_SIGMA or shift > _MAX_SHIFT_SIGMA * distance + camera.focal_sigma * distance:
+        reason = (
+            f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: too few, too small "
+            "or too blurred markers"
+        )
+        return refused(Status.POOR_FIT, reason)
+    return sighting
+
+
+def shift_rms(tiles: Mapping[int, Tile]) -> float:
+    """The root mean square of how far (px) markers lie from where the drawing has them."""
+    shifts = np.array([tile.shift for tile in tiles.values()])
+    return float(np.sqrt((shifts**2).sum(axis=1).mean()))
+
+
+def uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
+    """Covariance (6, 6) of a turn about a point (3,) of the reference frame and of its shift; its shared part (6, k).
+
+    The noise's, inflated, with what the uncertainties of the lens and of the print's scale add.
+    """
+    x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
+    # A turn w about the centre moves the point by w x r.
+    moved = np.eye(6)
+    moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+    mistakes = [alignment.by_lens @ camera.mistakes, PRINT_SIGMA * alignment.by_print]
+    shared: Array = moved @ np.column_stack(mistakes)
+    inflation = INFLATION * max(1.0, alignment.smear.blur / _SHARP)
+    covariance: Array = moved @ alignment.covariance @ moved.T * inflation**2 + shared @ shared.T
+    return covariance, shared
