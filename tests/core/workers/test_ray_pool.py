@@ -13,6 +13,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError, SimulationError
 from yamsim_cli.core.record.executors import RayCluster
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError
 from yamsim_cli.core.workers.ray_pool import RayPool
@@ -86,7 +87,7 @@ class TestOnACluster:
     ) -> None:
         """As one does whose meshes, or whose yamsim, are not the recorder's."""
         noted = config.model_copy(update={"meshes": {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}})
-        with RayCluster(cluster[0].address).open(noted, locations, {}, 1) as executor:
+        with RayCluster(cluster[0].address).open(Session(noted, locations), 1) as executor:
             executor.submit(EpisodeJob(0, 0))
             with pytest.raises(
                 ResourceError, match=r"^a worker on \S+ would show other meshes .*: i2rt_yam_crank: full 0"
