@@ -10,6 +10,7 @@ SMALLER = {
     # Later lines name the fourth episode of this one.
     r"--n 500 --workers 4$": "--n 4 --workers 2",
     r"--n \d{2,}": "--n 1",
+    r"--task handover (.*)--n \d": r"--task handover \1--n 1",
     r"--sample \d+": "--sample 2",
     r"--episodes 0-9\b": "--episodes 0-1",
     # Places that no test may write to.
@@ -20,7 +21,7 @@ SMALLER = {
 CHEAPER = {
     "yamsim record": "--workers 1 --quality fast --size 160x120",
     "yamsim teleop": "--quality fast --size 160x120",
-    "yamsim eval": "--quality fast --size 96x72 --time-limit 1",
+    "yamsim eval": "--n 1 --workers 1 --quality fast --size 96x72 --time-limit 1",
     "yamsim render-views": "--quality fast --size 160x120",
 }
 

@@ -37,7 +37,10 @@ def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:
 
 
 def with_looks(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) -> mujoco.MjSpec:
-    """The same spec with its meshes where all of its sets are here; else with its collision primitives to be seen."""
+    """The same spec with its meshes where all of its sets are here; else with its collision primitives to be seen.
+
+    A body that nothing is seen of, since it has no meshes at all, shows its primitives in any case.
+    """
     folders = {name: (meshes or {}).get(name) for name in sets}
     if all(folders.values()):
         files: dict[str, bytes] = {}
@@ -48,6 +51,10 @@ def with_looks(spec: mujoco.MjSpec, sets: Iterable[str], meshes: Meshes | None) 
             mesh.file = f"meshes/{assets}/{file}"
             files[mesh.file] = mesh_bytes(folder / file)
         spec.assets = files
+        for body in spec.bodies:
+            if all(geom.group > _SEEN_GROUP for geom in body.geoms):
+                for geom in body.geoms:
+                    geom.group = _SEEN_GROUP
         return spec
     for body in spec.bodies:
         for geom in list(body.geoms):
