@@ -57,6 +57,16 @@ def record(
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
     ] = None,
+    action: Annotated[
+        Literal["drives", "joints"] | None,
+        typer.Option(
+            help="joints: also record state and action as real YAM stations do: of each arm its joints, and the "
+            "share that its gripper is open; needs --grasp contact.  [default: drives]"
+        ),
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=1, max=100, help="Frames a second: 30, 15 or 10.  [default: 15.625]")
+    ] = None,
     size: Size = None,
     jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
     quality: Quality = None,
@@ -100,6 +110,8 @@ def record(
         randomize=randomize,
         boards=boards,
         truth=truth,
+        action=action,
+        fps=fps,
         size=size,
         jpeg_quality=jpeg_quality,
         quality=quality,

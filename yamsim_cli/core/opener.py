@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .assets import AssetLock, AssetStore
     from .config.recording import RecordConfig, RenderConfig
     from .config.rig import RigConfig
+    from .config.task import Timing
     from .documents.document import KeyPath
     from .resources import Locations
 
@@ -44,6 +45,7 @@ _SETS: dict[str, tuple[str, ...]] = {
     "truth": ("truth",),
     "size": ("image", "size_px"),
     "jpeg_quality": ("image", "jpeg_quality"),
+    "action": ("action",),
     "quality": ("render",),
     "randomize": ("randomization",),
 }
@@ -113,14 +115,25 @@ class Opener:
         if (randomize := given.get("randomize")) is not None:
             own = self.config(name, where, **(given | {"randomize": None})).randomization.parts
             given["randomize"] = (None if own else "default") if randomize else "none"
+        fps = given.pop("fps", None)
         overrides: dict[KeyPath, tuple[str, Any]] = {
             path: (self.spell(setting), given[setting])
             for setting, path in _SETS.items()
             if given.get(setting) is not None
         }
+        if fps is not None:
+            overrides |= self._at_rate(fps, self.config(name, where, **given).task.timing)
         config = load_config(RecordConfig, "record", name, where, overrides)
         kind_of(config.task)
         return config
+
+    def _at_rate(self, fps: float, timing: Timing) -> dict[KeyPath, tuple[str, Any]]:
+        try:
+            at_rate = timing.at_rate(fps)
+        except ValueError as error:
+            raise UsageError(f"{self.spell('fps')}: {error}") from None
+        changed = {key: getattr(at_rate, key) for key in ("timestep", "ticks_per_frame")}
+        return {("task", "timing", key): (self.spell("fps"), value) for key, value in changed.items()}
 
     def rig(self, name: str, where: Locations, margin: float | None = None, revision: str | None = None) -> RigConfig:
         """The named rig, with another margin, or another revision of its robots, if one was given."""

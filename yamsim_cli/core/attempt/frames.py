@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from ..config.recording import RecordConfig
 from ..dataset.lowdim import SimulationData, frame_data
 from ..geometry.se3 import inverse
 from ..types import Attempt, StepState
@@ -36,5 +37,12 @@ def _frame(simulator: Simulator, state: StepState) -> dict[str, Any]:
         language_prompt=task.language_prompt,
         wrist_camera=config.wrist_arms[0].wrist_camera_name if len(config.wrist_arms) == 1 else None,
         T_right_base_in_left_base=inverse(bases[0]) @ bases[1] if len(bases) > 1 else None,
+        full_openings=full_openings(config) if config.action == "joints" else None,
         simulation=SimulationData(state.qpos, acting.ctrl, acting.magnet),
     )
+
+
+def full_openings(config: RecordConfig) -> list[float]:
+    """How far one finger of each arm opens in use, m, in the order of recordings."""
+    fingers = [config.rig.arms[k].robot.fingers for k in config.rig.recorded]
+    return [each.full_opening for each in fingers if each is not None]

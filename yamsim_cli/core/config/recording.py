@@ -69,6 +69,10 @@ class RenderConfig(Config):
 SCENE_CAMERA = "scene_camera"
 
 GraspKind = Literal["weld", "contact"]
+
+# What frames hold of the actions: what all drives and the weld are told; or also `state` and `action` as real YAM
+# stations record them, which are of each arm its joints and how far its gripper is open, as a share.
+ActionKind = Literal["drives", "joints"]
 Side = Literal["left", "right"]
 
 
@@ -89,6 +93,7 @@ class RecordConfig(Config):
             friction between a gripper's pads alone.
         episodes: how many successful episodes to record, or trials to run.
         workers: how many processes; it never changes the data.
+        action: "joints" records `state` and `action` too, see `core.dataset.lowdim.frame_data`.
         seed: with an attempt's number, decides everything random in it.
         wrist: also record the wrist camera.
         cameras: which cameras to record, in order. Left out: those of the station, and of the wrists, where the rig has
@@ -106,6 +111,7 @@ class RecordConfig(Config):
     # Left out where it is the default, so that datasets of one arm say what they always said.
     arm: Annotated[Side, Field(exclude_if=lambda side: side == "right")] = "right"
     grasp: GraspKind
+    action: Annotated[ActionKind, Field(exclude_if=lambda kind: kind == "drives")] = "drives"
     episodes: int = Field(default=500, ge=1, le=1_000_000)
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
@@ -223,6 +229,17 @@ class RecordConfig(Config):
                 ("grasp",),
                 ("task", "object"),
                 ("task",),
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _actions_say_all(self) -> RecordConfig:
+        if self.action == "joints" and self.grasp == "weld":
+            raise ConflictError(
+                "action 'joints' has no place for a weld, and grasp is 'weld'; use grasp 'contact', with a gripper "
+                "that has pads",
+                ("action",),
+                ("grasp",),
             )
         return self
 

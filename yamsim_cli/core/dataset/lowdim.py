@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import pickle
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,9 @@ _PROTOCOL = 4
 # Key of the right arm's base in the left one's, which only frames of two arms have.
 BETWEEN_BASES = "T_right_base_in_left_base"
 
+# What only frames have whose actions are joints.
+STATE, ACTION = "state", "action"
+
 # Key -> dtype and number of dimensions, for the keys that only simulated frames have. A frame has all of them or none.
 # Each entry of `sim_magnet` has the shape of `magnet`.
 SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
@@ -35,13 +38,15 @@ SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
 _FARTHEST = 1e3
 
 
-def shapes(arms: int, drives: int) -> dict[str, tuple[int, ...]]:
+def shapes(arms: int, drives: int, *, joint_actions: bool = False) -> dict[str, tuple[int, ...]]:
     """Key -> shape of the arrays that every frame has of so many arms; those of objects and cameras come on top.
 
     Args:
         drives: how many each arm has: one for each joint, and its gripper's if it has fingers.
+        joint_actions: whether frames have `state` and `action` too.
     """
-    common: dict[str, tuple[int, ...]] = dict.fromkeys(("joints", "ctrl", "action_joints"), (drives * arms,))
+    rows = ("joints", "ctrl", "action_joints", *((STATE, ACTION) if joint_actions else ()))
+    common: dict[str, tuple[int, ...]] = dict.fromkeys(rows, (drives * arms,))
     if arms == 1:
         return common | {"ee_pose": (4, 4)}
     return common | {"ee_pose": (arms, 4, 4), BETWEEN_BASES: (4, 4)}
@@ -78,6 +83,7 @@ def frame_data(
     language_prompt: str,
     wrist_camera: str | None = None,
     T_right_base_in_left_base: ArrayLike | None = None,
+    full_openings: Sequence[float] | None = None,
     simulation: SimulationData | None = None,
 ) -> dict[str, Any]:
     """One frame's dictionary, its keys always in the same order.
@@ -98,6 +104,8 @@ def frame_data(
         magnet: whether each arm's weld holds the object (arms,).
         wrist_camera: the name of the only wrist camera, whose K is then stored as `K_wrist` too.
         T_right_base_in_left_base: pose (4, 4); with two arms only.
+        full_openings: how far one finger of each arm opens in use, m; stores `state` and `action` too, which are
+            `joints` and `ctrl` with each opening as a share of that: 0 closed, 1 open.
         simulation: the numbers that make the frame repeatable in physics; None for a real recording.
     """
     data: dict[str, Any] = {
@@ -119,6 +127,8 @@ def frame_data(
         data["K_wrist"] = _f32(intrinsics[wrist_camera])
     if T_right_base_in_left_base is not None:
         data[BETWEEN_BASES] = _f32(T_right_base_in_left_base)
+    if full_openings is not None:
+        data |= {STATE: _shared(joints, full_openings), ACTION: _shared(ctrl, full_openings)}
     if simulation is not None:
         data |= {
             "sim_qpos": _f64(simulation.qpos),
@@ -126,6 +136,13 @@ def frame_data(
             "sim_magnet": np.ascontiguousarray(_squeezed(simulation.magnet, axis=1), dtype=np.bool_),
         }
     return data
+
+
+def _shared(values: Array, full_openings: Sequence[float]) -> NDArray[np.float32]:
+    """Joints and openings (arms, drives) in one row, the openings as shares."""
+    shared = values.copy()
+    shared[:, -1] = np.clip(shared[:, -1] / np.asarray(full_openings), 0.0, 1.0)
+    return _f32(shared.ravel())
 
 
 def _squeezed(values: NDArray[Any], axis: int = 0) -> NDArray[Any]:

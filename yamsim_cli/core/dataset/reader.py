@@ -71,7 +71,10 @@ class StoredEpisode:
         except DatasetError as error:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
         record = self.record
-        if faults := frame_faults(frame, record.objects, record.cameras, record.arms, record.drives):
+        faults = frame_faults(
+            frame, record.objects, record.cameras, record.arms, record.drives, joint_actions=record.joint_actions
+        )
+        if faults:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
         return frame
 

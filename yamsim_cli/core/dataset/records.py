@@ -118,6 +118,8 @@ class EpisodeRecord(Record):
     arms: Annotated[int, Field(ge=1, le=2, exclude_if=lambda arms: arms == 1)] = 1
     # How many drives each arm has. Left out where it is what every arm had before there were others.
     drives: Annotated[int, Field(ge=1, le=64, exclude_if=lambda drives: drives == DRIVES_UNSAID)] = DRIVES_UNSAID
+    # Whether frames have `state` and `action` too.
+    joint_actions: Annotated[bool, Field(exclude_if=lambda said: not said)] = False
     objects: list[str]
     outcome: OutcomeRecord
     max_height_m: float

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.lowdim import BETWEEN_BASES
+from ..dataset.lowdim import ACTION, BETWEEN_BASES, STATE
 from ..dataset.reader import StoredEpisode
 from ..dataset.recorded_images import recorded_images
 from ..images.video import VideoWriter, require_encoder
@@ -83,7 +83,7 @@ class _Writer:
     def __init__(self, root: Path, source: Source) -> None:
         self.frames = 0
         self._root, self._source = root, source
-        welds = [f"{prefix}magnet" for prefix in source.prefixes]
+        welds = [] if source.config.action == "joints" else [f"{prefix}magnet" for prefix in source.prefixes]
         self._columns = schema.columns(source.cameras, source.drives, welds)
         self._tasks: dict[str, int] = {}
         self._total = RunningStats()
@@ -146,8 +146,8 @@ class _Writer:
 
     def _values(self, frames: Sequence[Mapping[str, Any]], number: int, task: int) -> dict[str, NDArray[Any]]:
         n = len(frames)
-        command = [np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32)) for frame in frames]
-        values = {schema.STATE: np.array([frame["joints"] for frame in frames]), schema.ACTION: np.array(command)}
+        states, commands = zip(*(_state_and_action(frame) for frame in frames), strict=True)
+        values = {schema.STATE: np.array(states), schema.ACTION: np.array(commands)}
         for camera in self._source.cameras:
             for key, name in ((schema.intrinsics_key, "intrinsics"), (schema.extrinsics_key, "extrinsics")):
                 values[key(camera)] = np.array([np.ravel(frame[name][camera]) for frame in frames])
@@ -167,7 +167,9 @@ class _Writer:
         sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in source.cameras.items()}
         counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
         robots = [source.config.rig.arms[k].model.name for k in source.config.rig.recorded]
-        _write_json(root / schema.INFO, schema.info(sizes, 1 / source.frame_period, robots, self._columns, **counts))
+        _write_json(
+            root / schema.INFO, schema.info(sizes, round(1 / source.frame_period, 6), robots, self._columns, **counts)
+        )
         stats = {
             key: {name: value.tolist() for name, value in _whole(found).items()}
             for key, found in self._total.stats().items()
@@ -177,6 +179,13 @@ class _Writer:
             root / schema.PROVENANCE,
             {"dataset": source.path.absolute().name, **self._bases, "episodes": self._provenance},
         )
+
+
+def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
+    """A frame's state, and its action: joints alone where it has those, else what drives and welds are told."""
+    if ACTION in frame:
+        return frame[STATE], frame[ACTION]
+    return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
 
 
 def _whole(stats: Stats) -> dict[str, NDArray[Any]]:

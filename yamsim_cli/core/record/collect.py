@@ -291,6 +291,7 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
         truth=config.truth,
         arms=len(config.rig.arms),
         drives=config.rig.drives,
+        joint_actions=config.action == "joints",
         objects=[item.name for item in config.task.things],
         outcome=attempt.outcome,
         max_height_m=config.task.success.max_height,

@@ -117,7 +117,11 @@ class _EpisodeCheck:
 
     def _check_lowdim(self) -> LowdimChecks:
         known = self._record
-        forms = expected_forms(known.objects, known.cameras, known.arms, known.drives) if known else None
+        forms = None
+        if known is not None:
+            forms = expected_forms(
+                known.objects, known.cameras, known.arms, known.drives, joint_actions=known.joint_actions
+            )
         checks = LowdimChecks(forms, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):

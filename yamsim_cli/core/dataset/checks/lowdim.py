@@ -35,10 +35,17 @@ class ValueForm:
         return f"{self.kind} {self.shape}" if self.shape else self.kind
 
 
-def expected_forms(objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int) -> dict[str, ValueForm]:
-    """Flat key -> form, for a frame that yamsim records with these objects, cameras, and arms of so many drives."""
+def expected_forms(
+    objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int, *, joint_actions: bool = False
+) -> dict[str, ValueForm]:
+    """Flat key -> form, for a frame that yamsim records with these objects, cameras, and arms of so many drives.
+
+    Args:
+        joint_actions: see `shapes`.
+    """
     float32 = str(np.dtype(np.float32))
-    forms = {key: ValueForm(float32, shape) for key, shape in shapes(arms, drives).items()}
+    rows = shapes(arms, drives, joint_actions=joint_actions)
+    forms = {key: ValueForm(float32, shape) for key, shape in rows.items()}
     forms |= {f"{name}_pose": ValueForm(float32, (4, 4)) for name in objects}
     for camera in cameras:
         forms |= {
@@ -51,11 +58,18 @@ def expected_forms(objects: Iterable[str], cameras: Iterable[str], arms: int, dr
 
 
 def frame_faults(
-    frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int
+    frame: Mapping[str, Any],
+    objects: Iterable[str],
+    cameras: Iterable[str],
+    arms: int,
+    drives: int,
+    *,
+    joint_actions: bool = False,
 ) -> list[str]:
     """The faults of a decoded frame that yamsim recorded, one text each; see `expected_forms`."""
     problems = Problems()
-    LowdimChecks(expected_forms(objects, cameras, arms, drives), problems).take(0, "", frame)
+    forms = expected_forms(objects, cameras, arms, drives, joint_actions=joint_actions)
+    LowdimChecks(forms, problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 
 
