@@ -19,6 +19,8 @@ remember_backend()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # By far the longest one begins first, so that nothing waits for it at the end.
+    items.sort(key=lambda item: "test_pages.py" not in item.nodeid)
     # `make test` sees to a backend, so a machine that runs the suite by other means is told rather than failed.
     if os.environ["YAMSIM_TEST_GL"] == "none":
         for item in items:
