@@ -50,6 +50,10 @@ def hand(name: str, soft: FinRay | None = None) -> mujoco.MjSpec:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _IMPRATIO
     spec.option.gravity = (0, 0, 0)
+    # On an arm, MuJoCo lets what is fixed to the flange pass through what moves on it, but not through the world's own.
+    if spec.body("wrist_camera") is not None:
+        for name in said["fingers"]["bodies"]:
+            spec.add_exclude(bodyname1="wrist_camera", bodyname2=name)
     return spec
 
 
@@ -87,8 +91,8 @@ def grip(
         height: of the thing over the flange, m; that of `pinch_site` if not given.
     """
     spec = hand(name)
-    at = spec.site("pinch_site").pos[2] if height is None else height
-    body = spec.worldbody.add_body(name="thing", pos=(0, 0, at))
+    x, y, z = spec.site("pinch_site").pos
+    body = spec.worldbody.add_body(name="thing", pos=(x, y, z if height is None else height))
     body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1, 0, 0))
     fill(body)
     model = spec.compile()

@@ -51,7 +51,7 @@ def main() -> None:
         where = "" if height is None else f" at {height * 1000:g} mm over the flange"
         print(f"  {name}{where}: {command * 1000:g} mm, {found.forces[-1]:.1f} N, {found.area * 1e6:.0f} mm2")
     print("told to close wholly on a strawberry: force of a finger at rest, at its most, of one contact, and area")
-    for name in ("linear_4310", "finray"):
+    for name in ("linear_4310", "linear_3507", "crank_4310", "flexible_4310", "finray"):
         found = grip(name, strawberry, 0.0, start=0.0375)
         forces = found.forces[-1], found.forces.max(), found.most
         print(f"  {name}:", *(f"{force:.1f} N," for force in forces), f"{found.area * 1e6:.0f} mm2")
