@@ -6,6 +6,8 @@ import pytest
 from yamsim_cli.core.errors import ConfigError, ResourceError, suggest
 from yamsim_cli.core.resources import Locations
 
+AN_ARM_TOO = "; or an arm and its gripper, such as yam_pro+linear_4310"
+
 
 @pytest.fixture
 def two_roots(tmp_path) -> Locations:
@@ -29,12 +31,12 @@ def test_the_configs_of_all_roots_are_listed_once(two_roots):
 def test_an_unknown_config_names_the_closest_and_all_valid_ones(two_roots):
     with pytest.raises(ConfigError) as caught:
         two_roots.config_file("rigs", "singel")
-    assert str(caught.value) == "unknown rig 'singel'; did you mean 'single'? valid: double, odd, single"
+    assert str(caught.value) == "unknown rig 'singel'; did you mean 'single'? valid: double, odd, single" + AN_ARM_TOO
 
 
 @pytest.mark.parametrize("name", ["../rigs/single", "/etc/passwd", "", "rigs/single", "*"])
 def test_a_name_never_leads_out_of_its_folder(two_roots, name):
-    with pytest.raises(ConfigError, match="valid: double, odd, single"):
+    with pytest.raises(ConfigError, match="valid: double, odd, single" + AN_ARM_TOO):
         two_roots.config_file("rigs", name)
 
 

@@ -27,6 +27,9 @@ Meshes = Mapping[str, Path | None]
 # Where the configs of a kind lie under a root of data, `*` standing for their names.
 _PLACES = {"robots": "robot_models/*/model.yaml", "grippers": "robot_models/grippers/*/gripper.yaml"}
 
+# Kind -> what else may stand where a name of that kind is asked for.
+_ALSO_VALID = {"rigs": "; or an arm and its gripper, such as yam_pro+linear_4310"}
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -122,7 +125,7 @@ class Locations:
         if name not in self.config_names(kind):
             endings = _CAMERA_ENDINGS if kind == "cameras" else _ENDINGS
             hint = f"; the name of a file has to end in {' or '.join(endings)}" if path.is_file() else ""
-            valid = suggest(name, self.config_names(kind))
+            valid = suggest(name, self.config_names(kind)) + _ALSO_VALID.get(kind, "")
             raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{hint}")
         chosen = self.auto_quality if (kind, name) == AUTO else name
         return self.file(config_place(kind).replace("*", chosen))

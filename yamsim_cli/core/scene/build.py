@@ -14,11 +14,6 @@ from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneFingers
 from .compose import WELD, compile_spec, compose
 from .composed_meshes import composed_meshes
 
-# MuJoCo's friction creeps, and with its defaults an object turns by a few degrees a second in the hand. Source:
-# MuJoCo's documentation of `impratio`, which asks for elliptic cones with it. Held at its end, as for a hand-over, an
-# object would still droop by 11 degrees on its way.
-_IMPRATIO, _IMPRATIO_AT_THE_END = 10, 100
-
 
 def build_scene(session: Session) -> CompiledScene:
     """Compose and compile the scene of a recording.
