@@ -100,7 +100,8 @@ _GRIPPER_XML = """\
       <geom type="box" group="3" mass="0" rgba="0.3 0.3 0.3 1"/>
       <position kp="2000" kv="150" ctrlrange="-0.004 0.05" forcerange="-100 100"/>
       <default class="pad">
-        <geom condim="6" friction="1 5e-3 5e-4" solref="0.01 1" priority="1" size="0.009 0.003 0.02" rgba="0.1 0.1 0.1 1"/>
+        <geom condim="6" friction="1 5e-3 5e-4" solref="0.01 1" priority="1" size="0.009 0.003 0.02"
+              rgba="0.1 0.1 0.1 1"/>
       </default>
     </default>
   </default>

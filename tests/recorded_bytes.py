@@ -1,8 +1,8 @@
 """What a few recordings hold, byte for byte, written down: `python -m tests.recorded_bytes` makes the list anew.
 
 The last bits of sums depend on the processor, so each kind of processor that the tests run on has its own list. To make
-them anew is right only with a new format version or model revision, and a reason in CHANGELOG.md: what users recorded has to
-be made again from its seeds as it was.
+them anew is right only with a new format version or model revision, and a reason in CHANGELOG.md: what users recorded
+has to be made again from its seeds as it was.
 """
 
 from __future__ import annotations

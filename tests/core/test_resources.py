@@ -36,7 +36,7 @@ def test_an_unknown_config_names_the_closest_and_all_valid_ones(two_roots):
 
 @pytest.mark.parametrize("name", ["../rigs/single", "/etc/passwd", "", "rigs/single", "*"])
 def test_a_name_never_leads_out_of_its_folder(two_roots, name):
-    with pytest.raises(ConfigError, match="valid: double, odd, single" + AN_ARM_TOO):
+    with pytest.raises(ConfigError, match="valid: double, odd, single;"):
         two_roots.config_file("rigs", name)
 
 
