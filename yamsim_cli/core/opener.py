@@ -106,6 +106,7 @@ class Opener:
         """
         from .config.loader import load_config
         from .config.recording import RecordConfig
+        from .skills.checked import check_config
         from .tasks.kinds import kind_of
 
         if isinstance(size := given.get("size"), str):
@@ -118,9 +119,21 @@ class Opener:
             for setting, path in _SETS.items()
             if given.get(setting) is not None
         }
-        config = load_config(RecordConfig, "record", name, where, overrides)
-        kind_of(config.task)
+        if given.get("task") is not None and given.get("rig") is None and (rig := self._own_rig(given["task"], where)):
+            overrides["rig",] = (self.spell("task"), rig)
+        config = load_config(RecordConfig, "record", name, where, overrides, check_config)
+        if config.program is None:
+            kind_of(config.pair)
         return config
+
+    def _own_rig(self, task: str, where: Locations) -> str | None:
+        """The rig that a task says it is done on; None if it says none."""
+        from .config.loader import model_of
+        from .config.program_task import PROGRAM
+
+        data = model_of("tasks").read(where.config_file("tasks", task)).data
+        rig = data.get("rig") if data.get("kind") == PROGRAM else None
+        return rig if isinstance(rig, str) else None
 
     def rig(self, name: str, where: Locations, margin: float | None = None, revision: str | None = None) -> RigConfig:
         """The named rig, with another margin, or another revision of its robots, if one was given."""

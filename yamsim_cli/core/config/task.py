@@ -135,7 +135,7 @@ class TaskConfig(Config):
     exchange: Annotated[Exchange | None, Field(exclude_if=lambda exchange: exchange is None)] = None
 
     @property
-    def things(self) -> tuple[ObjectConfig, ...]:
+    def objects(self) -> tuple[ObjectConfig, ...]:
         """All that is moved, or has something put onto it, in the order in which records name it."""
         return self.object, self.target
 

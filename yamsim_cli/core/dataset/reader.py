@@ -71,7 +71,7 @@ class StoredEpisode:
         except DatasetError as error:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
         record = self.record
-        if faults := frame_faults(frame, record.objects, record.cameras, record.arms, record.drives):
+        if faults := frame_faults(frame, record.objects, record.cameras, record.arms, record.drives, record.joints):
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
         return frame
 

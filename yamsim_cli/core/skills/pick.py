@@ -43,6 +43,8 @@ class Pick(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    NEEDS: ClassVar[bool | None] = False
+    LEAVES: ClassVar[bool | None] = True
     thing: str
     arm: Side = "any"
     lift: Distance = 0.06

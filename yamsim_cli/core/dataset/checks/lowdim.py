@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,11 +35,18 @@ class ValueForm:
         return f"{self.kind} {self.shape}" if self.shape else self.kind
 
 
-def expected_forms(objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int) -> dict[str, ValueForm]:
-    """Flat key -> form, for a frame that yamsim records with these objects, cameras, and arms of so many drives."""
+def expected_forms(
+    objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int, joints: Mapping[str, Sequence[str]]
+) -> dict[str, ValueForm]:
+    """Flat key -> form, for a frame that yamsim records with these objects, cameras, and arms of so many drives.
+
+    Args:
+        joints: articulated object -> names of its joints.
+    """
     float32 = str(np.dtype(np.float32))
     forms = {key: ValueForm(float32, shape) for key, shape in shapes(arms, drives).items()}
     forms |= {f"{name}_pose": ValueForm(float32, (4, 4)) for name in objects}
+    forms |= {f"{name}_joints": ValueForm(float32, (len(names),)) for name, names in joints.items()}
     for camera in cameras:
         forms |= {
             f"intrinsics[{camera}]": ValueForm(float32, (3, 3)),
@@ -51,11 +58,16 @@ def expected_forms(objects: Iterable[str], cameras: Iterable[str], arms: int, dr
 
 
 def frame_faults(
-    frame: Mapping[str, Any], objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int
+    frame: Mapping[str, Any],
+    objects: Iterable[str],
+    cameras: Iterable[str],
+    arms: int,
+    drives: int,
+    joints: Mapping[str, Sequence[str]] | None = None,
 ) -> list[str]:
     """The faults of a decoded frame that yamsim recorded, one text each; see `expected_forms`."""
     problems = Problems()
-    LowdimChecks(expected_forms(objects, cameras, arms, drives), problems).take(0, "", frame)
+    LowdimChecks(expected_forms(objects, cameras, arms, drives, joints or {}), problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 
 
