@@ -6,7 +6,7 @@ import numpy as np
 
 from ..config.recording import RecordConfig
 from ..geometry.se3 import Array
-from ..planning.demonstration import ArmTools
+from ..planning.demonstration import ArmTools, start_stands
 from ..planning.obstacles import Obstacles
 from ..planning.quick_reach import QuickReach
 from ..scene.compiled import CompiledScene, Kind
@@ -28,6 +28,13 @@ class ExpertTools:
         ]
         self._obstacles = Obstacles(scene.model, scene.arms, list(scene.object_qpos), geoms)
         self._quick = [QuickReach(bare_arm(config.rig.arms[arm.number]), arm.T_base_in_world) for arm in scene.arms]
+
+    def reaches(self, T_pinch_in_world: Array) -> bool:
+        """Whether some hand comes to a pose (4, 4) of its pinch frame, whatever it would touch there."""
+        return any(
+            quick.solve(T_pinch_in_world, np.array(stand.joints)) is not None
+            for quick, stand in zip(self._quick, start_stands(self._config), strict=True)
+        )
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
         """The height at which a thing that comes straight down meets something, see `Obstacles.rest_height`."""

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Positive, Reference
-from ..documents.units import Distance, HeadingRange, JointAngle, ReachRange, Within
+from ..documents.units import Distance, Heading, HeadingRange, JointAngle, OffsetPoint, ReachRange, Within
 from ..errors import suggest
 from ..goals.cast import Cast
 from ..goals.goal import Goal
@@ -86,6 +86,22 @@ class Phrasings(Config):
         return self
 
 
+class NearMiss(Config):
+    """How a success may be spoilt so that it is none any more: a thing that is put off from where it ended.
+
+    Attributes:
+        thing: a role; each of its things is tried by itself.
+        what: said of it in messages, such as "30 mm beside its place".
+        move: along the axes of `world`, m.
+        tilt_deg: about the x axis of `world`.
+    """
+
+    thing: str
+    what: str
+    move: OffsetPoint = (0.0, 0.0, 0.0)
+    tilt_deg: Heading = 0.0
+
+
 class ProgramTiming(Config):
     """How time passes.
 
@@ -114,6 +130,7 @@ class ProgramTask(Config):
         starts: role -> where its things start. They are placed in this order.
         phrasings: what a person might say; the first one stands for the task.
         goal: when it is done.
+        near_misses: what does not count, for `yamsim tasks check` to try.
         expert: a list of skills that does it, each step of one key; see `core.skills.program`.
         time_limit_s: how long an attempt may take, s of simulated time.
         start_joints: of the arms when it starts, rad; if left out, those of their robot model.
@@ -126,6 +143,7 @@ class ProgramTask(Config):
     starts: Mapping[Name, Start]
     phrasings: Phrasings
     goal: Goal
+    near_misses: tuple[NearMiss, ...] = ()
     expert: Annotated[tuple[Mapping[str, Any], ...], Field(min_length=1)]
     timing: ProgramTiming = ProgramTiming()
     time_limit_s: Positive = 120.0
@@ -150,6 +168,11 @@ class ProgramTask(Config):
             placed.add(role)
         cast = self.typical_cast
         known_names = {*cast.things, *(name for names in cast.things.values() for name in names), TABLE}
+        for k, miss in enumerate(self.near_misses):
+            if miss.thing not in known_names - {TABLE}:
+                raise ConflictError(
+                    f"unknown role {miss.thing!r}; {suggest(miss.thing, self.things)}", ("near_misses", k, "thing")
+                )
         for path, predicate in self.goal.predicates():
             for argument, role in predicate.roles():
                 if role not in known_names:

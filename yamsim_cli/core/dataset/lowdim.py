@@ -70,7 +70,6 @@ def frame_data(
     intrinsics: Mapping[str, ArrayLike],
     extrinsics: Mapping[str, ArrayLike],
     object_poses: Mapping[str, ArrayLike],
-    object_joints: Mapping[str, ArrayLike],
     ee_pose: Array,
     ctrl: Array,
     action_joints: Array,
@@ -80,6 +79,7 @@ def frame_data(
     wrist_camera: str | None = None,
     T_right_base_in_left_base: ArrayLike | None = None,
     simulation: SimulationData | None = None,
+    object_joints: Mapping[str, ArrayLike] | None = None,
 ) -> dict[str, Any]:
     """One frame's dictionary, its keys always in the same order.
 
@@ -92,7 +92,6 @@ def frame_data(
         intrinsics: camera -> K (3, 3), pixel centres at whole numbers.
         extrinsics: camera -> `T_cam_in_rbase` (4, 4), OpenCV's camera frame in the robot's base.
         object_poses: object -> pose (4, 4) in the robot's base, stored as `<object>_pose`.
-        object_joints: articulated object -> positions of its joints (n,), m or rad, stored as `<object>_joints`.
         ee_pose: poses (arms, 4, 4) of each arm's `grasp_site` in the robot's base.
         ctrl: what each arm's drives were told (arms, drives), rad and m.
         action_joints: the joints and finger opening of each arm (arms, drives) that the plan asked for at the end of
@@ -101,6 +100,7 @@ def frame_data(
         wrist_camera: the name of the only wrist camera, whose K is then stored as `K_wrist` too.
         T_right_base_in_left_base: pose (4, 4); with two arms only.
         simulation: the numbers that make the frame repeatable in physics; None for a real recording.
+        object_joints: articulated object -> positions of its joints (n,), m or rad, stored as `<object>_joints`.
     """
     data: dict[str, Any] = {
         "joints": _f32(joints.ravel()),
@@ -109,7 +109,7 @@ def frame_data(
         "extrinsics": {camera: _f32(T) for camera, T in extrinsics.items()},
     }
     data |= {f"{name}_pose": _f32(T) for name, T in object_poses.items()}
-    data |= {f"{name}_joints": _f32(joints) for name, joints in object_joints.items()}
+    data |= {f"{name}_joints": _f32(joints) for name, joints in (object_joints or {}).items()}
     data |= {
         "ee_pose": _f32(_squeezed(ee_pose)),
         "ctrl": _f32(ctrl.ravel()),

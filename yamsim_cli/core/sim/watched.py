@@ -79,6 +79,11 @@ class WatchedLoop:
             see(self.data)
 
     @property
+    def hold_ticks(self) -> int:
+        """For how many ticks at the end the goal has to hold."""
+        return self._task.hold_ticks
+
+    @property
     def frames(self) -> int:
         """How many frames were recorded so far."""
         return len(self._positions)
