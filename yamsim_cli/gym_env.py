@@ -79,10 +79,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             session = Session(PROGRAM.config(config, where, **given), where)
 
         from .core.attempt.simulator import Simulator
+        from .core.config.pairs import require_pair
         from .core.evaluate.observation import policy_cameras
         from .core.policies.base import SCENE, WRIST
 
-        self._config = session.config
+        self._config = require_pair(session.config, "the gymnasium environment")
         self._simulator = Simulator(session)
         self._max_ticks = max_ticks or 2 * self._simulator.kind.ticks(self._config)
         self._cameras = policy_cameras(self._config, (SCENE, WRIST))
@@ -132,7 +133,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self._attempt = attempt = with_room(self._simulator, attempt)
         assert attempt.start is not None  # it has a layout
         self._denied, self._rested = False, 0
-        scene, task = self._simulator.varied(attempt), self._config.task
+        scene, task = self._simulator.varied(attempt), self._config.pair
         self._loop = ClosedLoop(scene, attempt.start, task.object.name, task.timing)
         return self._observe(), self._info()
 
@@ -160,7 +161,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self._simulator.close()
 
     def _succeeded(self) -> bool:
-        loop, task = self._loop, self._config.task
+        loop, task = self._loop, self._config.pair
         rests = not loop.holds and loop.rests_on(task.target.name, task.success)
         self._rested = self._rested + 1 if rests else 0
         if self._denied or self._rested < _REST_TICKS:
@@ -186,7 +187,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         hands = of_arms(T_base @ replica.T_grasp_in_base())
         seen: dict[str, Any] = {"joints": replica.joints().ravel(), "ee_pose_world": hands}
         if not self._images:
-            task = self._config.task
+            task = self._config.pair
             for key, item in (("object_pose_world", task.object), ("target_pose_world", task.target)):
                 seen[key] = T_base @ replica.T_object_in_base(item.name)
         numbers = {key: np.clip(value, -_FAR, _FAR).astype(np.float32) for key, value in seen.items()}

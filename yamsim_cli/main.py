@@ -14,7 +14,7 @@ import typer
 from typer.exceptions import TyperException
 
 from . import __version__
-from .commands import assets, config, export, pickplace, robots
+from .commands import assets, config, export, pickplace, robots, tasks
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
@@ -55,6 +55,7 @@ app.command()(teleop)
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(robots.app, name="robots")
+app.add_typer(tasks.app, name="tasks")
 app.add_typer(assets.app, name="assets")
 
 # Packages whose versions decide what is recorded; `yamsim doctor` shows those of all packages.

@@ -10,7 +10,7 @@ import numpy as np
 from tests.bench.setting import Stopwatch
 from tests.core.attempts import all_actions
 from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.physics import Simulated
+from yamsim_cli.core.attempt.simulated import Simulated
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.files import publish_directory
 from yamsim_cli.core.images.jpeg import encode_jpeg

@@ -89,6 +89,7 @@ def validate(
     Example: yamsim config validate my_rig.yaml --kind rigs
     """
     from yamsim_cli.core.config.loader import KINDS, model_of, validate_file
+    from yamsim_cli.core.skills.checked import check_config
 
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in KINDS:
@@ -96,7 +97,7 @@ def validate(
     model, where = model_of(guessed), opener.locations()
     parts = model.within(file)
     for part in parts:
-        validate_file(model, part, where)
+        validate_file(model, part, where, check=check_config)
     if json:
         print_json({"valid": True, "kind": guessed, "path": str(file), "parts": list(map(str, parts))})
     else:

@@ -99,10 +99,10 @@ def _film(
     if not render:
         return film_recorded(stored, cameras, video, period, overwrite=overwrite)
 
-    from yamsim_cli.core.attempt.simulator import Simulator
+    from yamsim_cli.core.show.replay import simulator_of
 
     session = opener.with_meshes(shown_again(_session(stored, where), size))
-    with Simulator(session) as simulator:
+    with simulator_of(stored, session) as simulator:
         return film_rendered(stored, simulator, cameras, video, period, overwrite=overwrite)
 
 

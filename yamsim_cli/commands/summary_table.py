@@ -24,7 +24,7 @@ def findings(report: Mapping[str, Any]) -> RenderableType:
     """Figures, rates by threshold, workspace, and problems by code."""
     parts: list[RenderableType] = [_figures(report)]
     if report["episodes"]:
-        parts += [_rates(report), _workspace(report["workspace"])]
+        parts += [*([_rates(report)] if report["success_rate"] else []), _workspace(report["workspace"])]
     parts.append(_problems(report))
     return Constrain(Group(*parts), _WIDTH)
 
@@ -46,6 +46,8 @@ def _figures(report: Mapping[str, Any]) -> Facts:
     if attempts["n"]:
         row("attempts", f"{attempts['n']:,}: {_rate(attempts['success_rate'], attempts['wilson95'])} succeeded")
         row("failures", ", ".join(f"{count} {cause}" for cause, count in attempts["causes"].items()))
+        if attempts["recovered"]:
+            row("recovered", f"{attempts['recovered']:,} of them after a skill was tried again")
     for key, label in (("dxy_m", "off centre"), ("dz_m", "above target")):
         if spread := report[key]:
             row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _SPREAD.items()))

@@ -25,8 +25,9 @@ def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[s
     """What `core.trials.tally.tally` counts."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
+    limit_m = counts["threshold_m"]
     yield (
-        f"success within {counts['threshold_m'] * 100:g} cm",
+        "success" if limit_m is None else f"success within {limit_m * 100:g} cm",
         f"{counts['n_success']} of {counts['n']} ({counts['success_rate']:.1%}; 95 % interval {low:.1%} to {high:.1%})",
     )
     for limit, rate in counts["rates"].items():
@@ -35,6 +36,8 @@ def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[s
         yield "distance from the centre", _figures(spread, "mm")
     for cause, count in counts["causes"].items():
         yield f"failed: {cause}", str(count)
+    if counts["recovered"]:
+        yield "recovered", f"{counts['recovered']} of the successes tried a skill again"
 
 
 def _batch(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -44,6 +47,7 @@ def _batch(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
             f"{margins['velocity_share']:.0%} of a motor's speed, {margins['torque_share']:.0%} of a drive's torque, "
             f"{margins['joint_rad']:.2f} rad from a stop",
         )
+    if margins and margins["slip_m"] is not None:
         yield (
             f"held by {report['grasp']}",
             f"slipped {margins['slip_m'] * 1000:.1f} mm and tilted {margins['object_tilt_rad']:.2f} rad at most",

@@ -12,6 +12,7 @@ from .session import Session
 
 if TYPE_CHECKING:
     from .assets import AssetLock, AssetStore
+    from .config.program_task import ProgramTiming
     from .config.recording import RecordConfig, RenderConfig
     from .config.rig import RigConfig
     from .config.task import Timing
@@ -108,6 +109,7 @@ class Opener:
         """
         from .config.loader import load_config
         from .config.recording import RecordConfig
+        from .skills.checked import check_config
         from .tasks.kinds import kind_of
 
         if isinstance(size := given.get("size"), str):
@@ -121,19 +123,32 @@ class Opener:
             for setting, path in _SETS.items()
             if given.get(setting) is not None
         }
+        if given.get("task") is not None and given.get("rig") is None and (rig := self._own_rig(given["task"], where)):
+            overrides["rig",] = (self.spell("task"), rig)
         if fps is not None:
             overrides |= self._at_rate(fps, self.config(name, where, **given).task.timing)
-        config = load_config(RecordConfig, "record", name, where, overrides)
-        kind_of(config.task)
+        config = load_config(RecordConfig, "record", name, where, overrides, check_config)
+        if config.program is None:
+            kind_of(config.pair)
         return config
 
-    def _at_rate(self, fps: float, timing: Timing) -> dict[KeyPath, tuple[str, Any]]:
+    def _at_rate(self, fps: float, timing: Timing | ProgramTiming) -> dict[KeyPath, tuple[str, Any]]:
+        from .config.frame_rate import at_rate
+
         try:
-            at_rate = timing.at_rate(fps)
+            changed = at_rate(timing, fps)
         except ValueError as error:
             raise UsageError(f"{self.spell('fps')}: {error}") from None
-        changed = {key: getattr(at_rate, key) for key in ("timestep", "ticks_per_frame")}
         return {("task", "timing", key): (self.spell("fps"), value) for key, value in changed.items()}
+
+    def _own_rig(self, task: str, where: Locations) -> str | None:
+        """The rig that a task says it is done on; None if it says none."""
+        from .config.loader import model_of
+        from .config.program_task import PROGRAM
+
+        data = model_of("tasks").read(where.config_file("tasks", task)).data
+        rig = data.get("rig") if data.get("kind") == PROGRAM else None
+        return rig if isinstance(rig, str) else None
 
     def rig(self, name: str, where: Locations, margin: float | None = None, revision: str | None = None) -> RigConfig:
         """The named rig, with another margin, or another revision of its robots, if one was given."""

@@ -9,8 +9,13 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from .geometry.se3 import Array, UprightPose, pose, rotation_z, yaw
+from .geometry.se3 import Array, UprightPose, pose, pose_from_quat, quat_from_rotation, rotation_z, yaw
+from .goals.cast import Cast
+from .goals.measure import Measure
 from .variation import Variation
+
+# A pose as records hold it where things need not stand upright: x, y, z in m, and a unit quaternion w, x, y, z.
+FullPose = tuple[float, float, float, float, float, float, float]
 
 # Whether each arm's weld holds, on each of some ticks: (ticks, arms) or (arms,), the left arm's first.
 Holds = NDArray[np.bool_]
@@ -22,19 +27,32 @@ class Layout:
 
     Attributes:
         T_in_world: object name -> pose (4, 4) in `world`.
+        upright: whether all of them stand upright, so that records need but their headings.
     """
 
     T_in_world: Mapping[str, Array]
+    upright: bool = True
 
     @classmethod
-    def of(cls, places: Mapping[str, UprightPose]) -> Layout:
+    def of(cls, places: Mapping[str, UprightPose | FullPose]) -> Layout:
         """From what `places` gave."""
-        return cls({name: pose((x, y, z), rotation_z(angle)) for name, (x, y, z, angle) in places.items()})
+        return cls({name: _pose(place) for name, place in places.items()}, all(len(p) == 4 for p in places.values()))
 
     @property
-    def places(self) -> dict[str, UprightPose]:
-        """Object name -> where it stands upright, in `world`, as records hold it."""
-        return {name: (float(T[0, 3]), float(T[1, 3]), float(T[2, 3]), yaw(T)) for name, T in self.T_in_world.items()}
+    def places(self) -> dict[str, UprightPose | FullPose]:
+        """Object name -> where it is, in `world`, as records hold it."""
+        return {name: self._place(T) for name, T in self.T_in_world.items()}
+
+    def _place(self, T: Array) -> UprightPose | FullPose:
+        x, y, z = (float(part) for part in T[:3, 3])
+        if self.upright:
+            return x, y, z, yaw(T)
+        qw, qx, qy, qz = (float(part) for part in quat_from_rotation(T[:3, :3]))
+        return x, y, z, qw, qx, qy, qz
+
+
+def _pose(place: UprightPose | FullPose) -> Array:
+    return pose(place[:3], rotation_z(place[3])) if len(place) == 4 else pose_from_quat(place[:3], place[3:])
 
 
 @dataclass(frozen=True)
@@ -184,6 +202,8 @@ class Cause(StrEnum):
     LIMITS = "limits"
     OFF_TARGET = "off_target"
     UNSTABLE = "unstable"
+    GOAL = "goal"
+    TIME = "time"
     WORKER_LOST = "worker_lost"
 
 
@@ -195,15 +215,15 @@ class Margins:
         velocity: largest speed of a joint, as a share of its motor's no-load speed.
         torque: largest torque of a drive, as a share of the most that it gives.
         joint: smallest distance of a joint from its nearer stop, rad; negative beyond it.
-        slip: how far the object moved in the hand while it was held, m.
-        tilt: how far the object turned from how it lay while it was held, rad.
+        slip: how far the object moved in the hand while it was held, m; None of a program, which holds many things.
+        tilt: how far the object turned from how it lay while it was held, rad; likewise.
     """
 
     velocity: float
     torque: float
     joint: float
-    slip: float
-    tilt: float
+    slip: float | None
+    tilt: float | None
 
 
 @dataclass(frozen=True)
@@ -224,6 +244,23 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Recovery:
+    """A skill that failed and was tried again.
+
+    Attributes:
+        step: its number in the program as run.
+        skill: its name.
+        detail: what had gone wrong.
+        frame: the first recorded frame of the new try.
+    """
+
+    step: int
+    skill: str
+    detail: str
+    frame: int
+
+
+@dataclass(frozen=True)
 class Outcome:
     """How an attempt ended, in numbers, so that any other threshold can be applied later.
 
@@ -236,6 +273,8 @@ class Outcome:
         speed: speed of the object at the end, m/s; None if never simulated.
         position_error, tilt: of the plan's inverse kinematics, m and rad; None if there is no plan.
         margins: of the motion; None if never simulated.
+        measures: of everything that a goal asks for; none where a task has no goal of its own.
+        recoveries: of a program: what had to be tried again.
     """
 
     success: bool
@@ -247,6 +286,8 @@ class Outcome:
     position_error: float | None = None
     tilt: float | None = None
     margins: Margins | None = None
+    measures: tuple[Measure, ...] = ()
+    recoveries: tuple[Recovery, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -266,16 +307,20 @@ class Attempt:
         layout: where things stand; None where there was no room for them.
         variation: what differs from other attempts beside the layout.
         start: MuJoCo's positions (nq,) at the beginning, when everything is at rest; None without a layout.
+        cast: who plays which role, in a task that has roles.
+        phrasing: what is said to have it done; empty where the task's own prompt is.
     """
 
     job: EpisodeJob
     layout: Layout | None = None
     variation: Variation = field(default_factory=Variation)
     start: Array | None = None
+    cast: Cast | None = None
+    phrasing: str = ""
 
     @property
-    def places(self) -> dict[str, UprightPose]:
-        """Object name -> where it stands at the start, in `world`; empty without a layout."""
+    def places(self) -> dict[str, UprightPose | FullPose]:
+        """Object name -> where it is at the start, in `world`; empty without a layout."""
         return {} if self.layout is None else self.layout.places
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..config.recording import RecordConfig
 from ..dataset.lowdim import SimulationData, frame_data
-from ..geometry.se3 import inverse
+from ..geometry.se3 import Array, inverse
 from ..types import Attempt, StepState
 from .simulator import Simulator
 
@@ -15,10 +15,17 @@ from .simulator import Simulator
 def frames(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
     """What is recorded of each state, see `dataset.lowdim`; nothing is rendered for it."""
     simulator.varied(attempt)
-    return [_frame(simulator, state) for state in states]
+    return [_frame(simulator, attempt, state) for state in states]
 
 
-def _frame(simulator: Simulator, state: StepState) -> dict[str, Any]:
+def _joints(simulator: Simulator) -> dict[str, Array]:
+    """Thing -> positions of its joints, of tasks that are data; others never held any."""
+    program = simulator.config.program
+    things = program.objects if program else ()
+    return {item.name: simulator.replica.object_joints(item) for item in things if item.links}
+
+
+def _frame(simulator: Simulator, attempt: Attempt, state: StepState) -> dict[str, Any]:
     config, scene, replica = simulator.config, simulator.scene, simulator.replica
     task, acting = config.task, state.actions
     replica.show(state.qpos)
@@ -28,13 +35,14 @@ def _frame(simulator: Simulator, state: StepState) -> dict[str, Any]:
         timestamp=state.time,
         intrinsics={name: replica.intrinsics(name, config.image.size_px).K for name in scene.cameras},
         extrinsics={name: replica.T_cam_in_base(name) for name in scene.cameras},
-        object_poses={item.name: replica.T_object_in_base(item.name) for item in task.things},
+        object_poses={item.name: replica.T_object_in_base(item.name) for item in task.objects},
+        object_joints=_joints(simulator),
         ee_pose=replica.T_grasp_in_base(),
         ctrl=acting.ctrl[0][scene.drives],
         action_joints=acting.joints[0],
         magnet=acting.magnet[0],
         language_task=task.language_task,
-        language_prompt=task.language_prompt,
+        language_prompt=attempt.phrasing or task.language_prompt,
         wrist_camera=config.wrist_arms[0].wrist_camera_name if len(config.wrist_arms) == 1 else None,
         T_right_base_in_left_base=inverse(bases[0]) @ bases[1] if len(bases) > 1 else None,
         full_openings=full_openings(config) if config.action == "joints" else None,

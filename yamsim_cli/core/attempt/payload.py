@@ -10,8 +10,8 @@ from ..dataset.layout import lowdim_name
 from ..dataset.lowdim import content_hash, dump_frame
 from ..types import EpisodePayload
 from .frames import frames
-from .physics import Simulated
 from .pictures import image_files
+from .simulated import Simulated
 from .simulator import Simulator
 
 

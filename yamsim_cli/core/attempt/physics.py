@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import mujoco
 
@@ -11,28 +10,10 @@ from ..sim.rollout import Rollout
 from ..sim.rollout import simulate as run
 from ..tasks.pickplace import Poses
 from ..tasks.plans import phases_of
-from ..types import Actions, Attempt, Outcome, Phases, StepState
+from ..types import Actions, Attempt, Outcome, Phases
+from .programs import repeat_program
+from .simulated import Simulated
 from .simulator import Simulator
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """An attempt, and what became of it.
-
-    Attributes:
-        attempt: as it began, with its distractors where they were placed.
-        outcome: how it ended.
-        rollout: what happened; None where nothing moved.
-    """
-
-    attempt: Attempt
-    outcome: Outcome
-    rollout: Rollout | None
-
-    @property
-    def states(self) -> tuple[StepState, ...]:
-        """Of every recorded frame; none where nothing moved."""
-        return self.rollout.states if self.rollout else ()
 
 
 def simulate(
@@ -48,7 +29,7 @@ def simulate(
         phases: when the object is to be in hand, and in whose.
         see: see `sim.rollout.simulate`.
     """
-    task = simulator.config.task
+    task = simulator.config.pair
     assert attempt.start is not None, "nothing moves without a layout"
     return run(simulator.varied(attempt), attempt.start, actions, task.object.name, task.timing, phases, see)
 
@@ -59,7 +40,7 @@ def judge(simulator: Simulator, rollout: Rollout, *, planned: bool) -> Outcome:
     Args:
         planned: whether its actions came from a plan; then they may touch nothing, and keep to all limits.
     """
-    task, grasp = simulator.config.task, simulator.config.grasp
+    task, grasp = simulator.config.pair, simulator.config.grasp
     item, target = task.object.name, task.target.name
     poses = Poses(
         rollout.T_at_start[item], rollout.T_object_before_grasp, rollout.T_in_world[item], rollout.T_in_world[target]
@@ -82,6 +63,8 @@ def repeat(
             `judge`, too.
         see: see `sim.rollout.simulate`.
     """
+    if simulator.config.program:
+        return repeat_program(simulator, attempt, actions, planned=planned, see=see)
     phases = simulator.kind.phases(simulator.config) if planned else phases_of(actions.magnet)
     rollout = simulate(simulator, attempt, actions, phases, see)
     return Simulated(attempt, judge(simulator, rollout, planned=planned), rollout)

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from ..sim.rollout import path_actions, path_start
 from ..types import Actions, Attempt, Cause, Outcome
 from .distractors import with_distractors
-from .physics import Simulated, repeat
+from .physics import repeat
+from .programs import demonstrate_program
+from .simulated import Simulated
 from .simulator import Simulator
 
 # A plan that misses a waypoint by more than this is out of the arm's reach, m.
@@ -40,8 +42,11 @@ def plan(simulator: Simulator, attempt: Attempt) -> Planned:
 
 def demonstrate(simulator: Simulator, attempt: Attempt) -> Simulated:
     """What the planner makes of an attempt, in physics alone."""
+    if simulator.config.program:
+        done = demonstrate_program(simulator, attempt)
+        return replace(done, attempt=with_distractors(simulator, done.attempt, done.states)) if done.states else done
     if attempt.layout is None:
-        detail = f"no free place for the {simulator.config.task.target.name} in the sampling box"
+        detail = f"no free place for the {simulator.config.pair.target.name} in the sampling box"
         return Simulated(attempt, Outcome(False, Cause.NO_LAYOUT, detail), None)
 
     planned = plan(simulator, attempt)

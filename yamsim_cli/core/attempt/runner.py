@@ -13,6 +13,7 @@ from .payload import payload, result
 from .planned import demonstrate
 from .sampling import sample
 from .simulator import Simulator
+from .simulators import Simulators
 
 # Where meshes are shown, when a worker's are not the recorder's.
 _PLACES = ("for the recorder", "there")
@@ -30,19 +31,37 @@ class EpisodeRunner(Closing):
 
     def __init__(self, session: Session, *, render: bool) -> None:
         self._render = render
-        self._simulator = recording_simulator(session) if render else Simulator(session)
+        self._simulators = Simulators(session, require_meshes if render else lambda made: None)
         # Now, since the files that it is made from need not be there any more when the first job comes.
-        _ = self._simulator.planner
+        self._simulators.of(EpisodeJob(session.config.seed, 0)).prepare()
 
     def run(self, job: EpisodeJob) -> EpisodePayload:
         """Make one attempt."""
-        simulator = self._simulator
+        simulator = self._simulators.of(job)
         done = demonstrate(simulator, sample(simulator, job))
         return payload(simulator, done) if self._render else result(done)
 
     def close(self) -> None:
-        """Free the renderer."""
-        self._simulator.close()
+        """Free the renderers."""
+        self._simulators.close()
+
+
+def require_meshes(simulator: Simulator) -> None:
+    """Make sure that a simulator whose pictures are to be recorded shows what the config says; close it otherwise.
+
+    Raises:
+        ResourceError: it shows other meshes.
+    """
+    said, shown = simulator.config.meshes, simulator.scene.shown_meshes
+    if said is not None and simulator.config.program:
+        # Of the things that may play a role, not all are in every scene.
+        said = {name: text for name, text in said.items() if name in shown}
+    if said is not None and (others := differences(said, shown, _PLACES)):
+        simulator.close()
+        raise ResourceError(
+            f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(others)}; they "
+            "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"
+        )
 
 
 def recording_simulator(session: Session) -> Simulator:
@@ -51,11 +70,6 @@ def recording_simulator(session: Session) -> Simulator:
     Raises:
         ResourceError: it would show other meshes than the config says.
     """
-    simulator, said = Simulator(session), session.config.meshes
-    if said is not None and (others := differences(said, simulator.scene.shown_meshes, _PLACES)):
-        simulator.close()
-        raise ResourceError(
-            f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(others)}; they "
-            "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"
-        )
+    simulator = Simulator(session)
+    require_meshes(simulator)
     return simulator

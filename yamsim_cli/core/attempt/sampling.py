@@ -10,13 +10,17 @@ from ..tasks.kinds import sample_layout
 from ..tasks.sampled_variation import sample_variation
 from ..types import Attempt, EpisodeJob, Stand
 from ..variation import Variation
+from .programs import sample_program
 from .simulator import Simulator
 
 
 def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
     """The attempt of a seed and a number; its distractors come later, see `distractors`."""
     config, scene = simulator.config, simulator.scene
-    variation, layout = _variation(config, job), sample_layout(config, job)
+    variation = _variation(config, job)
+    if config.program:
+        return sample_program(simulator, job, variation)
+    layout = sample_layout(config, job)
     if layout is None:
         return Attempt(job, None, variation)
     return Attempt(job, layout, variation, scene.start_qpos(layout, _start_stands(simulator)))
@@ -25,7 +29,7 @@ def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
 def _variation(config: RecordConfig, job: EpisodeJob) -> Variation:
     if not config.randomization.parts:
         return Variation()
-    return sample_variation(config.randomization, job, len(config.scene.lights), config.task.things)
+    return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects)
 
 
 def _start_stands(simulator: Simulator) -> list[Stand]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 
 from ..closing import Closing
-from ..planning.demonstration import Planner
+from ..goals.cast import Cast
+from ..planning.demonstration import Planner, arm_tools
 from ..planning.planners import make_planner
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene
@@ -16,6 +17,7 @@ from ..tasks.kinds import TaskKind, kind_of
 from ..types import Attempt
 from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import SceneRenderer
+from .expert import ExpertTools
 from .varied_scene import VariedScene
 
 
@@ -28,17 +30,17 @@ class Simulator(Closing):
     Attributes:
         session: of which it was made.
         config: the session's.
-        kind: of the config's task.
+        cast: who plays the roles, of a task that has some; its config has the things of this cast alone.
         scene: compiled. Its model is varied as the attempt that was last asked for, see `varied`.
 
     Raises:
         SimulationError: the scene cannot be compiled.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, cast: Cast | None = None) -> None:
         self.session = session
         self.config = config = session.config
-        self.kind: TaskKind = kind_of(config.task)
+        self.cast = cast
         self.scene = build_scene(session)
         # Made of the scene before it is varied for the first time.
         self.labels: SceneLabels | None = _labels(session, self.scene) if config.truth else None
@@ -54,6 +56,20 @@ class Simulator(Closing):
     def replica(self) -> Replica:
         """A copy of the scene that takes on recorded states."""
         return Replica(self.scene)
+
+    @property
+    def kind(self) -> TaskKind:
+        """The kind of a task with an object and a target."""
+        return kind_of(self.config.pair)
+
+    @functools.cached_property
+    def expert_tools(self) -> ExpertTools:
+        """What the expert of a task that is data plans with; it reads files, as `planner` does."""
+        return ExpertTools(self.config, self.scene, arm_tools(self.config, self.scene))
+
+    def prepare(self) -> None:
+        """Make now what reads files, which need not be there any more when the first attempt comes."""
+        _ = self.expert_tools if self.config.program else self.planner
 
     @functools.cached_property
     def planner(self) -> Planner:
@@ -81,5 +97,5 @@ class Simulator(Closing):
 
 def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
     config = session.config
-    things = (*config.task.things, *config.randomization.extras)
+    things = (*config.task.objects, *config.randomization.extras)
     return scene_labels(scene.model, config.rig, [item.name for item in things], boards=config.boards)

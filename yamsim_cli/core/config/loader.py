@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from pydantic import ValidationError
 
-from ..documents.base import Config, Reference
+from ..documents.base import Config, ConflictError, Reference
 from ..documents.document import Document, KeyPath, is_setting, parse_yaml
-from ..documents.explain import dotted, explain, kind_instead, models_in
+from ..documents.explain import dotted, explain, explain_conflict, kind_instead, mapped_to, models_in
 from ..documents.units import AS_RECORDED
 from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
 from ..robots.models import ArmModel, Gripper
 from . import robot_names
 from .camera import CameraConfig
+from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
 from .recording import RecordConfig, RenderConfig
 from .rig import RigConfig
@@ -43,6 +44,8 @@ _JOINED = "+"
 
 C = TypeVar("C", bound=Config)
 
+Check = Callable[[Config], None]
+
 
 def model_of(kind: str) -> type[Config]:
     """The model of a kind of config.
@@ -55,12 +58,18 @@ def model_of(kind: str) -> type[Config]:
     return KINDS[kind]
 
 
+def variant(model: type[Config], data: Mapping[str, Any]) -> type[Config]:
+    """The model that a document has to fit: of tasks there are two, told apart by their `kind`."""
+    return ProgramTask if model is TaskConfig and data.get("kind") == PROGRAM else model
+
+
 def load_config(
     model: type[C],
     kind: str,
     name: str,
     locations: Locations,
     overrides: Mapping[KeyPath, tuple[str, Any]] | None = None,
+    check: Check | None = None,
 ) -> C:
     """One config, loaded, with its references filled in, and checked.
 
@@ -69,6 +78,7 @@ def load_config(
         kind: folder under `configs/`.
         name: a config's name, or the path of a file, see `Locations.config_file`.
         overrides: key path -> (what set it, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
+        check: of what only floors above know; it raises a `ConflictError`.
 
     Raises:
         ConfigError: it is not valid; the message has file, line, key path, value and what would be valid.
@@ -89,12 +99,16 @@ def load_config(
         elif len(path) > 1:
             document.set(path, value, place)
     flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
-    return _check(model, document, locations, flags)
+    return _check(model, document, locations, flags, check=check)
 
 
-def validate_file(model: type[C], path: Path, locations: Locations, *, as_recorded: bool = False) -> C:
-    """A file's config, checked against a model; for `as_recorded` see `parse_config`. Raises as `load_config`."""
-    return _check(model, _read(model, path), locations, as_recorded=as_recorded)
+def validate_file(
+    model: type[C], path: Path, locations: Locations, *, as_recorded: bool = False, check: Check | None = None
+) -> C:
+    """A file's config, checked against a model; for `as_recorded` see `parse_config`, for `check` and what it raises
+    `load_config`.
+    """
+    return _check(model, _read(model, path), locations, as_recorded=as_recorded, check=check)
 
 
 def parse_config(model: type[C], text: str, source: str, locations: Locations, *, as_recorded: bool = False) -> C:
@@ -149,6 +163,7 @@ def _read(model: type[Config], path: Path) -> Document:
 
 def _other_kind(model: type[Config], document: Document) -> str | None:
     """An error message if, judging by its keys, the file holds another kind of config; else None."""
+    model = variant(model, document.data)
     kind = next((kind for kind, known in KINDS.items() if known is model), None)
     if kind is None or (instead := kind_instead(KINDS, kind, document.data)) is None:
         return None
@@ -163,17 +178,26 @@ def _check(
     flags: Mapping[KeyPath, str] | None = None,
     *,
     as_recorded: bool = False,
+    check: Check | None = None,
 ) -> C:
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
-    _resolve_references(model, document, (), locations)
+    fitting = cast(type[C], variant(model, document.data))
+    _resolve_references(fitting, document, (), locations)
     try:
-        return model.model_validate(document.data, context=AS_RECORDED if as_recorded else None)
+        config = fitting.model_validate(document.data, context=AS_RECORDED if as_recorded else None)
+        if check is not None:
+            check(config)
+        return config
     except ValidationError as error:
-        place, message = explain(model, document, error, flags or {})
-        # A bad value that came by a flag is a fault of the command line, not of any config.
-        kind = UsageError if is_setting(place) else ConfigError
-        raise kind(f"{place}: {message}") from error
+        place, message = explain(fitting, document, error, flags or {})
+        cause: Exception = error
+    except ConflictError as error:
+        place, message = explain_conflict(document, error, flags or {})
+        cause = error
+    # A bad value that came by a flag is a fault of the command line, not of any config.
+    kind = UsageError if is_setting(place) else ConfigError
+    raise kind(f"{place}: {message}") from cause
 
 
 def _references(model: type[Config]) -> Iterator[tuple[str, str, type[Config]]]:
@@ -188,6 +212,7 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
     here: Any = document.data
     for key in path:
         here = here[key]
+    model = variant(model, here)
     for name, kind, target in _references(model):
         items = list(here[name]) if isinstance(here.get(name), list) else None
         named = {(*path, name): here.get(name)} if items is None else {(*path, name, k): v for k, v in enumerate(items)}
@@ -200,9 +225,14 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
         if any(isinstance(mark, Reference) for mark in info.metadata):
             continue
         value = here.get(name)
-        inside = {(*path, name, k): item for k, item in enumerate(value)} if isinstance(value, list) else {}
-        for inner, item in (inside or {(*path, name): value}).items():
-            for part in models_in(info.annotation) if isinstance(item, dict) else ():
+        inside: dict[KeyPath, Any] = {(*path, name): value}
+        parts, values = models_in(info.annotation), mapped_to(info.annotation)
+        if isinstance(value, list):
+            inside = {(*path, name, k): item for k, item in enumerate(value)}
+        elif values is not None and isinstance(value, dict):
+            inside, parts = {(*path, name, key): item for key, item in value.items()}, models_in(values)
+        for inner, item in inside.items():
+            for part in parts if isinstance(item, dict) else ():
                 if issubclass(part, Config):
                     _resolve_references(part, document, inner, locations)
 

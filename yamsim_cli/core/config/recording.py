@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
+from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Reference
+from ..documents.explain import BRANCH
 from ..documents.units import Within, as_recorded
 from ..robots.models import Fingers
 from ..robots.stops import beyond_stops
 from ..shown_meshes import PATTERN
+from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
@@ -84,6 +86,21 @@ def _other(side: Side) -> Side:
 _WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")
 
 
+# The two models of tasks, as branches of a union.
+_BY_PROGRAM, _BY_PLAN = f"{BRANCH}program", f"{BRANCH}plan"
+
+
+def _branch(task: Any) -> str:
+    kind = task.get("kind") if isinstance(task, Mapping) else getattr(task, "kind", None)
+    return _BY_PROGRAM if kind == PROGRAM else _BY_PLAN
+
+
+# A task with an object and a target, which is planned beforehand, or one that is data, which skills do.
+AnyTask = Annotated[
+    Annotated[TaskConfig, Tag(_BY_PLAN)] | Annotated[ProgramTask, Tag(_BY_PROGRAM)], Discriminator(_branch)
+]
+
+
 class RecordConfig(Config):
     """What `yamsim record` and `yamsim pickplace batch` run.
 
@@ -107,7 +124,7 @@ class RecordConfig(Config):
 
     rig: Annotated[RigConfig, Reference("rigs")]
     scene: Annotated[SceneConfig, Reference("scenes")]
-    task: Annotated[TaskConfig, Reference("tasks")]
+    task: Annotated[AnyTask, Reference("tasks")]
     # Left out where it is the default, so that datasets of one arm say what they always said.
     arm: Annotated[Side, Field(exclude_if=lambda side: side == "right")] = "right"
     grasp: GraspKind
@@ -135,7 +152,7 @@ class RecordConfig(Config):
                     ("scene",),
                     ("task",),
                 )
-        names = [item.name for item in (*self.task.things, *self.randomization.extras)]
+        names = [item.name for item in (*self.task.objects, *self.randomization.extras)]
         if len(set(names)) < len(names):
             raise ConflictError(
                 f"distractors and the task's objects must all differ: {', '.join(names)}",
@@ -172,7 +189,7 @@ class RecordConfig(Config):
 
     @model_validator(mode="after")
     def _can_hand_over(self) -> RecordConfig:
-        if self.task.exchange is None:
+        if isinstance(self.task, ProgramTask) or self.task.exchange is None:
             return self
         if len(self.rig.arms) < 2:
             raise ConflictError(
@@ -187,6 +204,8 @@ class RecordConfig(Config):
 
     @model_validator(mode="after")
     def _fits_between_the_fingers(self) -> RecordConfig:
+        if isinstance(self.task, ProgramTask):
+            return self
         item = self.task.object
         assert item.grasp is not None  # checked by the task
         for arm in self.acting_arms:
@@ -211,6 +230,9 @@ class RecordConfig(Config):
 
     @model_validator(mode="after")
     def _can_be_held(self) -> RecordConfig:
+        if isinstance(self.task, ProgramTask):
+            # Skills hold by friction alone.
+            self = self.model_copy(update={"grasp": "contact"})
         if self.grasp != "contact":
             return self
         for arm in self.acting_arms:
@@ -221,6 +243,8 @@ class RecordConfig(Config):
                     ("grasp",),
                     ("rig",),
                 )
+        if isinstance(self.task, ProgramTask):
+            return self
         grasp = self.task.object.grasp
         if grasp is None or grasp.friction is None:
             raise ConflictError(
@@ -277,6 +301,17 @@ class RecordConfig(Config):
         return self
 
     @property
+    def pair(self) -> TaskConfig:
+        """The task, which is one with an object and a target: for what knows no other."""
+        assert isinstance(self.task, TaskConfig), "not called for tasks that are data"
+        return self.task
+
+    @property
+    def program(self) -> ProgramTask | None:
+        """The task, if it is data and done by skills."""
+        return self.task if isinstance(self.task, ProgramTask) else None
+
+    @property
     def start_joints(self) -> tuple[float, ...]:
         """Joints of the arms that do the task when it starts, rad."""
         assert self.task.start_joints is not None  # completed when the config was loaded
@@ -305,6 +340,8 @@ class RecordConfig(Config):
     def acting(self) -> tuple[int, ...]:
         """Numbers, in the rig, of the arms that do the task: the one that picks first, the one that places last."""
         by_side = {arm.side: k for k, arm in enumerate(self.rig.arms)}
+        if isinstance(self.task, ProgramTask):
+            return self.rig.recorded
         if self.task.exchange is not None:
             return by_side[self.arm], by_side[_other(self.arm)]
         return (by_side.get(self.arm, 0),)
@@ -338,18 +375,18 @@ class RecordConfig(Config):
     @property
     def object_box(self) -> Sampling:
         """Where the object starts, in `world`: the task's box, which is given for an arm at 0, at the picking arm."""
-        return self.task.sampling.moved(self.rig.place_y(self.acting[0]))
+        return self.pair.sampling.moved(self.rig.place_y(self.acting[0]))
 
     @property
     def target_box(self) -> Sampling:
         """Where the target stands, in `world`: as `object_box`, for the arm that places."""
-        return self.task.sampling.moved(self.rig.place_y(self.acting[-1]))
+        return self.pair.sampling.moved(self.rig.place_y(self.acting[-1]))
 
     @property
     def sampled(self) -> Sampling:
         """The smallest box around both."""
         ends = (*self.object_box.y, *self.target_box.y)
-        return self.task.sampling.model_copy(update={"y": (min(ends), max(ends))})
+        return self.pair.sampling.model_copy(update={"y": (min(ends), max(ends))})
 
     def data_config(self) -> dict[str, Any]:
         """Everything that decides an episode's bytes, as plain data: how many there are and who makes them does not."""

@@ -10,10 +10,6 @@ from ..documents.base import Config, ConflictError, Name, Reference
 from ..documents.units import Distance, HeadingRange, JointAngle, ReachRange, Within
 from .things import GraspPoint, ObjectConfig
 
-# By how much a control tick may be made longer or shorter for the sake of a frame rate: plans count ticks, so that they
-# become slower or faster with them, and motors have about 10 % to spare.
-_TICK_CHANGE = 0.07
-
 # A height or a distance that cannot be zero, m.
 _Height = Annotated[FiniteFloat, Within("m", 1e-3, 1)]
 
@@ -71,23 +67,6 @@ class Timing(Config):
     def tick(self) -> float:
         """Length of a control tick, s."""
         return self.physics_steps_per_tick * self.timestep
-
-    def at_rate(self, fps: float) -> Timing:
-        """The same with so many frames a second: as many ticks a frame as fit best, each a little longer or shorter.
-
-        Raises:
-            ValueError: whole ticks of about this length do not make that rate.
-        """
-        ticks = max(1, round(1 / (fps * self.tick)))
-        tick = 1 / (fps * ticks)
-        if abs(tick / self.tick - 1) > _TICK_CHANGE:
-            low, high = (1 / (self.tick * (1 + sign * _TICK_CHANGE)) for sign in (1, -1))
-            valid = ", ".join(f"{low / n:.1f} to {high / n:.1f}" for n in (1, 2, 3, 4))
-            raise ValueError(
-                f"{fps:g} frames a second are no whole number of control ticks of about {self.tick * 1000:.0f} ms; "
-                f"valid: {valid}, and so on"
-            )
-        return self.model_copy(update={"timestep": tick / self.physics_steps_per_tick, "ticks_per_frame": ticks})
 
 
 class Success(Config):
@@ -156,7 +135,7 @@ class TaskConfig(Config):
     exchange: Annotated[Exchange | None, Field(exclude_if=lambda exchange: exchange is None)] = None
 
     @property
-    def things(self) -> tuple[ObjectConfig, ...]:
+    def objects(self) -> tuple[ObjectConfig, ...]:
         """All that is moved, or has something put onto it, in the order in which records name it."""
         return self.object, self.target
 

@@ -167,6 +167,17 @@ class ObjectConfig(Config):
             known.add(link.name)
         return self
 
+    def called(self, name: str) -> ObjectConfig:
+        """The same thing by another name."""
+
+        def named(mesh: ObjectMesh) -> ObjectMesh:
+            # What is made from sizes is kept in files of the thing's own name.
+            made = mesh.set == MADE
+            return mesh.model_copy(update={"file": name + mesh.file.removeprefix(self.name)}) if made else mesh
+
+        meshes = {"mesh": named(self.mesh), "meshes": tuple(named(mesh) for mesh in self.meshes)}
+        return self.model_copy(update={"name": name, **meshes})
+
     @property
     def all_meshes(self) -> tuple[ObjectMesh, ...]:
         """Every mesh that is seen of it, its links' included."""

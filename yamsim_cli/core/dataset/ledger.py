@@ -176,4 +176,6 @@ def _attempt_of(record: EpisodeRecord) -> AttemptRecord:
         outcome=record.outcome,
         layout=record.layout,
         randomized=record.randomized,
+        cast=record.cast,
+        phrasing=record.phrasing,
     )

@@ -85,6 +85,7 @@ def frame_data(
     T_right_base_in_left_base: ArrayLike | None = None,
     full_openings: Sequence[float] | None = None,
     simulation: SimulationData | None = None,
+    object_joints: Mapping[str, ArrayLike] | None = None,
 ) -> dict[str, Any]:
     """One frame's dictionary, its keys always in the same order.
 
@@ -107,6 +108,7 @@ def frame_data(
         full_openings: how far one finger of each arm opens in use, m; stores `state` and `action` too, which are
             `joints` and `ctrl` with each opening as a share of that: 0 closed, 1 open.
         simulation: the numbers that make the frame repeatable in physics; None for a real recording.
+        object_joints: articulated object -> positions of its joints (n,), m or rad, stored as `<object>_joints`.
     """
     data: dict[str, Any] = {
         "joints": _f32(joints.ravel()),
@@ -115,6 +117,7 @@ def frame_data(
         "extrinsics": {camera: _f32(T) for camera, T in extrinsics.items()},
     }
     data |= {f"{name}_pose": _f32(T) for name, T in object_poses.items()}
+    data |= {f"{name}_joints": _f32(joints) for name, joints in (object_joints or {}).items()}
     data |= {
         "ee_pose": _f32(_squeezed(ee_pose)),
         "ctrl": _f32(ctrl.ravel()),

@@ -72,7 +72,13 @@ class StoredEpisode:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
         record = self.record
         faults = frame_faults(
-            frame, record.objects, record.cameras, record.arms, record.drives, joint_actions=record.joint_actions
+            frame,
+            record.objects,
+            record.cameras,
+            record.arms,
+            record.drives,
+            record.joints,
+            joint_actions=record.joint_actions,
         )
         if faults:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -12,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ..errors import DatasetError
 from ..files import sha256_bytes
 from ..geometry.se3 import Array, UprightPose
-from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, Layout, Margins, Outcome
+from ..goals.cast import Cast
+from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, FullPose, Layout, Margins, Outcome
 from ..variation import Variation
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 
@@ -21,6 +23,9 @@ DRIVES_UNSAID = 7
 
 # Left out where nothing varies.
 VariationField = Annotated[Variation, Field(exclude_if=lambda variation: variation == Variation())]
+
+
+_UNLESS_EMPTY = Field(exclude_if=lambda value: not value)
 
 
 class Record(BaseModel):
@@ -35,8 +40,8 @@ class MarginsRecord(Record):
     velocity_share: float
     torque_share: float
     joint_rad: float
-    slip_m: float
-    object_tilt_rad: float
+    slip_m: float | None
+    object_tilt_rad: float | None
 
     @classmethod
     def of(cls, margins: Margins) -> MarginsRecord:
@@ -48,6 +53,24 @@ class MarginsRecord(Record):
             slip_m=margins.slip,
             object_tilt_rad=margins.tilt,
         )
+
+
+class MeasureRecord(Record):
+    """How far a part of a goal was from failing, or from holding, see `goals.measure.Measure`."""
+
+    what: str
+    margin: float
+    unit: str
+    detail: str = ""
+
+
+class RecoveryRecord(Record):
+    """A skill that failed and was tried again, see `types.Recovery`."""
+
+    step: int
+    skill: str
+    detail: str
+    frame: int
 
 
 class OutcomeRecord(Record):
@@ -62,6 +85,9 @@ class OutcomeRecord(Record):
     plan_error_m: float | None
     tilt_rad: float | None
     margins: MarginsRecord | None = None
+    # Left out of tasks without goals and programs, as all were in format version 1.
+    measures: Annotated[tuple[MeasureRecord, ...], _UNLESS_EMPTY] = ()
+    recoveries: Annotated[tuple[RecoveryRecord, ...], _UNLESS_EMPTY] = ()
 
     @classmethod
     def of(cls, outcome: Outcome) -> OutcomeRecord:
@@ -76,6 +102,8 @@ class OutcomeRecord(Record):
             plan_error_m=outcome.position_error,
             tilt_rad=outcome.tilt,
             margins=MarginsRecord.of(outcome.margins) if outcome.margins else None,
+            measures=tuple(MeasureRecord(**asdict(measure)) for measure in outcome.measures),
+            recoveries=tuple(RecoveryRecord(**asdict(recovery)) for recovery in outcome.recoveries),
         )
 
     def within(self, threshold: float, max_height: float) -> bool:
@@ -86,15 +114,28 @@ class OutcomeRecord(Record):
         return self.dxy_m <= threshold and 0.0 <= self.dz_m <= max_height
 
 
+# Where a thing starts: format version 1 has `[x, y, z, yaw]`, 2 has `[x, y, z, qw, qx, qy, qz]`, m and rad.
+StartPlace = UprightPose | FullPose
+
+
+class CastRecord(Record):
+    """Who plays which role: role -> things, and thing -> the object that it is."""
+
+    things: dict[str, tuple[str, ...]]
+    kinds: dict[str, str]
+
+
 class AttemptRecord(Record):
-    """One line of `attempts.jsonl`. `layout` maps an object to its start `[x, y, z, yaw]` in `world`, m and rad."""
+    """One line of `attempts.jsonl`. `layout` maps an object to its start in `world`, see `StartPlace`."""
 
     attempt: int
     seed: int
     episode: int | None
     outcome: OutcomeRecord
-    layout: dict[str, UprightPose]
+    layout: dict[str, StartPlace]
     randomized: VariationField = Variation()
+    cast: Annotated[CastRecord | None, _UNLESS_EMPTY] = None
+    phrasing: Annotated[str, _UNLESS_EMPTY] = ""
 
 
 class EpisodeRecord(Record):
@@ -122,9 +163,15 @@ class EpisodeRecord(Record):
     joint_actions: Annotated[bool, Field(exclude_if=lambda said: not said)] = False
     objects: list[str]
     outcome: OutcomeRecord
-    max_height_m: float
-    layout: dict[str, UprightPose]
+    # Of a task that a goal judges, none.
+    max_height_m: float | None
+    layout: dict[str, StartPlace]
     randomized: VariationField = Variation()
+    # From format version 2 on.
+    cast: Annotated[CastRecord | None, _UNLESS_EMPTY] = None
+    phrasing: Annotated[str, _UNLESS_EMPTY] = ""
+    # Articulated thing -> names of its joints, in the order of `<thing>_joints`.
+    joints: Annotated[dict[str, tuple[str, ...]], _UNLESS_EMPTY] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
     # Asset set -> what was shown of it, see `core.shown_meshes`; earlier versions did not say.
@@ -190,6 +237,10 @@ def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecor
         outcome=OutcomeRecord.of(payload.outcome),
         layout=payload.attempt.places,
         randomized=payload.attempt.variation,
+        cast=None
+        if (cast := payload.attempt.cast) is None
+        else CastRecord(things=dict(cast.things), kinds=dict(cast.kinds)),
+        phrasing=payload.attempt.phrasing,
     )
 
 
@@ -199,7 +250,9 @@ def recorded_attempt(record: EpisodeRecord, start: Array | None = None) -> Attem
     Args:
         start: MuJoCo's positions (nq,) of its first frame, where they are needed.
     """
-    return Attempt(EpisodeJob(record.seed, record.attempt), Layout.of(record.layout), record.randomized, start)
+    cast = None if record.cast is None else Cast(record.cast.things, record.cast.kinds)
+    job, layout = EpisodeJob(record.seed, record.attempt), Layout.of(record.layout)
+    return Attempt(job, layout, record.randomized, start, cast, record.phrasing)
 
 
 def file_hashes(files: Mapping[str, bytes]) -> dict[str, str]:

@@ -28,6 +28,8 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
     outcomes = [episode.outcome for episode in episodes if episode.outcome]
     dxy = [outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]
     dz = [outcome.dz_m for outcome in outcomes if outcome.dz_m is not None]
+    if survey.context.judged_by_goal:
+        thresholds = ()
     hits = {f"{t:g}": sum(within(episode, t, survey) for episode in episodes) for t in thresholds}
     records = [episode.record for episode in episodes if episode.record]
     n_errors = errors(problems)
@@ -57,9 +59,13 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
 
 
 def within(episode: EpisodeFacts, threshold: float, survey: Survey) -> bool:
-    """Whether an episode's object lay within `threshold` m of the target's centre, and on it, at the end."""
-    height = episode.record.max_height_m if episode.record else survey.context.max_height
-    return episode.outcome is not None and episode.outcome.within(threshold, height)
+    """Whether an episode's object lay within `threshold` m of the target's centre, and on it, at the end; of a task
+    that a goal judges, whether it was reached.
+    """
+    if episode.outcome is None or survey.context.judged_by_goal:
+        return episode.outcome is not None and episode.outcome.success
+    height = episode.record.max_height_m if episode.record else None
+    return episode.outcome.within(threshold, survey.context.max_height if height is None else height)
 
 
 def workspace_coverage(survey: Survey, points: Sequence[tuple[float, float]]) -> Coverage | None:
@@ -80,6 +86,7 @@ def _attempts(attempts: Sequence[AttemptRecord], thresholds: Sequence[float], ma
         "rates": {t: hit / n if n else None for t, hit in hits.items()},
         "rates_wilson95": {t: wilson95(hit, n) for t, hit in hits.items()},
         "causes": dict(causes.most_common()),
+        "recovered": sum(bool(attempt.outcome.recoveries) for attempt in attempts if attempt.outcome.success),
     }
 
 

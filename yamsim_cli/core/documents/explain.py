@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -13,6 +13,9 @@ from pydantic_core import ErrorDetails
 from ..errors import counted, suggest
 from .base import Config, ConflictError, ordered
 from .document import Document, KeyPath, is_setting
+
+# How the names of a union's branches begin where no key of the document tells them apart.
+BRANCH = "<"
 
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 
@@ -47,6 +50,12 @@ def explain(
     return place, f"{key}{_reason(model, path, first)}{more}"
 
 
+def explain_conflict(document: Document, error: ConflictError, flags: Mapping[KeyPath, str]) -> tuple[str, str]:
+    """The same of values that do not go together and that no model knows of."""
+    path, place = _culprit(document, list(error.paths), flags)
+    return place, str(error) if is_setting(place) else f"{dotted(path) or 'config'}: {error}"
+
+
 def kind_instead(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[str, Any]) -> str | None:
     """The other kind of config that a file holds, judging by its keys; None where they may well be of the wanted kind.
 
@@ -67,6 +76,11 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
     if get_origin(annotation) in (Annotated, Union, types.UnionType, tuple, list):
         return [model for part in get_args(annotation) for model in models_in(part)]
     return []
+
+
+def mapped_to(annotation: Any) -> Any:
+    """The annotation of a mapping's values; None for any other annotation."""
+    return get_args(annotation)[1] if get_origin(annotation) in (dict, Mapping) else None
 
 
 def dotted(path: KeyPath) -> str:
@@ -152,8 +166,12 @@ def _plain(annotation: Any) -> Any:
 
 def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
     """Whether a part of pydantic's location names a union's branch and no key of the document."""
+    if isinstance(key, str) and key.startswith(BRANCH):
+        return True
     here = data
     for part in loc:
+        if isinstance(part, str) and part.startswith(BRANCH):
+            continue
         if isinstance(here, dict) and part not in here and part == here.get("type"):
             if part == key:
                 return True
@@ -171,13 +189,17 @@ def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
 
 
 def _models_at(model: type[BaseModel], path: KeyPath) -> list[type[BaseModel]]:
-    models = [model]
+    annotations: list[Any] = [model]
     for key in path:
-        found: list[type[BaseModel]] = []
-        for candidate in models:
-            if isinstance(key, int):
-                found.append(candidate)
-            elif key in candidate.model_fields:
-                found.extend(models_in(candidate.model_fields[key].annotation))
-        models = found
-    return models
+        if isinstance(key, str):
+            annotations = [inner for one in annotations for inner in _inside(one, key)]
+    return [model for one in annotations for model in models_in(one)]
+
+
+def _inside(annotation: Any, key: str) -> Iterator[Any]:
+    """The annotations of what stands under a key."""
+    if (values := mapped_to(annotation)) is not None:
+        yield values
+    for model in models_in(annotation):
+        if key in model.model_fields:
+            yield model.model_fields[key].annotation

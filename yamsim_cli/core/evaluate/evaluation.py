@@ -74,7 +74,7 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
     stats = {
         **tally(
             [result.outcome for result in results],
-            config.task.success,
+            None if config.program else config.pair.success,
             thresholds,
             [not result.error for result in results],
         ),
@@ -136,7 +136,8 @@ class PolicyFilmer(TrialFilmer):
 
     def run(self, film: _FilmJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
-        return self._film(repeat(self._simulator, film.attempt, film.actions, planned=False))
+        simulator = self._simulators.of(film.attempt.job)
+        return self._film(simulator, repeat(simulator, film.attempt, film.actions, planned=False))
 
 
 def film(

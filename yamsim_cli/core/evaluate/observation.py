@@ -13,6 +13,7 @@ from ..geometry.se3 import Array
 from ..images.image import Image
 from ..policies.base import OBJECTS, SCENE, VELOCITIES, WRIST, of_arms
 from ..sim.closed_loop import ClosedLoop
+from ..types import Attempt
 
 # Renders what a camera sees at MuJoCo's positions (nq,).
 Render = Callable[[Array, str], Image]
@@ -130,7 +131,13 @@ class Observer:
         self._cameras = policy_cameras(simulator.config, images)
         self._wants = frozenset(wants)
 
-    def observe(self, loop: ClosedLoop, pictures: Pictures) -> LazyObservation:
+    @property
+    def drives(self) -> tuple[int, int]:
+        """How many arms there are, and how many drives each has."""
+        arms, drives = self._simulator.scene.drives.shape
+        return arms, drives
+
+    def observe(self, loop: ClosedLoop, attempt: Attempt, pictures: Pictures) -> LazyObservation:
         """What the policy is told of a scene's state now."""
         config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.replica
         task = config.task
@@ -144,11 +151,17 @@ class Observer:
             "K_scene": replica.intrinsics(SCENE_CAMERA, config.image.size_px).K,
             "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
             "time": loop.ticks * task.timing.tick,
-            "prompt": task.language_prompt,
+            "prompt": attempt.phrasing or task.language_prompt,
         }
         if OBJECTS in self._wants:
-            told["T_object_in_world"] = T_base @ replica.T_object_in_base(task.object.name)
-            told["T_target_in_world"] = T_base @ replica.T_object_in_base(task.target.name)
+            told |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
         if VELOCITIES in self._wants:
             told["joint_velocities"] = loop.joint_velocities.ravel()
         return LazyObservation(told, loop.data.qpos.copy(), self._cameras, pictures)
+
+    def _poses(self) -> dict[str, str]:
+        """Key -> thing, of the poses that a policy may ask for."""
+        config = self._simulator.config
+        if config.program:
+            return {f"T_{item.name}_in_world": item.name for item in config.task.objects}
+        return {"T_object_in_world": config.pair.object.name, "T_target_in_world": config.pair.target.name}

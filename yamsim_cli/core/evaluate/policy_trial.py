@@ -11,6 +11,7 @@ from ..attempt.physics import repeat
 from ..attempt.pictures import render
 from ..attempt.sampling import sample
 from ..attempt.simulator import Simulator
+from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord
@@ -26,7 +27,7 @@ from ..tasks.kinds import kind_of
 from ..types import Actions, Attempt, EpisodeJob, Outcome
 from .asking import Asker, PolicyFailedError, TooSlowError, talking_on_stderr
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
-from .observation import Observer, Pictures
+from .observation import Observer, Pictures, policy_cameras
 
 
 class Ended(StrEnum):
@@ -93,7 +94,7 @@ def trial_ticks(config: RecordConfig, choice: PolicyChoice) -> int:
     timing = config.task.timing
     if choice.time_limit is not None:
         return max(1, round(choice.time_limit / timing.tick))
-    return 2 * kind_of(config.task).ticks(config)
+    return config.program.most_ticks if config.program else 2 * kind_of(config.pair).ticks(config)
 
 
 class TrialRunner(Closing):
@@ -108,13 +109,13 @@ class TrialRunner(Closing):
         with talking_on_stderr(), forks_end_here():
             self._policy = make_policy(choice.name, choice.folder, choice.call_seconds)
         self._asker = Asker(choice.call_seconds, choice.folder)
-        self._simulator = Simulator(session)
-        wanted = wanted_images(self._policy), wanted_state(self._policy)
-        self._observer = Observer(self._simulator, *wanted)
+        self._simulators = Simulators(session)
+        self._wanted = wanted_images(self._policy), wanted_state(self._policy)
+        policy_cameras(session.config, self._wanted[0])
 
     def run(self, job: EpisodeJob) -> TrialResult:
         """One trial. Its attempt is planned only if the policy asks for the plan, or distractors have to leave room."""
-        simulator, policy = self._simulator, self._policy
+        simulator, policy = self._simulators.of(job), self._policy
         trial = Trial(simulator, sample(simulator, job))
         scripted = isinstance(policy, Scripted)
         if trial.attempt.layout is None or (scripted and not trial.demonstrated.states):
@@ -125,44 +126,48 @@ class TrialRunner(Closing):
         if start is not None:
             attempt = replace(attempt, start=start)
         seconds: list[float] = []
-        loop, ended, fault = self._drive(attempt, seconds)
+        loop, ended, fault = self._drive(simulator, attempt, seconds)
         outcome, actions = Outcome(False), loop.actions if loop.ticks else None
         if actions is not None:
             outcome = repeat(simulator, attempt, actions, planned=scripted).outcome
         if actions is not None and scripted:
             planned = trial.demonstrated.outcome
-            outcome = replace(outcome, position_error=planned.position_error, tilt=planned.tilt)
+            outcome = replace(
+                outcome, position_error=planned.position_error, tilt=planned.tilt, recoveries=planned.recoveries
+            )
         record = OutcomeRecord.of(outcome)
         if ended in FAULTS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
         told = (fault.text, fault.traceback, loop.ticks, tuple(seconds))
         return TrialResult(attempt, record, ended, *told, actions)
 
-    def _drive(self, attempt: Attempt, seconds: list[float]) -> tuple[ClosedLoop, Ended, Fault]:
+    def _drive(self, simulator: Simulator, attempt: Attempt, seconds: list[float]) -> tuple[ClosedLoop, Ended, Fault]:
         """Let the policy act until it is done, fails or has no time left."""
-        task = self._config.task
+        config = self._config
         assert attempt.start is not None  # it has a layout
-        loop = ClosedLoop(self._simulator.varied(attempt), attempt.start, task.object.name, task.timing)
-        pictures = Pictures(lambda qpos, camera: self._render(attempt, qpos, camera))
+        carried = None if config.program else config.pair.object.name
+        loop = ClosedLoop(simulator.varied(attempt), attempt.start, carried, config.task.timing)
+        pictures = Pictures(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
+        observer = Observer(simulator, *self._wanted)
         try:
-            ended, fault = self._ask_on(loop, attempt.job, pictures, seconds)
+            ended, fault = self._ask_on(loop, observer, attempt, pictures, seconds)
         finally:
             pictures.end()
         return loop, ended, fault
 
     def _ask_on(
-        self, loop: ClosedLoop, job: EpisodeJob, pictures: Pictures, seconds: list[float]
+        self, loop: ClosedLoop, observer: Observer, attempt: Attempt, pictures: Pictures, seconds: list[float]
     ) -> tuple[Ended, Fault]:
         limit = trial_ticks(self._config, self._choice)
         hold = int(getattr(self._policy, "ticks", 1))
         action: Action | None = None
         ended = Ended.TIME_LIMIT
         try:
-            self._asker.ask(lambda: reset_policy(self._policy, _policy_seed(job)))
+            self._asker.ask(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
             while loop.ticks < limit:
-                answer = self._ask(self._observer.observe(loop, pictures), pictures)
+                answer = self._ask(observer.observe(loop, attempt, pictures), pictures)
                 seconds.append(self._asker.seconds)
-                action = read_action(answer, *self._simulator.scene.drives.shape)
+                action = read_action(answer, *observer.drives)
                 for _ in range(min(hold, limit - loop.ticks)):
                     loop.step(action.ctrl, action.magnet)
                 if action.done:
@@ -188,17 +193,17 @@ class TrialRunner(Closing):
             if pictures.failure is not None:
                 raise pictures.failure
 
-    def _render(self, attempt: Attempt, qpos: Array, camera: str) -> Image:
+    def _render(self, simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> Image:
         with self._asker.waits():
-            return render(self._simulator, attempt, qpos, (camera,))[camera]
+            return render(simulator, attempt, qpos, (camera,))[camera]
 
     def close(self) -> None:
-        """Let the policy close what it has open, and free the renderer."""
+        """Let the policy close what it has open, and free the renderers."""
         close = getattr(self._policy, "close", None)
         if callable(close):
             with contextlib.suppress(PolicyFailedError, TooSlowError):
                 self._asker.ask(close)
-        self._simulator.close()
+        self._simulators.close()
 
 
 def _policy_seed(job: EpisodeJob) -> int:

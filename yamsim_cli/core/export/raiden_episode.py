@@ -13,6 +13,7 @@ import numpy as np
 
 from ..attempt.pictures import depth_mm, recorded_pictures
 from ..attempt.simulator import Simulator
+from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..dataset.disk_faults import explain
 from ..dataset.layout import depth_name
@@ -23,6 +24,7 @@ from ..images.image import Image
 from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.png import encode_png
 from ..session import Session
+from ..types import EpisodeJob
 from . import raiden_schema as schema
 from .raiden_options import RaidenOptions
 from .resample import Resampled, nearest_frames, resample
@@ -66,7 +68,7 @@ class EpisodeMaker(Closing):
         self._options = options
         self._quality = session.config.image.jpeg_quality
         self._truth = session.config.truth
-        self._simulator = None if options.fps is None else Simulator(session)
+        self._simulators = None if options.fps is None else Simulators(session)
 
     def run(self, job: tuple[Path, Path]) -> MadeEpisode:
         """What is made of an episode; its pictures are written.
@@ -87,12 +89,13 @@ class EpisodeMaker(Closing):
 
     def _make(self, episode: StoredEpisode, folder: Path) -> MadeEpisode:
         frames = episode.frames()
-        if self._simulator is None or self._options.fps is None:
+        if self._simulators is None or self._options.fps is None:
             self._copy(episode, folder, range(len(frames)))
             return MadeEpisode([frame["timestamp"] for frame in frames], frames, {"source": "recorded"})
-        made = resample(self._simulator, episode, self._options.fps)
+        simulator = self._simulators.of(EpisodeJob(episode.record.seed, episode.record.attempt))
+        made = resample(simulator, episode, self._options.fps)
         if self._options.renders:
-            self._render(self._simulator, episode, folder, made)
+            self._render(simulator, episode, folder, made)
             return MadeEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
         nearest = nearest_frames(made.times, len(frames), episode.record.frame_period_s)
         self._copy(episode, folder, nearest)
@@ -152,8 +155,8 @@ class EpisodeMaker(Closing):
 
     def close(self) -> None:
         """Free the renderer."""
-        if self._simulator is not None:
-            self._simulator.close()
+        if self._simulators is not None:
+            self._simulators.close()
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -81,7 +81,7 @@ class OneArmPlanner:
         self._tools = tools
         using = tools[self._acting]
         self._chooser = PathChooser(
-            using.ik, using.dynamics, scene, config.task, config.grasp, self._acting, self._stands
+            using.ik, using.dynamics, scene, config.pair, config.grasp, self._acting, self._stands
         )
 
     def plan(self, layout: Layout) -> Demonstration:

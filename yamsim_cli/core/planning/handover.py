@@ -79,9 +79,9 @@ class HandoverPlanner:
     """One arm gives, the other takes."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, tools: Sequence[ArmTools]) -> None:
-        self._task, self._grasp = config.task, config.grasp
+        self._task, self._grasp = config.pair, config.grasp
         self._giver, self._taker = config.acting_scene_arms
-        self._phases = phases(config.task, config.grasp, self._giver, self._taker)
+        self._phases = phases(config.pair, config.grasp, self._giver, self._taker)
         # The scene's first arm is the left one.
         self._headings = [heading if self._giver > self._taker else -heading for heading in _HEADINGS]
         self._scene = scene

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..geometry.se3 import Array, pose, quat_from_rotation
 from ..goals.world import TABLE
-from ..scene.compiled import SceneArm
+from ..scene.compiled import Ids, SceneArm
 
 # How far an arm stays away from what it must not touch, and what it carries from everything else, m.
 _ARM_DISTANCE = 0.004
@@ -54,7 +54,7 @@ class Obstacles:
         model: mujoco.MjModel,
         arms: Sequence[SceneArm],
         things: Sequence[str],
-        fingers: Sequence[Array],
+        fingers: Sequence[Ids],
     ) -> None:
         self._model = copy.copy(model)
         self._data = mujoco.MjData(self._model)

@@ -17,4 +17,4 @@ _PLANNERS: dict[str, Callable[[RecordConfig, CompiledScene, Sequence[ArmTools]],
 
 def make_planner(config: RecordConfig, scene: CompiledScene) -> Planner:
     """The planner of a recording's task."""
-    return _PLANNERS.get(config.task.kind, OneArmPlanner)(config, scene, arm_tools(config, scene))
+    return _PLANNERS.get(config.pair.kind, OneArmPlanner)(config, scene, arm_tools(config, scene))

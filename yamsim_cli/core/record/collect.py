@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
+from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
-from ..dataset.layout import episode_name
+from ..dataset.layout import FORMAT_VERSION, PROGRAM_FORMAT_VERSION, episode_name
 from ..dataset.ledger import vacant_episode
 from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file_hashes
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
@@ -276,7 +277,9 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
     """The `episode.json` of a successful attempt, published as number `episode`."""
     cameras = (name.split("/")[1] for name in payload.files if name.startswith("rgb/"))
     attempt = attempt_record(payload, episode)
+    program = config.program
     return EpisodeRecord(
+        format_version=PROGRAM_FORMAT_VERSION if program else FORMAT_VERSION,
         episode=episode,
         attempt=attempt.attempt,
         seed=attempt.seed,
@@ -292,14 +295,24 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
         arms=len(config.rig.arms),
         drives=config.rig.drives,
         joint_actions=config.action == "joints",
-        objects=[item.name for item in config.task.things],
+        objects=list(attempt.layout) if program else [item.name for item in config.task.objects],
         outcome=attempt.outcome,
-        max_height_m=config.task.success.max_height,
+        max_height_m=None if program else config.pair.success.max_height,
         layout=attempt.layout,
         randomized=attempt.randomized,
+        cast=attempt.cast,
+        phrasing=attempt.phrasing,
+        joints=_joints(program, attempt) if program else {},
         versions=dict(payload.versions),
         renderer=payload.renderer,
         meshes=None if config.meshes is None else dict(config.meshes),
         content_sha256=payload.content_sha256,
         files=file_hashes(payload.files),
     )
+
+
+def _joints(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[str, ...]]:
+    """Articulated thing -> names of its joints."""
+    items = {item.name: item for item in task.objects}
+    kinds = attempt.cast.kinds if attempt.cast else {}
+    return {thing: tuple(link.name for link in items[kind].links) for thing, kind in kinds.items() if items[kind].links}

@@ -164,7 +164,9 @@ def _files(config: RecordConfig) -> int:
 
 
 def _frames(config: RecordConfig) -> int:
-    return math.ceil(kind_of(config.task).ticks(config) / config.task.timing.ticks_per_frame)
+    # How long a program takes nobody knows beforehand; it is seldom more than half of what it may.
+    ticks = config.program.most_ticks // 2 if config.program else kind_of(config.pair).ticks(config)
+    return math.ceil(ticks / config.task.timing.ticks_per_frame)
 
 
 def _cameras(config: RecordConfig) -> int:

@@ -57,11 +57,15 @@ def unpack(parcel: Parcel, place: Path) -> Session:
 
 @contextlib.contextmanager
 def unpacked_runner(parcel: Parcel) -> Iterator[EpisodeRunner]:
-    """An `EpisodeRunner` from a parcel; its files are gone again once the runner is made."""
-    with tempfile.TemporaryDirectory(prefix="yamsim-") as place:
+    """An `EpisodeRunner` from a parcel; its files are gone again once it needs no more of them."""
+    with contextlib.ExitStack() as files:
+        place = files.enter_context(tempfile.TemporaryDirectory(prefix="yamsim-"))
         runner = EpisodeRunner(unpack(parcel, Path(place)), render=True)
-    with runner:
-        yield runner
+        # Every cast of things has a scene of its own, made when it is first needed.
+        if parcel.config.program is None:
+            files.close()
+        with runner:
+            yield runner
 
 
 def _read(folder: Path, prefix: str) -> dict[str, bytes]:

@@ -49,6 +49,8 @@ _LOOK_AT: Mapping[str, str] = {
     Cause.LIMITS: "`timing` (more ticks_per_waypoint), `heights`, and `start_joints`",
     Cause.OFF_TARGET: "`success`, `heights.release`, and both things' `collision` and `contact`",
     Cause.UNSTABLE: "`timing` (timestep, settle_ticks), `start_joints`, and the objects' masses and inertias",
+    Cause.GOAL: "`goal`, and the steps of `expert` that are to bring it about",
+    Cause.TIME: "`time_limit_s`, and how many steps `expert` has",
     Cause.WORKER_LOST: "the machine, by `yamsim doctor`",
 }
 
@@ -117,9 +119,11 @@ class Patience:
 
 def hopeless(session: Session, cause: Cause, first: int) -> bool:
     """Whether none of the `MORE_STARTS` attempts from number `first` on could do better than to fail for a cause; False
-    for a cause of which that can only be told by making them.
+    for a cause, or a task, of which that can only be told by making them.
     """
     config = session.config
+    if config.program:
+        return False
     possible: Callable[[Layout | None], bool]
     if cause is Cause.NO_LAYOUT:
         possible = _has_room
@@ -142,7 +146,7 @@ class Reach:
     """
 
     def __init__(self, session: Session) -> None:
-        config, task = session.config, session.config.task
+        config, task = session.config, session.config.pair
         self._task = task
         self._starts = (np.array(config.start_joints), np.array(config.acting_arms[0].robot.home))
         self._picking, self._placing = (

@@ -67,7 +67,7 @@ def _ask_for_certificates(session: Session, watch: Notifier) -> None:
     """Refuse a thing that has failed its certificate, and warn of one that has changed since."""
     config, locations = session.config, session.locations
     lock = load_lock(locations)
-    for item in (config.task.object, config.task.target, *config.randomization.extras):
+    for item in (*config.task.objects, *config.randomization.extras):
         found = find_certificate(locations.assets, item, lock)
         if found.standing is Standing.FAILED:
             raise ResourceError(

@@ -38,12 +38,12 @@ class TaskPhysics:
         timestep: of physics, s.
         impratio: how much stiffer contacts are along a surface, where friction alone has to hold things; None where a
             weld does.
-        carried: name of the object that a weld to each hand can hold.
+        carried: name of the object that a weld to each hand can hold; None where there are no welds.
     """
 
     timestep: float
     impratio: float | None
-    carried: str
+    carried: str | None
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ def task_blueprint(config: RecordConfig, *, boards: bool = True, background: boo
         scene=config.surroundings,
         boards=boards,
         background=background,
-        objects=config.task.things,
-        physics=TaskPhysics(config.task.timing.timestep, _impratio(config), config.task.object.name),
+        objects=config.task.objects,
+        physics=TaskPhysics(config.task.timing.timestep, _impratio(config), _carried(config)),
         cameras=(fixed_camera(SCENE_CAMERA, camera),),
     )
 
@@ -107,7 +107,11 @@ def recording_blueprint(config: RecordConfig) -> Blueprint:
     )
 
 
+def _carried(config: RecordConfig) -> str | None:
+    return None if config.program else config.pair.object.name
+
+
 def _impratio(config: RecordConfig) -> float | None:
     if config.grasp != "contact":
         return None
-    return _IMPRATIO if config.task.exchange is None else _IMPRATIO_AT_THE_END
+    return _IMPRATIO if config.program or config.pair.exchange is None else _IMPRATIO_AT_THE_END

@@ -26,7 +26,7 @@ def build_scene(session: Session) -> CompiledScene:
     spec = compose(blueprint, locations)
     shown = composed_meshes(spec, blueprint, locations.meshes)
     model = compile_spec(spec)
-    objects = [item.name for item in config.task.things]
+    objects = [item.name for item in config.task.objects]
     geom_kind, geom_arm = _geoms(model, config)
     return CompiledScene(
         model=model,
@@ -62,7 +62,7 @@ def _arm_addresses(model: mujoco.MjModel, config: RecordConfig, number: int) -> 
         kp=model.actuator_gainprm[moving, 0].copy(),
         kv=-model.actuator_biasprm[moving, 2],
         ctrl_range=model.actuator_ctrlrange[moving].copy(),
-        weld=model.equality(arm.prefix + WELD).id,
+        weld=None if config.program else model.equality(arm.prefix + WELD).id,
         T_base_in_world=config.rig.T_base_in_world(number),
         joint_range=robot.joint_range,
         motor_speed=np.array([joint.motor_rad_s for joint in robot.joints]),
@@ -106,7 +106,8 @@ def _geoms(model: mujoco.MjModel, config: RecordConfig) -> tuple[Ids, Ids]:
         if robot.fingers is not None:
             for name, finger in zip(robot.fingers.bodies, (Kind.LEFT_FINGER, Kind.RIGHT_FINGER), strict=True):
                 kind[_with_what_hangs_on(model, model.body(prefix + name).id)] = finger
-    for part, item in ((Kind.OBJECT, config.task.object), (Kind.TARGET, config.task.target)):
+    pair = () if config.program else ((Kind.OBJECT, config.pair.object), (Kind.TARGET, config.pair.target))
+    for part, item in pair:
         kind[model.body_rootid == model.body(item.name).id] = part
     kinds: Ids = kind[model.geom_bodyid]
     kinds[model.geom("table").id] = Kind.TABLE

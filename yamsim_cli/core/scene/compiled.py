@@ -74,7 +74,7 @@ class SceneArm:
         arm_ctrl: the places (dof,) of the joints' drives in `ctrl`.
         kp, kv: gains (dof,) of these drives, N m/rad and N m s/rad.
         ctrl_range: (dof, 2) of these drives, rad.
-        weld: id of the equality by which its hand holds the object.
+        weld: id of the equality by which its hand holds the object; None where friction alone does.
         T_base_in_world: pose (4, 4) of the arm's base.
         joint_range, motor_speed, most_torque: of the joints (dof, 2) in rad, (dof,) in rad/s and (dof,) in N m.
         fingers: None of an arm without any.
@@ -89,7 +89,7 @@ class SceneArm:
     kp: Array
     kv: Array
     ctrl_range: Array
-    weld: int
+    weld: int | None
     T_base_in_world: Array
     joint_range: Array
     motor_speed: Array

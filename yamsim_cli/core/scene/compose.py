@@ -119,7 +119,7 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig) -> N
     spec.option.timestep = physics.timestep
     if physics.impratio is not None:
         hold_by_friction(spec, physics.impratio)
-    for arm in rig.arms:
+    for arm in rig.arms if physics.carried is not None else ():
         spec.add_equality(
             name=arm.prefix + WELD,
             type=mujoco.mjtEq.mjEQ_WELD,

@@ -9,6 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from ..config.pairs import require_pair
 from ..config.recording import RecordConfig
 from ..errors import ResourceError, SimulationError, UsageError
 from ..files import move_aside, publish_file, refusal, staged_directory, write_file
@@ -52,6 +53,7 @@ def task_home(config: RecordConfig) -> Home:
     Raises:
         SimulationError: the sampling box has no room for both objects.
     """
+    require_pair(config, "a scene to look at")
     layout = sample_layout(config, EpisodeJob(config.seed, 0))
     if layout is None:
         raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for both objects")

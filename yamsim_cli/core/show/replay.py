@@ -10,6 +10,7 @@ import numpy as np
 
 from ..attempt.pictures import render
 from ..attempt.simulator import Simulator
+from ..attempt.simulators import cast_for, simulator_for
 from ..dataset.compare import Comparison
 from ..dataset.lowdim import has_simulation
 from ..dataset.reader import StoredEpisode
@@ -20,6 +21,7 @@ from ..geometry.se3 import Array
 from ..images.image import Image
 from ..images.video import VideoWriter
 from ..session import Session
+from ..types import EpisodeJob
 from ..verify.remake import repeat_actions
 from ..viewers.address import PageAddress
 from ..viewers.player import EpisodePlayer
@@ -130,6 +132,12 @@ def positions(episode: StoredEpisode, simulator: Simulator) -> Array:
     return np.array([frame["sim_qpos"] for frame in frames])
 
 
+def simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
+    """The simulator of a session in which an episode took place."""
+    job = EpisodeJob(episode.record.seed, episode.record.attempt)
+    return simulator_for(session, cast_for(session, job))
+
+
 def repeat(episode: StoredEpisode, session: Session) -> Comparison | None:
     """Let an episode's actions act again; None when it holds none that physics could repeat.
 
@@ -139,7 +147,7 @@ def repeat(episode: StoredEpisode, session: Session) -> Comparison | None:
     Raises:
         DatasetError: a file is damaged, or the episode is of another scene.
     """
-    with Simulator(session.without_meshes()) as simulator:
+    with simulator_of(episode, session.without_meshes()) as simulator:
         return repeat_actions(simulator, episode, episode.frames(), tolerance=0.0)
 
 
@@ -166,7 +174,7 @@ def play(
     """
     record, config = episode.record, session.config
     viewpoint = task_viewpoint(config)
-    with Simulator(shown_again(session)) as simulator:
+    with simulator_of(episode, shown_again(session)) as simulator:
         states = positions(episode, simulator)
         model = simulator.varied(recorded_attempt(record)).model
         player = EpisodePlayer(f"{config.task.name} {record.episode}", model, states, record.frame_period_s, speed)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from ..config.program_task import ProgramTiming
 from ..config.task import Success, Timing
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
@@ -26,10 +27,10 @@ class ClosedLoop:
 
     Args:
         start: MuJoCo's positions (nq,), from which everything starts at rest.
-        carried: name of the object that the weld takes.
+        carried: name of the object that the weld takes; None where there are no welds.
     """
 
-    def __init__(self, scene: CompiledScene, start: Array, carried: str, timing: Timing) -> None:
+    def __init__(self, scene: CompiledScene, start: Array, carried: str | None, timing: Timing | ProgramTiming) -> None:
         self._scene, self._carried, self._timing = scene, carried, timing
         self.data = mujoco.MjData(scene.model)
         scene.reset(self.data, start)
@@ -65,6 +66,7 @@ class ClosedLoop:
     def rests_on(self, target: str, limits: Success) -> bool:
         """Whether the object lies at rest on a target now, by the task's limits, whoever brought it there."""
         data, scene = self.data, self._scene
+        assert self._carried is not None, "asked of tasks with an object and a target"
         dx, dy, dz = data.body(self._carried).xpos - data.body(target).xpos
         dof = scene.object_dof[self._carried]
         speed = float(np.linalg.norm(data.qvel[dof : dof + 3]))
@@ -92,17 +94,19 @@ class ClosedLoop:
         mujoco.mj_kinematics(scene.model, data)
 
     def _held(self, arm: SceneArm) -> bool:
-        return bool(self.data.eq_active[arm.weld])
+        return arm.weld is not None and bool(self.data.eq_active[arm.weld])
 
     def _switch(self, arm: SceneArm, on: bool) -> bool:
         """Whether an arm's weld holds after it was switched; switching it on takes the hand to be near the object."""
+        if arm.weld is None or self._carried is None:
+            return False
         held = self._held(arm)
-        holds = on and (held or self._within_reach(arm))
+        holds = on and (held or self._within_reach(arm, self._carried))
         if holds and not held:
             attach(self._scene.model, arm, self.data, self._carried)
         self.data.eq_active[arm.weld] = holds
         return holds
 
-    def _within_reach(self, arm: SceneArm) -> bool:
-        pinch, item = self.data.site(f"{arm.prefix}pinch_site").xpos, self.data.body(self._carried).xpos
+    def _within_reach(self, arm: SceneArm, carried: str) -> bool:
+        pinch, item = self.data.site(f"{arm.prefix}pinch_site").xpos, self.data.body(carried).xpos
         return float(np.linalg.norm(pinch - item)) <= _MAGNET_REACH

@@ -7,6 +7,7 @@ import math
 import mujoco
 import numpy as np
 
+from ..config.things import ObjectConfig
 from ..geometry.camera import Intrinsics, opencv_from_mujoco
 from ..geometry.se3 import Array, inverse, pose
 from ..scene.compiled import CompiledScene
@@ -46,6 +47,11 @@ class Replica:
         """Pose (4, 4) of a body."""
         body = self.data.body(name)
         return self._T_world_in_base @ pose(body.xpos, body.xmat.reshape(3, 3))
+
+    def object_joints(self, item: ObjectConfig) -> Array:
+        """Positions of an articulated object's joints (n,), in the order of its links, m or rad."""
+        joints = [self.scene.model.joint(f"{item.name}_{link.name}") for link in item.links]
+        return np.array([self.data.qpos[joint.qposadr[0]] for joint in joints])
 
     def T_grasp_in_base(self) -> Array:
         """Pose of each arm's `grasp_site` (arms, 4, 4)."""

@@ -105,6 +105,7 @@ def simulate(
         mujoco.mj_kinematics(model, data)
         watch.tick(tick, data)
         for arm, holds in zip(scene.arms, actions.magnet[tick], strict=True):
+            assert arm.weld is not None, "tasks of two things have welds"
             if holds and not data.eq_active[arm.weld]:
                 attach(scene.model, arm, data, carried)
             data.eq_active[arm.weld] = holds
@@ -137,6 +138,7 @@ def _object_poses(scene: CompiledScene, data: mujoco.MjData) -> dict[str, Array]
 
 def attach(model: mujoco.MjModel, arm: SceneArm, data: mujoco.MjData, carried: str) -> None:
     """Write the object's present pose relative to the flange into the weld, so that switching it on moves nothing."""
+    assert arm.weld is not None, "there is no weld where friction alone holds"
     hand, item = data.body(arm.flange), data.body(carried)
     position, quat, inverse_quat = np.empty(3), np.empty(4), np.empty(4)
     mujoco.mju_negQuat(inverse_quat, hand.xquat)

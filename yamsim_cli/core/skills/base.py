@@ -23,6 +23,9 @@ class Skill(Config):
     """
 
     ROLES: ClassVar[tuple[str, ...]]
+    # Whether its thing has to be in a hand before, and whether it is in one afterwards; None leaves that as it is.
+    NEEDS: ClassVar[bool | None] = None
+    LEAVES: ClassVar[bool | None] = None
 
     @abstractmethod
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:

@@ -63,6 +63,8 @@ class Handover(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    NEEDS: ClassVar[bool | None] = True
+    LEAVES: ClassVar[bool | None] = True
     thing: str
     to: Literal["left", "right", "other"] = "other"
     height: Distance = 0.22

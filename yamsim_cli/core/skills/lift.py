@@ -37,6 +37,8 @@ class Lift(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    NEEDS: ClassVar[bool | None] = False
+    LEAVES: ClassVar[bool | None] = True
     thing: str
     by: Distance = 0.10
 

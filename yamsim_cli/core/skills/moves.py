@@ -41,6 +41,13 @@ def park(bench: Bench, hand: Hand) -> Iterator[Segment]:
         yield bench.segment({hand: bench.way(hand, hand.ready)})
 
 
+def park_others(bench: Bench, hand: Hand) -> Iterator[Segment]:
+    """Bring the other hands, as far as they hold nothing, out of a hand's way."""
+    for other in bench.hands:
+        if other is not hand and other.held is None:
+            yield from park(bench, other)
+
+
 def rest(bench: Bench) -> Segment:
     """Let everything come to rest."""
     return bench.wait(_REST_TICKS)

@@ -17,7 +17,7 @@ from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip, points_well
 from .hand import PASSING, Hand, Held
-from .moves import GRIP_TICKS, let_go, park, rest
+from .moves import GRIP_TICKS, let_go, park_others, rest
 
 # From so far the hand comes straight, m.
 _APPROACH = 0.09
@@ -43,6 +43,8 @@ class Pick(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    NEEDS: ClassVar[bool | None] = False
+    LEAVES: ClassVar[bool | None] = True
     thing: str
     arm: Side = "any"
     lift: Distance = 0.06
@@ -56,9 +58,7 @@ class Pick(Skill):
         reasons: dict[str, int] = {}
         for hand in self._hands(bench, thing, places):
             for found in _reaches(bench, cast, hand, thing, ahead[:1], reasons):
-                for other in bench.hands:
-                    if other is not hand and other.held is None:
-                        yield from park(bench, other)
+                yield from park_others(bench, hand)
                 yield from self._take(bench, hand, thing, found)
                 return
         said = "; ".join(f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3])

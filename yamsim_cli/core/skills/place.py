@@ -40,6 +40,8 @@ class Placing(Skill):
         thing: a role; it is in a hand.
     """
 
+    NEEDS: ClassVar[bool | None] = True
+    LEAVES: ClassVar[bool | None] = False
     thing: str
 
     @abstractmethod

@@ -79,12 +79,20 @@ def read_program(steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str
     Raises:
         ConflictError: a step is not valid; its path is where.
     """
-    return [skill for k, step in enumerate(steps) for skill in _read_step(step, cast, (*path, k), {})]
+    return [skill for _, skill in read_steps(steps, cast, path)]
+
+
+def read_steps(
+    steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()
+) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
+    """The skills of a program, each with where it stands; see `read_program`."""
+    for k, step in enumerate(steps):
+        yield from _read_step(step, cast, (*path, k), {})
 
 
 def _read_step(
     step: Mapping[str, Any], cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]
-) -> Iterator[Skill]:
+) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     if len(step) != 1:
         known = ", ".join((_EACH, *SKILLS))
         raise ConflictError(f"a step of a program has one key; give one of {known}", path)
@@ -94,10 +102,12 @@ def _read_step(
     elif key not in SKILLS:
         raise ConflictError(f"unknown skill {key!r}; {suggest(key, [*SKILLS, _EACH])}", (*path, key))
     else:
-        yield _read_skill(key, given, cast, (*path, key), names)
+        yield (*path, key), _read_skill(key, given, cast, (*path, key), names)
 
 
-def _read_each(given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]) -> Iterator[Skill]:
+def _read_each(
+    given: Any, cast: Cast, path: tuple[str | int, ...], names: Mapping[str, str | int]
+) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     """`of`: a role; `do`: steps, in which `it` is the role's thing, `previous` the one before, and `number` how many
     came before; `skip`: how many of the first to leave out; `order`: kinds of things, in which order they come.
     """

@@ -21,6 +21,8 @@ class Regrasp(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    NEEDS: ClassVar[bool | None] = True
+    LEAVES: ClassVar[bool | None] = True
     thing: str
     arm: Side = "any"
 

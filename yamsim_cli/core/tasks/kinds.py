@@ -70,7 +70,7 @@ class TaskKind:
 
 
 def _one_arm_phases(config: RecordConfig) -> tuple[Phases, ...]:
-    return (replace(plans.phases(config.task, config.grasp), arm=config.acting_scene_arms[0]),)
+    return (replace(plans.phases(config.pair, config.grasp), arm=config.acting_scene_arms[0]),)
 
 
 # A new kind is a file in this folder, a line here, and a YAML in configs/tasks/.
@@ -78,16 +78,16 @@ KINDS: Mapping[str, TaskKind] = {
     "pickplace": TaskKind(
         sample_layout=pickplace.sample_layout,
         phases=_one_arm_phases,
-        ticks=lambda config: plans.ticks(config.task, config.grasp),
-        start_opening=lambda config: plans.start_opening(config.task, config.grasp),
+        ticks=lambda config: plans.ticks(config.pair, config.grasp),
+        start_opening=lambda config: plans.start_opening(config.pair, config.grasp),
         judge=pickplace.judge,
         one_armed=OneArmed(plans.grasp_points, plans.make_plan),
     ),
     "handover": TaskKind(
         sample_layout=pickplace.sample_layout,
-        phases=lambda config: handover.phases(config.task, config.grasp, *config.acting_scene_arms),
-        ticks=lambda config: handover.schedule(config.task, config.grasp).total,
-        start_opening=lambda config: handover.start_opening(config.task),
+        phases=lambda config: handover.phases(config.pair, config.grasp, *config.acting_scene_arms),
+        ticks=lambda config: handover.schedule(config.pair, config.grasp).total,
+        start_opening=lambda config: handover.start_opening(config.pair),
         judge=pickplace.judge,
     ),
 }
@@ -106,4 +106,4 @@ def kind_of(task: TaskConfig) -> TaskKind:
 
 def sample_layout(config: RecordConfig, job: EpisodeJob) -> Layout | None:
     """Where things start in an attempt; None where there is no room for them."""
-    return kind_of(config.task).sample_layout(config, generator(job, Stream.LAYOUT))
+    return kind_of(config.pair).sample_layout(config, generator(job, Stream.LAYOUT))

@@ -55,7 +55,7 @@ def sample_layout(config: RecordConfig, rng: np.random.Generator) -> Layout | No
     Returns:
         The layout, or None when none of 1000 places for the target was free.
     """
-    task, table, box = config.task, config.table, config.task.sampling
+    task, table, box = config.pair, config.table, config.pair.sampling
     object_box, target_box = config.object_box, config.target_box
     T_object = _sample_pose(task.object, object_box.x, object_box.y, box.object_yaw_deg, table, rng)
     for _ in range(_MAX_TRIES):
@@ -84,12 +84,12 @@ def _gap(config: RecordConfig, T_object: Array, T_target: Array) -> float:
 
     It is negative if they overlap.
     """
-    item, hand = config.task.object, config.picking_fingers
+    item, hand = config.pair.object, config.picking_fingers
     assert item.grasp is not None  # checked when the config was loaded
     fingers = item.grasp.fingers(hand.opened, hand.radius)
     discs_a, discs_b = (
         np.array([[*(T @ (x, y, 0, 1))[:2], radius] for x, y, radius in discs])
-        for discs, T in ((item.footprint + fingers, T_object), (config.task.target.footprint, T_target))
+        for discs, T in ((item.footprint + fingers, T_object), (config.pair.target.footprint, T_target))
     )
     centres = np.linalg.norm(discs_a[:, None, :2] - discs_b[None, :, :2], axis=-1)
     return float((centres - discs_a[:, None, 2] - discs_b[None, :, 2]).min())
@@ -136,13 +136,19 @@ def _before_the_grasp(poses: Poses) -> tuple[Cause, str] | None:
 def _on_the_way(grasp: GraspKind, motion: Motion) -> tuple[Cause, str] | None:
     """Cause and detail of what spoils a demonstration, wherever the object ends; None if nothing does."""
     margins = motion.margins
+    if motion.collision is None and grasp == "contact" and motion.lost is not None:
+        return Cause.DROPPED, f"out of the fingers after {motion.lost:.2f} s, before it was put down"
+    if motion.collision is None and grasp == "contact" and (margins.slip or 0.0) > SLIP_DISTANCE:
+        most = f"at most {SLIP_DISTANCE * 1000:.0f}"
+        return Cause.SLIPPED, f"moved {(margins.slip or 0.0) * 1000:.0f} mm in the hand while it was held ({most})"
+    return on_the_way(motion)
+
+
+def on_the_way(motion: Motion) -> tuple[Cause, str] | None:
+    """Cause and detail of what spoils any demonstration: arms that touch what they must not, or go to their limits."""
+    margins = motion.margins
     if motion.collision is not None:
         return Cause.COLLIDED, motion.collision
-    if grasp == "contact" and motion.lost is not None:
-        return Cause.DROPPED, f"out of the fingers after {motion.lost:.2f} s, before it was put down"
-    if grasp == "contact" and margins.slip > SLIP_DISTANCE:
-        most = f"at most {SLIP_DISTANCE * 1000:.0f}"
-        return Cause.SLIPPED, f"moved {margins.slip * 1000:.0f} mm in the hand while it was held ({most})"
     if margins.velocity > 1 or margins.torque >= 1 or margins.joint < -_STOP_SLACK:
         detail = (
             f"a joint at {margins.velocity:.0%} of its motor's speed, a drive at {margins.torque:.0%} of its torque, "

@@ -26,6 +26,10 @@ class Stream(IntEnum):
     TONE = 20
     NOISE = 21
     SALT_PEPPER = 22
+    CAST = 30
+    PHRASING = 31
+    PLACES = 32
+    SEARCH = 33
 
 
 def generator(job: EpisodeJob, stream: Stream, *of: int) -> np.random.Generator:

@@ -45,7 +45,7 @@ class DrivenArm:
         self.side = arm.side
         self._names = arm.robot.joint_names
         self.widest = self._arm.fingers.stroke if self._arm.fingers else 0.0
-        grasp = config.task.object.grasp
+        grasp = config.pair.object.grasp
         assert grasp is not None  # checked when the config was loaded
         self._closed = min(grasp.opening, self.widest)
         self._ik = IkSolver(bare_arm(arm), self._arm.T_base_in_world)

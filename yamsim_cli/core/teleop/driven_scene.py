@@ -282,7 +282,7 @@ class DrivenScene:
 
     def _put(self, attempt: Attempt) -> None:
         """Put the scene to an attempt's start, at rest."""
-        task = self._config.task
+        task = self._config.pair
         assert attempt.start is not None  # it has a layout
         self._attempt = attempt
         # Distractors are placed where nothing came near once the attempt is over.
@@ -313,7 +313,7 @@ class DrivenScene:
         for arm, holds in zip(self._arms, self._loop.held, strict=True):
             if arm.magnet and not holds:
                 arm.magnet = False
-                self.message = f"the magnet found no {self._config.task.object.name} within its reach"
+                self.message = f"the magnet found no {self._config.pair.object.name} within its reach"
         self._ticks += 1
         if self._settling:
             self._settling -= 1

@@ -50,7 +50,12 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
         del trial["episode"]
         trials.append(trial)
     return {
-        **tally([record.outcome for record in records], config.task.success, thresholds, [True] * n),
+        **tally(
+            [record.outcome for record in records],
+            None if config.program else config.pair.success,
+            thresholds,
+            [True] * n,
+        ),
         "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
         **what_ran(config),
         "seconds": seconds,
@@ -59,7 +64,7 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
     }
 
 
-def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float] | None:
+def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float | None] | None:
     """The worst of each margin over all trials; None if nothing ever moved."""
     if not margins:
         return None
@@ -67,8 +72,10 @@ def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float] | None:
         "velocity_share": max(margin.velocity_share for margin in margins),
         "torque_share": max(margin.torque_share for margin in margins),
         "joint_rad": min(margin.joint_rad for margin in margins),
-        "slip_m": max(margin.slip_m for margin in margins),
-        "object_tilt_rad": max(margin.object_tilt_rad for margin in margins),
+        "slip_m": max((margin.slip_m for margin in margins if margin.slip_m is not None), default=None),
+        "object_tilt_rad": max(
+            (margin.object_tilt_rad for margin in margins if margin.object_tilt_rad is not None), default=None
+        ),
     }
 
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..attempt.physics import Simulated
 from ..attempt.pictures import render
 from ..attempt.planned import demonstrate
 from ..attempt.sampling import sample
+from ..attempt.simulated import Simulated
 from ..attempt.simulator import Simulator
+from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..config.recording import SCENE_CAMERA
 from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
@@ -45,16 +46,16 @@ class TrialFilmer(Closing):
     """Renders what happened in physics; a context manager, since it owns a renderer."""
 
     def __init__(self, session: Session) -> None:
-        self._simulator = Simulator(session)
+        self._simulators = Simulators(session)
 
-    def _film(self, done: Simulated) -> list[bytes]:
+    def _film(self, simulator: Simulator, done: Simulated) -> list[bytes]:
         """Its frames as JPEGs; none of what never moved."""
-        shown = (render(self._simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
+        shown = (render(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
         return [encode_jpeg(images[SCENE_CAMERA], _JPEG_QUALITY) for images in shown]
 
     def close(self) -> None:
-        """Free the renderer."""
-        self._simulator.close()
+        """Free the renderers."""
+        self._simulators.close()
 
 
 class PlannedFilmer(TrialFilmer):
@@ -62,7 +63,8 @@ class PlannedFilmer(TrialFilmer):
 
     def run(self, job: EpisodeJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
-        return self._film(demonstrate(self._simulator, sample(self._simulator, job)))
+        simulator = self._simulators.of(job)
+        return self._film(simulator, demonstrate(simulator, sample(simulator, job)))
 
 
 class TrialFilms:

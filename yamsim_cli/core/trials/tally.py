@@ -67,21 +67,23 @@ def what_ran(config: RecordConfig) -> dict[str, Any]:
 
 
 def tally(
-    outcomes: Sequence[OutcomeRecord], success: Success, thresholds: Sequence[float], valid: Sequence[bool]
+    outcomes: Sequence[OutcomeRecord], success: Success | None, thresholds: Sequence[float], valid: Sequence[bool]
 ) -> dict[str, Any]:
     """Counts and rates of outcomes, JSON-ready.
 
     Args:
+        success: the task's own limits; None of a task that a goal judges, which knows no thresholds.
         thresholds: in metres, by which the outcomes are scored beside the task's own.
         valid: whether an outcome may count as a success at any of them.
 
     Returns:
-        n, n_success, success_rate, wilson95, threshold_m, rates per threshold, dxy_m, causes.
+        n, n_success, success_rate, wilson95, threshold_m, rates per threshold, dxy_m, causes, recovered (how many of
+        the successes needed a second try somewhere).
     """
     n, succeeded = len(outcomes), sum(outcome.success for outcome in outcomes)
 
-    def rate(threshold: float) -> float:
-        within = (outcome.within(threshold, success.max_height) for outcome in outcomes)
+    def rate(threshold: float, max_height: float) -> float:
+        within = (outcome.within(threshold, max_height) for outcome in outcomes)
         return sum(near and counts for near, counts in zip(within, valid, strict=True)) / n
 
     return {
@@ -89,10 +91,11 @@ def tally(
         "n_success": succeeded,
         "success_rate": succeeded / n,
         "wilson95": wilson95(succeeded, n),
-        "threshold_m": success.threshold,
-        "rates": {f"{threshold:g}": rate(threshold) for threshold in thresholds},
+        "threshold_m": success and success.threshold,
+        "rates": {f"{threshold:g}": rate(threshold, success.max_height) for threshold in thresholds} if success else {},
         "dxy_m": spread([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
         "causes": dict(Counter(outcome.cause for outcome in outcomes if outcome.cause)),
+        "recovered": sum(bool(outcome.recoveries) for outcome in outcomes if outcome.success),
     }
 
 

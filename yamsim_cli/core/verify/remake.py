@@ -16,12 +16,13 @@ from ..attempt.pictures import image_files
 from ..attempt.planned import demonstrate
 from ..attempt.sampling import sample
 from ..attempt.simulator import Simulator
+from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..dataset.actions import recorded_actions
 from ..dataset.compare import Comparison, Difference, compare_frames, compare_values
 from ..dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
 from ..dataset.reader import StoredEpisode, open_episode
-from ..dataset.records import OutcomeRecord, recorded_attempt
+from ..dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
 from ..errors import DatasetError
 from ..images.jpeg import decode_jpeg
 from ..session import Session
@@ -81,7 +82,7 @@ class EpisodeVerifier(Closing):
     """
 
     def __init__(self, session: Session, limits: Limits) -> None:
-        self._simulator = Simulator(session)
+        self._simulators = Simulators(session)
         self._said = session.config.meshes
         self._limits = limits
 
@@ -102,7 +103,7 @@ class EpisodeVerifier(Closing):
                 checks |= self._from_seed(episode, frames)
             else:
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
-            if repeated := repeat_actions(self._simulator, episode, frames, self._limits.values):
+            if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._limits.values):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
@@ -113,7 +114,7 @@ class EpisodeVerifier(Closing):
 
     def _from_seed(self, episode: StoredEpisode, frames: Frames) -> dict[str, Comparison]:
         """The whole attempt again, from its two numbers."""
-        record, simulator = episode.record, self._simulator
+        record, simulator = episode.record, self._simulator(episode.record)
         done = demonstrate(simulator, sample(simulator, EpisodeJob(record.seed, record.attempt)))
         made = made_frames(simulator, done.attempt, done.states)
         once = compare_values(
@@ -129,13 +130,17 @@ class EpisodeVerifier(Closing):
             checks[IMAGES] = _compare_images(episode, images, self._limits.images)
         return checks
 
+    def _simulator(self, record: EpisodeRecord) -> Simulator:
+        return self._simulators.of(EpisodeJob(record.seed, record.attempt))
+
     def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
         then, now = dict(episode.record.versions), versions()
+        simulator = self._simulator(episode.record)
         if self._limits.images is not None:
-            then["renderer"], now["renderer"] = episode.record.renderer, self._simulator.renderer.description
+            then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
             for name, text in (episode.record.meshes or {}).items():
                 then[f"meshes {name}"] = shown(text)
-                now[f"meshes {name}"] = shown(self._simulator.scene.shown_meshes.get(name))
+                now[f"meshes {name}"] = shown(simulator.scene.shown_meshes.get(name))
         return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
 
     def _other_meshes(self, episode: StoredEpisode) -> list[str]:
@@ -143,8 +148,8 @@ class EpisodeVerifier(Closing):
         return differences(own, said, ("here", "there")) if said is not None and own is not None else []
 
     def close(self) -> None:
-        """Free the renderer."""
-        self._simulator.close()
+        """Free the renderers."""
+        self._simulators.close()
 
 
 def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames, tolerance: float) -> Comparison | None:
@@ -170,7 +175,7 @@ def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames,
     done = repeat(simulator, attempt, actions, planned=episode.record.source == "record")
     # What the plan knew of itself, its actions cannot tell.
     judged = OutcomeRecord.of(done.outcome).model_copy(
-        update={"plan_error_m": stored.plan_error_m, "tilt_rad": stored.tilt_rad}
+        update={key: getattr(stored, key) for key in ("plan_error_m", "tilt_rad", "recoveries")}
     )
     once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, tolerance)
     return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...config.loader import load_config, validate_file
@@ -44,6 +45,8 @@ class Context:
         object, target: names of the object that is carried, and of its target.
         sampling: the box from which objects' places were sampled, in `world`; None where it is not known.
         threshold, max_height: the task's own limits for success, m.
+        wrist_cameras: camera at a wrist -> number in `arms` of the arm that carries it, as far as that is known.
+        judged_by_goal: whether a goal tells success, and no distance does.
     """
 
     recorded: bool
@@ -54,6 +57,8 @@ class Context:
     sampling: Sampling | None = None
     threshold: float = _THRESHOLD
     max_height: float = _MAX_HEIGHT
+    wrist_cameras: Mapping[str, int] = field(default_factory=dict)
+    judged_by_goal: bool = False
 
 
 def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
@@ -119,18 +124,24 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
     if parsed is None:
         usual = load_config(RecordConfig, "record", _USUAL, locations).rig.arms[0]
         return Context(recorded, (ArmLimits(widest_joints(usual.model), len(usual.robot.drives), None),), pose())
-    rig, task = parsed.rig, parsed.task
+    rig = parsed.rig
     robots = [rig.arms[k].robot for k in rig.recorded]
+    arms = tuple(
+        ArmLimits(robot.joints, len(robot.drives), robot.fingers.range if robot.fingers else None) for robot in robots
+    )
+    T_base_in_world = rig.T_base_in_world(rig.recorded[0])
+    wrists = {rig.arms[k].wrist_camera_name: number for number, k in enumerate(rig.recorded)}
+    if parsed.program:
+        return Context(recorded, arms, T_base_in_world, "", "", wrist_cameras=wrists, judged_by_goal=True)
+    task = parsed.pair
     return Context(
         recorded,
-        tuple(
-            ArmLimits(robot.joints, len(robot.drives), robot.fingers.range if robot.fingers else None)
-            for robot in robots
-        ),
-        rig.T_base_in_world(rig.recorded[0]),
+        arms,
+        T_base_in_world,
         task.object.name,
         task.target.name,
         parsed.sampled,
         task.success.threshold,
         task.success.max_height,
+        wrists,
     )

@@ -16,7 +16,7 @@ from .context import Context, EpisodeDirectory
 from .facts import POSE, EpisodeFacts, Values, hand_keys, layout, numbered, places, pose_keys, seen_outcome
 from .files import check_presence, list_files, read_file
 from .images import CameraChecks, ImageReader, check_frozen
-from .lowdim import LowdimChecks, expected_forms
+from .lowdim import LowdimChecks, ValueForm, expected_forms
 from .motion import check_fingers, check_limits, check_speeds, check_times, each_arm
 from .poses import check_intrinsics, check_pose, check_view
 from .problem import Problems
@@ -117,11 +117,7 @@ class _EpisodeCheck:
 
     def _check_lowdim(self) -> LowdimChecks:
         known = self._record
-        forms = None
-        if known is not None:
-            forms = expected_forms(
-                known.objects, known.cameras, known.arms, known.drives, joint_actions=known.joint_actions
-            )
+        forms = None if known is None else _forms(known)
         checks = LowdimChecks(forms, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):
@@ -198,7 +194,10 @@ class _EpisodeCheck:
                 check_fingers(arm.openings, arm.limits.fingers, self._frame_name, self._problems)
         angles: dict[int, Array] = {k: np.concatenate([arm.joints[k] for arm in arms]) for k in joints} if arms else {}
         for camera, checks in cameras.items():
-            check_frozen(checks.fingerprints, self._files.images[camera], angles, self._problems)
+            # What is at a wrist sees the same while its own arm stands still, whatever another one does.
+            number = self._context.wrist_cameras.get(camera)
+            own = dict(arms[number].joints) if arms and number is not None else angles
+            check_frozen(checks.fingerprints, self._files.images[camera], own, self._problems)
 
     def _check_poses(self, values: Values, cameras: Mapping[str, CameraChecks]) -> None:
         keys = pose_keys(values)
@@ -222,6 +221,17 @@ class _EpisodeCheck:
         if seen is not None and (stored is None or abs(seen - stored) > _OUTCOME_TOLERANCE):
             value = "nothing" if stored is None else f"{stored * 1000:.1f} mm from the target's centre"
             self._problems.add("episode.outcome", EPISODE, value, f"{seen * 1000:.1f} mm")
+
+
+def _forms(record: EpisodeRecord) -> dict[str, ValueForm]:
+    return expected_forms(
+        record.objects,
+        record.cameras,
+        record.arms,
+        record.drives,
+        record.joints,
+        joint_actions=record.joint_actions,
+    )
 
 
 def _sane(record: EpisodeRecord) -> EpisodeRecord:

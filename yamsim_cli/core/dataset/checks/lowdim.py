@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,17 +36,25 @@ class ValueForm:
 
 
 def expected_forms(
-    objects: Iterable[str], cameras: Iterable[str], arms: int, drives: int, *, joint_actions: bool = False
+    objects: Iterable[str],
+    cameras: Iterable[str],
+    arms: int,
+    drives: int,
+    joints: Mapping[str, Sequence[str]],
+    *,
+    joint_actions: bool = False,
 ) -> dict[str, ValueForm]:
     """Flat key -> form, for a frame that yamsim records with these objects, cameras, and arms of so many drives.
 
     Args:
+        joints: articulated object -> names of its joints.
         joint_actions: see `shapes`.
     """
     float32 = str(np.dtype(np.float32))
     rows = shapes(arms, drives, joint_actions=joint_actions)
     forms = {key: ValueForm(float32, shape) for key, shape in rows.items()}
     forms |= {f"{name}_pose": ValueForm(float32, (4, 4)) for name in objects}
+    forms |= {f"{name}_joints": ValueForm(float32, (len(names),)) for name, names in joints.items()}
     for camera in cameras:
         forms |= {
             f"intrinsics[{camera}]": ValueForm(float32, (3, 3)),
@@ -63,12 +71,13 @@ def frame_faults(
     cameras: Iterable[str],
     arms: int,
     drives: int,
+    joints: Mapping[str, Sequence[str]] | None = None,
     *,
     joint_actions: bool = False,
 ) -> list[str]:
     """The faults of a decoded frame that yamsim recorded, one text each; see `expected_forms`."""
     problems = Problems()
-    forms = expected_forms(objects, cameras, arms, drives, joint_actions=joint_actions)
+    forms = expected_forms(objects, cameras, arms, drives, joints or {}, joint_actions=joint_actions)
     LowdimChecks(forms, problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 

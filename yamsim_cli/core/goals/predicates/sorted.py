@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -25,6 +25,7 @@ class Sorted(Predicate):
         order: of a row: kinds of things, in the direction in which the axis counts up.
         axis: of `world`, along which the row lies.
         apart: how far the origins of neighbours of different kinds have to lie apart along the axis, m.
+        line: how far apart the origins may lie across the axis, m; without, that does not matter.
         into: rather, kind of thing -> role of its container.
     """
 
@@ -33,6 +34,7 @@ class Sorted(Predicate):
     order: tuple[str, ...] = ()
     axis: Literal["x", "y"] = "y"
     apart: NonNegative = 0.0
+    line: NonNegative | None = None
     into: Mapping[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -57,12 +59,18 @@ class Sorted(Predicate):
                 for thing in strangers
             ]
         along = {name: float(world.pose(name)[_AXES[self.axis], 3]) for name in names}
-        return [
+        found = [
             self._after(along, one, other)
             for one in names
             for other in names
             if self.order.index(cast.kinds[one]) + 1 == self.order.index(cast.kinds[other])
         ]
+        return found if self.line is None else [*found, self._in_line(world, names, self.line)]
+
+    def _in_line(self, world: World, names: Sequence[str], most: float) -> Measure:
+        across = [float(world.pose(name)[1 - _AXES[self.axis], 3]) for name in names]
+        spread = max(across) - min(across)
+        return Measure(f"sorted({self.things}, in line)", most - spread, "m", f"{spread * 1000:.0f} mm across the row")
 
     def _after(self, along: Mapping[str, float], one: str, other: str) -> Measure:
         gap = along[other] - along[one]

@@ -1,0 +1,143 @@
+"""Attempts of a task that is data: recorded and made again bit for bit, and judged by the goal alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
+from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
+from yamsim_cli.core.dataset.checks.episode import check_episode
+from yamsim_cli.core.dataset.checks.problem import Problems
+from yamsim_cli.core.dataset.opening import OpenMode
+from yamsim_cli.core.dataset.reader import dataset_config, open_episode
+from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
+from yamsim_cli.core.images.jpeg import JpegReader
+from yamsim_cli.core.record.collect import Notifier
+from yamsim_cli.core.record.destination import Output
+from yamsim_cli.core.record.executors import ThisProcess
+from yamsim_cli.core.record.recorder import record
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.types import Actions, Cause, EpisodeJob
+from yamsim_cli.core.verify.remake import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits
+from yamsim_cli.core.workers.stop import Stop
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    return session_of(tmp_path_factory.mktemp("task"), ONTO_PLATE)
+
+
+@pytest.fixture(scope="module")
+def simulators(session: Session) -> Iterator[Simulators]:
+    with Simulators(session) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def dataset(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("data") / "dataset"
+    watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
+    record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
+    return out
+
+
+@pytest.mark.render
+def test_what_was_recorded_is_made_again_bit_for_bit(dataset: Path, locations: Locations) -> None:
+    session = Session(dataset_config(dataset, locations), locations).without_meshes()
+    with EpisodeVerifier(session, Limits(0.0, 0.0)) as verifier:
+        verdict = verifier.run((0, dataset / "ep_000000"))
+    assert verdict.agrees, verdict
+    assert set(verdict.checks) == {SEED, ACTIONS, IMAGES}
+    assert all(check.max_error == 0 for check in verdict.checks.values())
+
+
+@pytest.mark.render
+def test_a_record_says_who_played_what_and_how_far_the_goal_was_from_failing(dataset: Path) -> None:
+    episode = open_episode(dataset / "ep_000000")
+    known = episode.record
+    assert known.format_version == 2 and known.objects == ["plate", "cube"] and known.grasp == "contact"
+    assert known.cast is not None and known.cast.kinds["cube"] in ("cube_red", "cube_blue")
+    assert known.phrasing in ONTO_PLATE["phrasings"]["training"]
+    (measure,) = known.outcome.measures
+    assert measure.what == "on(cube, plate)" and measure.margin > 0.03 and measure.unit == "m"
+    assert len(known.layout["cube"]) == 7
+    frame = episode.frames()[0]
+    assert frame["language_prompt"] == known.phrasing and frame["cube_pose"].shape == (4, 4)
+    line = json.loads((dataset / "attempts.jsonl").read_text())
+    assert line["cast"]["things"] == {"plate": ["plate"], "cube": ["cube"]} and line["phrasing"] == known.phrasing
+
+
+@pytest.mark.render
+def test_nothing_is_wrong_with_the_dataset(dataset: Path, locations: Locations) -> None:
+    problems = Problems()
+    (directory,), recorded = find_episodes(dataset)
+    context = read_context(dataset, recorded, locations, problems)
+    with JpegReader() as reader:
+        facts = check_episode(directory, context, reader)
+    assert not problems.list() and not facts.problems
+    assert context.judged_by_goal and facts.outcome is not None and facts.outcome.success
+
+
+def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators) -> None:
+    simulator, attempt = first_attempt(simulators, 2)
+    done = demonstrate_program(simulator, attempt)
+    assert done.outcome.success, done.outcome
+    acted = [state.actions for state in done.states]
+    whole = Actions(*(np.concatenate([getattr(one, part) for one in acted]) for part in ("ctrl", "magnet", "joints")))
+    again = repeat_program(simulator, attempt, whole, planned=True)
+    assert again.outcome == replace(done.outcome, recoveries=())
+    assert all(np.array_equal(a.qpos, b.qpos) for a, b in zip(done.states, again.states, strict=True))
+
+
+def test_fingers_that_never_close_reach_nothing(simulators: Simulators) -> None:
+    simulator, attempt = first_attempt(simulators)
+    outcome = demonstrate_program(simulator, attempt, grips=False).outcome
+    assert not outcome.success and outcome.cause in (Cause.SLIPPED, Cause.DROPPED, Cause.GOAL)
+
+
+def test_standing_still_reaches_nothing_and_what_is_said_reaches_the_policy(session: Session, tmp_path: Path) -> None:
+    with TrialRunner(session, PolicyChoice("hold_still", tmp_path, time_limit=1.0)) as runner:
+        result = runner.run(EpisodeJob(0, 0))
+    assert not result.outcome.success and result.outcome.cause == Cause.GOAL and result.ticks == 31
+    assert [measure.what for measure in result.outcome.measures] == ["on(cube, plate)"]
+
+
+def test_a_goal_that_holds_at_the_start_is_no_task(tmp_path: Path) -> None:
+    met = changed({("goal",): {"on": {"thing": "cube", "surface": "table"}}})
+    with Simulators(session_of(tmp_path, met)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate_program(simulator, attempt).outcome
+    assert attempt.layout is None and outcome.cause is Cause.NO_LAYOUT
+    assert "the goal holds already at the start, in each of 20 draws" in outcome.detail
+
+
+def test_what_has_no_room_is_told(tmp_path: Path) -> None:
+    tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
+    with Simulators(session_of(tmp_path, tight)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate_program(simulator, attempt).outcome
+    assert outcome.detail == "no free place for the cube where it is to start"
+
+
+def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, changed({("time_limit_s",): 3.0}))) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        done = demonstrate_program(simulator, attempt)
+    assert done.outcome.cause is Cause.TIME
+    ticks = sum(len(state.actions.ctrl) for state in done.states)
+    assert ticks <= 3.0 / 0.032 + 1
+
+
+def test_each_cast_has_a_simulator_of_its_own(simulators: Simulators) -> None:
+    made = [simulators.of(EpisodeJob(0, k)) for k in range(8)]
+    kinds = {simulator.cast.kinds["cube"] for simulator in made if simulator.cast}
+    assert kinds == {"cube_red", "cube_blue"} and len(set(map(id, made))) == 2

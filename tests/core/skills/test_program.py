@@ -1,0 +1,115 @@
+"""Programs: loops over the things of a role, and what fails is tried again and noted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, ClassVar, cast
+
+import pytest
+
+from yamsim_cli.core.documents.base import ConflictError
+from yamsim_cli.core.goals.cast import Cast
+from yamsim_cli.core.skills import program
+from yamsim_cli.core.skills.base import Skill
+from yamsim_cli.core.skills.bench import Bench, Segment
+from yamsim_cli.core.skills.errors import SkillFailedError
+from yamsim_cli.core.skills.pick import Pick
+from yamsim_cli.core.skills.place import Place
+from yamsim_cli.core.skills.program import Diary, Recovery, read_program, run_program
+from yamsim_cli.core.types import Cause
+
+CAST = Cast(
+    {"cube": ("cube_1", "cube_2", "cube_3"), "plate": ("plate",)},
+    {"cube_1": "blue", "cube_2": "red", "cube_3": "blue", "plate": "plate"},
+)
+
+
+class Failing(Skill):
+    """Fails as often as it is told to."""
+
+    ROLES: ClassVar[tuple[str, ...]] = ()
+    times: int
+    tried: ClassVar[int] = 0
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        Failing.tried += 1
+        if Failing.tried <= self.times:
+            raise SkillFailedError(Cause.SLIPPED, f"try {Failing.tried}")
+        yield Segment(())
+
+
+class NoHands:
+    """A bench with nothing to bring out of the way."""
+
+    hands = ()
+
+
+@pytest.fixture(autouse=True)
+def _failing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Failing, "tried", 0)
+    monkeypatch.setattr(program, "SKILLS", {**program.SKILLS, "failing": Failing})
+
+
+def _run(times: int) -> Diary:
+    diary = Diary()
+    for _ in run_program([Failing(times=times)], cast(Bench, NoHands()), CAST, diary):
+        pass
+    return diary
+
+
+def test_what_fails_is_tried_again_and_noted() -> None:
+    assert _run(2).recoveries == [Recovery(0, "failing", "try 1"), Recovery(0, "failing", "try 2")]
+
+
+def test_what_works_is_not_tried_again() -> None:
+    assert _run(0).recoveries == [] and Failing.tried == 1
+
+
+def test_a_third_failure_ends_it() -> None:
+    with pytest.raises(SkillFailedError, match="try 3") as caught:
+        _run(3)
+    assert caught.value.cause is Cause.SLIPPED
+
+
+def test_each_goes_through_the_things_of_a_role() -> None:
+    steps: list[dict[str, Any]] = [
+        {
+            "each": {
+                "of": "cube",
+                "skip": 1,
+                "do": [{"pick": {"thing": "it"}}, {"place": {"thing": "it", "on": "previous"}}],
+            }
+        }
+    ]
+    assert read_program(steps, CAST) == [
+        Pick(thing="cube_2"),
+        Place(thing="cube_2", on="cube_1"),
+        Pick(thing="cube_3"),
+        Place(thing="cube_3", on="cube_2"),
+    ]
+
+
+def test_each_may_go_by_kinds_and_count() -> None:
+    step = {"place": {"thing": "it", "on": "table", "at": [0.4, 0.0], "step": [0, 0.1], "number": "number"}}
+    placed = read_program([{"each": {"of": "cube", "order": ["red", "blue"], "do": [step]}}], CAST)
+    assert [(skill.thing, skill.number) for skill in placed if isinstance(skill, Place)] == [
+        ("cube_2", 0),
+        ("cube_1", 1),
+        ("cube_3", 2),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("step", "path", "said"),
+    [
+        ({"pick": {"thing": "cube"}, "place": {}}, (0,), "has one key"),
+        ({"each": {"of": "cap", "do": []}}, (0, "each", "of"), "unknown role 'cap'"),
+        ({"each": {"of": "cube", "do": []}}, (0, "each", "do"), "a list of steps"),
+        ({"each": {"of": "cube", "skip": -1, "do": [{}]}}, (0, "each", "skip"), "`skip` -1 is not valid"),
+        ({"place": {"thing": "cube", "on": "table"}}, (0, "place"), "needs `at` or `start_of`"),
+    ],
+)
+def test_a_bad_step_is_told_with_its_place(step: dict[str, Any], path: tuple[Any, ...], said: str) -> None:
+    with pytest.raises(ConflictError, match=said) as caught:
+        read_program([step], CAST)
+    assert caught.value.paths[0] == path

@@ -1,0 +1,136 @@
+"""Casting: the same numbers give the same cast, words and places; things have their distance; no room is told."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from tests.programs import changed, session_of
+from yamsim_cli.core.config.program_task import ProgramTask
+from yamsim_cli.core.config.scene import Table
+from yamsim_cli.core.geometry.se3 import Array, tilt
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.tasks.casting import Placed, draw_cast, draw_phrasing, draw_places, gap
+from yamsim_cli.core.types import EpisodeJob
+
+BLOCK = np.array([[-0.02, -0.03, 0.0], [0.02, 0.03, 0.05]])
+
+THREE = changed(
+    {
+        ("things",): {"cube": {"of": ["cube_red", "cube_green", "cube_blue"], "count": 3}},
+        ("starts",): {"cube": {"x": [0.25, 0.45], "y": [-0.2, 0.2], "apart": 0.04}},
+        ("goal",): {"stacked": {"things": "cube"}},
+        ("expert",): [{"pick": {"thing": "cube_1"}}],
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    return session_of(tmp_path_factory.mktemp("task"), THREE)
+
+
+def _task(session: Session) -> ProgramTask:
+    assert session.config.program is not None
+    return session.config.program
+
+
+def _places(session: Session, job: EpisodeJob) -> dict[str, Placed]:
+    task = _task(session)
+    cast = draw_cast(task, job)
+    found = draw_places(task, cast, dict.fromkeys(cast.of("cube"), BLOCK), session.config.table, job)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_the_same_numbers_give_the_same_draw(three: Session) -> None:
+    job, task = EpisodeJob(4, 7), _task(three)
+    assert draw_cast(task, job) == draw_cast(task, job)
+    assert draw_phrasing(task, job) == draw_phrasing(task, job)
+    one, again = _places(three, job), _places(three, job)
+    assert all(np.array_equal(one[name].T, again[name].T) for name in one)
+    other = _places(three, EpisodeJob(4, 8))
+    assert not any(np.array_equal(one[name].T, other[name].T) for name in one)
+
+
+def test_no_object_is_drawn_twice_while_others_are_left(three: Session) -> None:
+    task = _task(three)
+    casts = [draw_cast(task, EpisodeJob(0, k)) for k in range(30)]
+    assert all(sorted(cast.kinds.values()) == ["cube_blue", "cube_green", "cube_red"] for cast in casts)
+    assert len({tuple(cast.kinds.values()) for cast in casts}) > 3
+    assert casts[0].of("cube") == ("cube_1", "cube_2", "cube_3")
+
+
+def test_what_is_said_is_said_in_training(three: Session) -> None:
+    task = _task(three)
+    said = {draw_phrasing(task, EpisodeJob(0, k)) for k in range(20)}
+    assert said == set(task.phrasings.training)
+
+
+def _outline(T: Array) -> Array:
+    """Points (n, 2) along the edge of the block's outline, seen from above."""
+    (x0, y0, _), (x1, y1, _) = BLOCK
+    share = np.linspace(0, 1, 41)
+    xs, ys = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+    edge = np.concatenate(
+        [np.column_stack(pair) for pair in ((xs, 0 * ys + y0), (xs, 0 * ys + y1), (0 * xs + x0, ys), (0 * xs + x1, ys))]
+    )
+    outline: Array = edge @ T[:2, :2].T + T[:2, 3]
+    return outline
+
+
+def test_things_have_their_distance(three: Session) -> None:
+    nearest = math.inf
+    for number in range(40):
+        placed = _places(three, EpisodeJob(1, number))
+        for one, other in itertools.combinations(placed.values(), 2):
+            a, b = _outline(one.T), _outline(other.T)
+            nearest = min(nearest, float(np.linalg.norm(a[:, None] - b[None], axis=-1).min()))
+        for there in placed.values():
+            middle = (there.T @ np.array([*BLOCK.mean(axis=0), 1.0]))[:2]
+            assert 0.25 <= middle[0] <= 0.45 and -0.2 <= middle[1] <= 0.2
+    assert 0.04 - 1e-9 <= nearest < 0.06
+
+
+def test_a_gap_is_that_of_rectangles() -> None:
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    assert gap(square, square + (1.5, 0.2)) == pytest.approx(0.5)
+    assert gap(square, square + (0.5, 0.5)) < 0
+    turned = square @ np.array([[1, 1], [-1, 1]]) / math.sqrt(2)
+    assert gap(square, turned + (0.5, 1.3)) == pytest.approx(0.3)
+
+
+def test_what_has_no_room_is_named(tmp_path_factory: pytest.TempPathFactory) -> None:
+    tight = changed({("starts", "cube"): {"x": [0.30, 0.32], "y": [0.0, 0.02]}}, THREE)
+    session = session_of(tmp_path_factory.mktemp("task"), tight)
+    task, job = _task(session), EpisodeJob(0, 0)
+    cast = draw_cast(task, job)
+    found = draw_places(task, cast, dict.fromkeys(cast.of("cube"), BLOCK), session.config.table, job)
+    assert found in ("cube_2", "cube_3")
+
+
+@pytest.mark.parametrize(("attitude", "leans"), [("upright", 0.0), ("lying", math.pi / 2), ("upside_down", math.pi)])
+def test_things_lie_as_they_are_said_to(
+    attitude: str, leans: float, three: Session, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    start = {"x": [0.3, 0.4], "y": [-0.1, 0.1], "attitudes": [attitude]}
+    one = {("things", "cube", "count"): 1, ("starts", "cube"): start, ("expert",): [{"pick": {"thing": "cube"}}]}
+    session = session_of(tmp_path_factory.mktemp("task"), changed(one, THREE))
+    placed = _places(session, EpisodeJob(0, 0))
+    assert tilt(placed["cube"].T[:3, :3]) == pytest.approx(leans, abs=1e-6)
+
+
+def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.TempPathFactory) -> None:
+    on_it = changed({("starts", "cube"): {"on": "plate", "x": [0.05, 0.05], "y": [0, 0], "yaw_deg": [0, 0]}})
+    session = session_of(
+        tmp_path_factory.mktemp("task"), on_it | {"goal": {"on": {"thing": "cube", "surface": "table"}}}
+    )
+    task, job, table = _task(session), EpisodeJob(0, 3), session.config.table
+    assert isinstance(table, Table)
+    placed = draw_places(task, draw_cast(task, job), dict.fromkeys(("plate", "cube"), BLOCK), table, job)
+    assert isinstance(placed, dict) and placed["cube"].on == "plate"
+    apart = np.linalg.inv(placed["plate"].T) @ placed["cube"].T
+    assert apart[:2, 3] == pytest.approx((0.05, 0.0), abs=1e-9)

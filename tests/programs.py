@@ -1,0 +1,76 @@
+"""Small tasks that are data, for tests: a cube and a plate before one arm, or other things before two."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.documents.document import dump_yaml
+from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.types import Attempt, EpisodeJob
+
+STATION = "yam_station_linear_4310_d405"
+
+#: A cube, put onto a plate by one arm.
+ONTO_PLATE: dict[str, Any] = {
+    "kind": "program",
+    "rig": "single_linear",
+    "things": {"plate": {"of": "kitchen_plate"}, "cube": {"of": ["cube_red", "cube_blue"]}},
+    "starts": {
+        "plate": {"x": [0.38, 0.42], "y": [-0.16, -0.14]},
+        "cube": {"x": [0.32, 0.38], "y": [0.10, 0.14], "yaw_deg": [-30, 30]},
+    },
+    "phrasings": {
+        "training": ["put the cube onto the plate", "the cube goes onto the plate"],
+        "held_out": ["serve it"],
+    },
+    "goal": {"all": [{"on": {"thing": "cube", "surface": "plate"}}], "for_s": 0.2},
+    "expert": [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "plate"}}],
+    "timing": {"ticks_per_frame": 8},
+}
+
+
+def changed(changes: dict[tuple[str, ...], Any], task: dict[str, Any] | None = None) -> dict[str, Any]:
+    """A task, `ONTO_PLATE` unless given, with some values changed; None removes one."""
+
+    def copied(value: Any) -> Any:
+        return {key: copied(inner) for key, inner in value.items()} if isinstance(value, dict) else value
+
+    data = copied(task or ONTO_PLATE)
+    for path, value in changes.items():
+        here = data
+        for key in path[:-1]:
+            here = here[key]
+        if value is None:
+            del here[path[-1]]
+        else:
+            here[path[-1]] = value
+    return data
+
+
+def written(folder: Path, task: dict[str, Any], name: str = "small") -> Path:
+    """The file of a task."""
+    file = folder / f"{name}.yaml"
+    file.write_text(dump_yaml(task), encoding="utf-8")
+    return file
+
+
+def session_of(folder: Path, task: dict[str, Any], **given: Any) -> Session:
+    """A session of a task, with primitives in place of meshes."""
+    opener = Opener(os.environ, lambda text: None, lambda setting: f"--{setting}")
+    where = opener.locations()
+    given = {"size": "64x48", "quality": "fast", "n": 1, "workers": 1} | given
+    session = Session(opener.config("default", where, task=str(written(folder, task)), **given), where)
+    return session.without_meshes()
+
+
+def first_attempt(simulators: Simulators, number: int = 0) -> tuple[Simulator, Attempt]:
+    """An attempt of seed 0, and the simulator in which it takes place."""
+    job = EpisodeJob(0, number)
+    simulator = simulators.of(job)
+    return simulator, sample(simulator, job)

@@ -1,0 +1,109 @@
+"""`yamsim tasks`: which tasks there are, and whether one is what it says."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from .session import Json, opener
+from .settings import ConfigOption, Rig, Seed, Workers
+
+app = typer.Typer(help="List the tasks, show one, and check one.", no_args_is_help=True)
+
+_WORDS = {True: "passed", False: "FAILED", None: "does not apply"}
+
+
+@app.command("list")
+def list_tasks(json: Json = False) -> None:
+    """List the tasks: what is done in each, with what.
+
+    Example: yamsim tasks list
+    """
+    from yamsim_cli.core.task_proof.tasks_there import tasks_there
+
+    from .console import print_json, print_table
+    from .tables import listing
+
+    items = tasks_there(opener.locations())
+    if json:
+        print_json({"items": items})
+        return
+    headings = ["name", "things", "skills", "what is said"]
+    table = listing(headings, numbers_from=len(headings))
+    for item in items:
+        table.add_row(
+            item["name"], ", ".join(item["things"]), ", ".join(item["skills"] or [item["kind"]]), item["prompt"]
+        )
+    print_table(table)
+
+
+@app.command()
+def show(
+    name: Annotated[str, typer.Argument(help="Of a task, or a YAML file.")],
+    json: Json = False,
+) -> None:
+    """Show one task: things by role, where they start, phrasings, skills and goal.
+
+    Example: yamsim tasks show tower
+    """
+    from yamsim_cli.core.task_proof.tasks_there import task_there
+
+    from .console import print_json, print_table
+    from .tables import facts
+
+    item = task_there(name, opener.locations())
+    if json:
+        print_json({"items": [item]})
+        return
+    print_table(facts((key.replace("_", " "), _text(value)) for key, value in item.items() if value not in (None, [])))
+
+
+@app.command()
+def check(
+    name: Annotated[str, typer.Argument(help="Of a task, or a YAML file.")],
+    n: Annotated[int, typer.Option("--n", min=1, help="Attempts of the expert.")] = 20,
+    least: Annotated[
+        float, typer.Option("--min-success", min=0, max=1, help="The share of attempts that has to succeed.")
+    ] = 0.85,
+    seed: Seed = None,
+    workers: Workers = None,
+    rig: Rig = None,
+    config: ConfigOption = "default",
+    json: Json = False,
+) -> None:
+    """Prove a task: its region is in reach, its expert does it, and neither doing nothing nor near misses count.
+
+    The exit code is 3 if its file is not valid, and 5 if a check fails.
+
+    Example: yamsim tasks check tower --n 20
+    """
+    session = opener.open(config, renders=False, task=name, n=n, seed=seed, workers=workers, rig=rig)
+
+    from yamsim_cli.core.config.pairs import require_program
+    from yamsim_cli.core.task_proof.proof import prove, require_proof
+
+    from .console import print_json, print_table, progress_bar
+    from .tables import listing
+
+    require_program(session.config, "`yamsim tasks check`")
+    with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
+        report = prove(session, least, lambda done, wanted: advance(done, wanted, ""))
+    if json:
+        print_json(report)
+    else:
+        table = listing(["check", "", "found"], numbers_from=3)
+        for found in report["checks"]:
+            table.add_row(found["name"].replace("_", " "), _WORDS[found["ok"]], found["detail"])
+        for trial in report["trials"]:
+            table.add_row(f"trial {trial['trial']}", trial["outcome"]["cause"], trial["outcome"]["detail"])
+        print_table(table)
+    require_proof(report)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        return "; ".join(f"{key}: {_text(inner)}" for key, inner in value.items())
+    if isinstance(value, list):
+        return ", ".join(map(_text, value))
+    return str(value)

@@ -1,0 +1,70 @@
+"""The simulators of a session: one for every cast of things, a few of them kept."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+from ..closing import Closing
+from ..goals.cast import Cast
+from ..session import Session
+from ..tasks.casting import draw_cast
+from ..types import EpisodeJob
+from .simulator import Simulator
+
+# How many are kept: each holds a compiled scene, and a renderer once it has rendered.
+_KEPT = 4
+
+_Key = tuple[tuple[str, str], ...]
+
+
+def cast_for(session: Session, job: EpisodeJob) -> Cast | None:
+    """Who plays which role in an attempt; None in tasks that have no roles."""
+    task = session.config.program
+    return None if task is None else draw_cast(task, job)
+
+
+def simulator_for(session: Session, cast: Cast | None) -> Simulator:
+    """A simulator of the things of a cast.
+
+    Raises:
+        SimulationError: its scene cannot be compiled.
+    """
+    task = session.config.program
+    if task is None or cast is None:
+        return Simulator(session)
+    return Simulator(session.with_values(task=task.played_by(cast)), cast)
+
+
+class Simulators(Closing):
+    """Makes simulators, and closes those that were not asked for lately. Close it, or use it as a context manager.
+
+    Args:
+        check: called with each simulator that was made.
+    """
+
+    def __init__(self, session: Session, check: Callable[[Simulator], None] = lambda made: None) -> None:
+        self.session, self._check = session, check
+        self._made: OrderedDict[_Key, Simulator] = OrderedDict()
+
+    def of(self, job: EpisodeJob) -> Simulator:
+        """The simulator in which an attempt takes place; use it before the next one is asked for.
+
+        Raises:
+            SimulationError: its scene cannot be compiled.
+        """
+        cast = cast_for(self.session, job)
+        key = tuple(sorted(cast.kinds.items())) if cast is not None else ()
+        if key in self._made:
+            self._made.move_to_end(key)
+            return self._made[key]
+        while len(self._made) >= _KEPT:
+            self._made.popitem(last=False)[1].close()
+        made = self._made[key] = simulator_for(self.session, cast)
+        self._check(made)
+        return made
+
+    def close(self) -> None:
+        """Free all renderers."""
+        while self._made:
+            self._made.popitem()[1].close()

@@ -1,0 +1,263 @@
+"""Tasks as data: things by role, where they start, what is said, when it is done, and an expert made of skills."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, FiniteFloat, model_validator
+
+from ..documents.base import Config, ConflictError, Name, Positive, Reference
+from ..documents.units import Distance, Heading, HeadingRange, JointAngle, OffsetPoint, ReachRange, Within
+from ..errors import suggest
+from ..goals.cast import Cast
+from ..goals.goal import Goal
+from ..goals.world import TABLE
+from .things import ObjectConfig
+
+#: What tasks that are data say as their `kind`.
+PROGRAM = "program"
+
+# How a thing can lie at the start: as it stands, on its side, or on its head.
+Attitude = Literal["upright", "lying", "upside_down"]
+
+_Share = Annotated[FiniteFloat, Field(ge=0, le=1)]
+
+
+class Role(Config):
+    """What plays a role: so many things, each drawn from a list.
+
+    No object is drawn twice while others are left, so a count as long as the list takes each of them, in random order.
+
+    Attributes:
+        of: the objects to draw from.
+        count: how many things play the role.
+    """
+
+    of: Annotated[tuple[ObjectConfig, ...], Reference("objects"), Field(min_length=1)]
+    count: Annotated[int, Field(ge=1, le=20)] = 1
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_alone(cls, given: Any) -> Any:
+        """`of: plate` says the same as `of: [plate]`."""
+        one = isinstance(given, Mapping) and isinstance(given.get("of"), Mapping)
+        return {**given, "of": [given["of"]]} if one else given
+
+
+class Start(Config):
+    """Where the things of a role start, and how they lie there.
+
+    Attributes:
+        on: what they start on: `table`, or a role whose first thing they start on.
+        x, y: where the middle of a thing's outline may lie, m: in `world` on the table (x ahead of the arms, y to the
+            left of the middle between them), else in the frame of what it starts on.
+        yaw_deg: its heading.
+        attitudes: how it may lie; each is as likely.
+        apart: the smallest gap between its outline, seen from above, and that of any thing that stands already, m.
+        open: of articulated things, part -> how far it is open, as a range of shares; others are closed.
+    """
+
+    on: Name = TABLE
+    x: ReachRange
+    y: ReachRange
+    yaw_deg: HeadingRange = (-180, 180)
+    attitudes: Annotated[tuple[Attitude, ...], Field(min_length=1)] = ("upright",)
+    apart: Distance = 0.02
+    open: Mapping[Name, tuple[_Share, _Share]] = Field(default_factory=dict)
+
+
+class Phrasings(Config):
+    """What a person might say to have it done.
+
+    Attributes:
+        training: recordings say one of these, drawn for each episode.
+        held_out: no recording says these; they are for judging what was learned.
+    """
+
+    training: Annotated[tuple[str, ...], Field(min_length=1)]
+    held_out: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _apart(self) -> Phrasings:
+        if shared := sorted(set(self.training) & set(self.held_out)):
+            raise ConflictError(f"{shared[0]!r} is said in training too, so it is not held out", ("held_out",))
+        return self
+
+
+class NearMiss(Config):
+    """How a success may be spoilt so that it is none any more: a thing that is put off from where it ended.
+
+    Attributes:
+        thing: a role; each of its things is tried by itself.
+        what: said of it in messages, such as "30 mm beside its place".
+        move: along the axes of `world`, m.
+        tilt_deg: about the x axis of `world`.
+    """
+
+    thing: str
+    what: str
+    move: OffsetPoint = (0.0, 0.0, 0.0)
+    tilt_deg: Heading = 0.0
+
+
+class ProgramTiming(Config):
+    """How time passes.
+
+    Attributes:
+        settle_ticks: control ticks after the program, in which everything comes to rest.
+        physics_steps_per_tick, timestep, ticks_per_frame: as of other tasks, see `task.Timing`.
+    """
+
+    settle_ticks: int = Field(default=15, ge=0, le=10_000)
+    physics_steps_per_tick: int = Field(default=16, ge=1, le=1000)
+    timestep: Annotated[FiniteFloat, Within("s", 1e-5, 0.01)] = 0.002
+    ticks_per_frame: int = Field(default=2, ge=1, le=100)
+
+    @property
+    def tick(self) -> float:
+        """Length of a control tick, s."""
+        return self.physics_steps_per_tick * self.timestep
+
+
+class ProgramTask(Config):
+    """A task that is data.
+
+    Attributes:
+        rig: what it is done on where nobody says otherwise.
+        things: role -> what plays it.
+        starts: role -> where its things start. They are placed in this order.
+        phrasings: what a person might say; the first one stands for the task.
+        goal: when it is done.
+        near_misses: what does not count, for `yamsim tasks check` to try.
+        expert: a list of skills that does it, each step of one key; see `core.skills.program`.
+        time_limit_s: how long an attempt may take, s of simulated time.
+        start_joints: of the arms when it starts, rad; if left out, those of their robot model.
+    """
+
+    name: Name
+    kind: Literal["program"]
+    rig: str
+    things: Annotated[Mapping[Name, Role], Field(min_length=1)]
+    starts: Mapping[Name, Start]
+    phrasings: Phrasings
+    goal: Goal
+    near_misses: tuple[NearMiss, ...] = ()
+    expert: Annotated[tuple[Mapping[str, Any], ...], Field(min_length=1)]
+    timing: ProgramTiming = ProgramTiming()
+    time_limit_s: Positive = 120.0
+    start_joints: tuple[JointAngle, ...] | None = None
+
+    @model_validator(mode="after")
+    def _roles_are_there(self) -> ProgramTask:
+        if TABLE in self.things:
+            raise ConflictError(f"no role may be called {TABLE!r}, which is what stands there", ("things", TABLE))
+        for role in self.things:
+            if role not in self.starts:
+                raise ConflictError(f"nothing says where the {role} starts; add it to `starts`", ("starts",))
+        placed = {TABLE}
+        for role, start in self.starts.items():
+            if role not in self.things:
+                raise ConflictError(f"unknown role {role!r}; {suggest(role, self.things)}", ("starts", role))
+            if start.on not in placed:
+                known = suggest(start.on, placed)
+                raise ConflictError(
+                    f"{start.on!r} is nothing that is placed before the {role}; {known}", ("starts", role, "on")
+                )
+            placed.add(role)
+        cast = self.typical_cast
+        known_names = {*cast.things, *(name for names in cast.things.values() for name in names), TABLE}
+        for k, miss in enumerate(self.near_misses):
+            if miss.thing not in known_names - {TABLE}:
+                raise ConflictError(
+                    f"unknown role {miss.thing!r}; {suggest(miss.thing, self.things)}", ("near_misses", k, "thing")
+                )
+        for path, predicate in self.goal.predicates():
+            for argument, role in predicate.roles():
+                if role not in known_names:
+                    raise ConflictError(
+                        f"unknown role {role!r}; {suggest(role, known_names)}", ("goal", *path, *argument.split("."))
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _names_mean_one_thing(self) -> ProgramTask:
+        known: dict[str, ObjectConfig] = {}
+        for role, played in self.things.items():
+            for k, item in enumerate(played.of):
+                if known.setdefault(item.name, item) != item:
+                    raise ConflictError(f"two different objects are called {item.name!r}", ("things", role, "of", k))
+        return self
+
+    @model_validator(mode="after")
+    def _parts_are_there(self) -> ProgramTask:
+        for role, start in self.starts.items():
+            for item in self.things[role].of:
+                names = [link.name for link in item.links]
+                for part, (low, high) in start.open.items():
+                    if part not in names:
+                        raise ConflictError(
+                            f"the {item.name} has no part {part!r}; {suggest(part, names)}",
+                            ("starts", role, "open", part),
+                        )
+                    if low > high:
+                        raise ConflictError(
+                            f"a range is [low, high], so {low} must not be above {high}", ("starts", role, "open", part)
+                        )
+        return self
+
+    @property
+    def objects(self) -> tuple[ObjectConfig, ...]:
+        """All that may play a role, each object once, in the order in which records name it."""
+        return tuple({item.name: item for role in self.things.values() for item in role.of}.values())
+
+    @property
+    def language_task(self) -> str:
+        """The task's name in the data."""
+        return self.name
+
+    @property
+    def language_prompt(self) -> str:
+        """What is said where no phrasing was drawn."""
+        return self.phrasings.training[0]
+
+    @property
+    def most_ticks(self) -> int:
+        """How many control ticks an attempt may take."""
+        return math.ceil(self.time_limit_s / self.timing.tick)
+
+    @property
+    def hold_ticks(self) -> int:
+        """For how many control ticks at the end the goal has to hold."""
+        return math.ceil(self.goal.for_s / self.timing.tick)
+
+    @property
+    def typical_cast(self) -> Cast:
+        """Who plays which role if each list is played from its beginning: what no draw changes follows from it."""
+        return self.cast_of(
+            {role: tuple(k % len(one.of) for k in range(one.count)) for role, one in self.things.items()}
+        )
+
+    def cast_of(self, drawn: Mapping[str, tuple[int, ...]]) -> Cast:
+        """The cast, by the numbers in `of` of the objects that play each role."""
+        kinds = {
+            name: self.things[role].of[k].name
+            for role, numbers in drawn.items()
+            for name, k in zip(names_of(role, len(numbers)), numbers, strict=True)
+        }
+        return Cast({role: names_of(role, len(numbers)) for role, numbers in drawn.items()}, kinds)
+
+    def played_by(self, cast: Cast) -> ProgramTask:
+        """The same task in which each role has the things of a cast, called by their names in it."""
+        things = {}
+        for role, one in self.things.items():
+            kinds = {item.name: item for item in one.of}
+            items = tuple(kinds[cast.kinds[name]].called(name) for name in cast.of(role))
+            things[role] = one.model_copy(update={"of": items})
+        return self.model_copy(update={"things": things})
+
+
+def names_of(role: str, count: int) -> tuple[str, ...]:
+    """What the things of a role are called: as the role, and numbered from 1 where several play it."""
+    return (role,) if count == 1 else tuple(f"{role}_{k + 1}" for k in range(count))

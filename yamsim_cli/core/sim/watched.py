@@ -1,0 +1,210 @@
+"""A scene in motion in which a task's goal is looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ..config.program_task import ProgramTask
+from ..geometry.se3 import Array
+from ..goals.cast import Cast
+from ..goals.goal import Verdict, judge
+from ..scene.breakdown import breakdown
+from ..scene.compiled import CompiledScene
+from ..types import Actions, Margins, Motion, StepState
+from .monitor import object_pose
+from .rollout import Rollout
+from .world import SimWorld
+
+# How long things are given to come to rest, s; how often that is looked at, in steps; and how slow they are then, m/s
+# and rad/s.
+_SETTLE_SECONDS = 2.0
+_SETTLE_STEPS = 25
+_AT_REST = 0.01
+
+# Called with the start, and with the state after every physics step, which it must not change.
+See = Callable[[mujoco.MjData], None]
+
+
+@dataclass(frozen=True)
+class Watched(Rollout):
+    """The result of a simulation in which a goal was looked at.
+
+    Attributes:
+        verdict: whether the goal held as long as it has to at the end: of the first moment at which it did not, else of
+            the last.
+    """
+
+    verdict: Verdict
+
+
+class WatchedLoop:
+    """A scene in motion, by actions that are given piece by piece. The same actions from the same start give the same
+    bits, in however many pieces they come.
+
+    Attributes:
+        data: MuJoCo's present state, with poses and contacts up to date.
+        world: the same by the things' names.
+
+    Args:
+        start: MuJoCo's positions (nq,), from which everything starts at rest.
+        sides: of the scene's arms.
+        see: see `rollout.simulate`.
+    """
+
+    def __init__(
+        self,
+        scene: CompiledScene,
+        start: Array,
+        task: ProgramTask,
+        cast: Cast,
+        sides: Sequence[str],
+        see: See | None = None,
+    ) -> None:
+        self._scene, self._task, self._cast, self._see = scene, task, cast, see
+        self.data = mujoco.MjData(scene.model)
+        scene.reset(self.data, start)
+        self.world = SimWorld(scene.model, self.data, scene.arms, sides, list(scene.object_qpos))
+        self.world.begin()
+        self._limits = _Limits(scene)
+        self._T_at_start = self._poses()
+        self._actions: list[Actions] = []
+        self._positions: list[tuple[float, Array]] = []
+        self._verdict: Verdict | None = None
+        self.ticks = 0
+        if see:
+            see(self.data)
+
+    @property
+    def hold_ticks(self) -> int:
+        """For how many ticks at the end the goal has to hold."""
+        return self._task.hold_ticks
+
+    @property
+    def frames(self) -> int:
+        """How many frames were recorded so far."""
+        return len(self._positions)
+
+    def act(self, actions: Actions, *, last: bool = False) -> None:
+        """Let actions act.
+
+        Args:
+            last: whether nothing follows, so that the goal has to hold at their end.
+        """
+        self._actions.append(actions)
+        timing, data, model = self._task.timing, self.data, self._scene.model
+        judged_from = len(actions.ctrl) - self._task.hold_ticks if last else len(actions.ctrl)
+        for tick, ctrl in enumerate(actions.ctrl):
+            if self.ticks % timing.ticks_per_frame == 0:
+                self._positions.append((data.time, data.qpos.copy()))
+            if tick >= judged_from:
+                self._judge()
+            data.ctrl[:] = ctrl
+            for _ in range(timing.physics_steps_per_tick):
+                mujoco.mj_step(model, data)
+                self._limits.step(data)
+                if self._see:
+                    self._see(data)
+            # After mj_step, poses and contacts are those of the step before.
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_collision(model, data)
+            self._limits.end_tick(data)
+            self.world.watch()
+            self.ticks += 1
+        if last:
+            self._judge()
+
+    def result(self) -> Watched:
+        """What happened, once the last actions have acted."""
+        assert self._verdict is not None, "the last actions have not acted yet"
+        return Watched(
+            states=self._states(),
+            T_at_start=self._T_at_start,
+            T_object_before_grasp=np.eye(4),
+            T_in_world=self._poses(),
+            object_speed=max(self.world.speed(name) for name in self.world.things),
+            motion=self._limits.motion(),
+            verdict=self._verdict,
+        )
+
+    def judged(self) -> Verdict:
+        """Whether the goal holds now."""
+        return judge(self._task.goal, self.world, self._cast)
+
+    def _judge(self) -> None:
+        if self._verdict is None or self._verdict.reached:
+            self._verdict = self.judged()
+
+    def _poses(self) -> dict[str, Array]:
+        return {name: object_pose(self.data, name) for name in self._scene.object_qpos}
+
+    def _states(self) -> tuple[StepState, ...]:
+        every = self._task.timing.ticks_per_frame
+        ctrl = np.concatenate([actions.ctrl for actions in self._actions])
+        magnet = np.concatenate([actions.magnet for actions in self._actions])
+        joints = np.concatenate([actions.joints for actions in self._actions])
+        spans = [slice(k * every, (k + 1) * every) for k in range(len(self._positions))]
+        return tuple(
+            StepState(time, qpos, Actions(ctrl[span], magnet[span], joints[span]))
+            for (time, qpos), span in zip(self._positions, spans, strict=True)
+        )
+
+
+class _Limits:
+    """Observes how near the arms come to what they can do, and what they touch that they must not."""
+
+    def __init__(self, scene: CompiledScene) -> None:
+        self._scene = scene
+        self._velocity = self._torque = 0.0
+        self._joint = np.inf
+        self._steps = 0
+        self._collision: str | None = None
+        self._breakdown: str | None = None
+
+    def step(self, data: mujoco.MjData) -> None:
+        scene = self._scene
+        self._steps += 1
+        for arm in scene.arms:
+            joints = data.qpos[arm.joint_qpos]
+            self._velocity = max(self._velocity, float((np.abs(data.qvel[arm.joint_dof]) / arm.motor_speed).max()))
+            force = np.abs(data.actuator_force[arm.arm_ctrl])
+            self._torque = max(self._torque, float((force / arm.most_torque).max()))
+            room = np.minimum(joints - arm.joint_range[:, 0], arm.joint_range[:, 1] - joints)
+            self._joint = min(self._joint, float(room.min()))
+        if self._collision is None:
+            geoms = data.contact.geom
+            forbidden = scene.forbidden(geoms)
+            if forbidden.any():
+                names = " and ".join(scene.model.geom(int(geom)).name for geom in geoms[forbidden][0])
+                self._collision = f"{names} touch after {data.time:.2f} s"
+
+    def end_tick(self, data: mujoco.MjData) -> None:
+        if self._breakdown is None and (text := breakdown(data)):
+            # The time is counted in steps, since MuJoCo has reset its own clock.
+            seconds = self._steps * float(self._scene.model.opt.timestep)
+            self._breakdown = f"physics broke down within {seconds:.3f} s: {text}"
+
+    def motion(self) -> Motion:
+        margins = Margins(self._velocity, self._torque, float(self._joint), None, None)
+        return Motion(margins, None, self._collision, self._breakdown)
+
+
+def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
+    """MuJoCo's positions (nq,) once all things have come to rest, the arms being where they were at `start`."""
+    data = mujoco.MjData(scene.model)
+    scene.reset(data, start)
+    dofs = np.concatenate([np.arange(dof, dof + 6) for dof in scene.object_dof.values()])
+    for _ in range(int(_SETTLE_SECONDS / timestep / _SETTLE_STEPS)):
+        mujoco.mj_step(scene.model, data, _SETTLE_STEPS)
+        if float(np.abs(data.qvel[dofs]).max()) < _AT_REST:
+            break
+    settled: Array = data.qpos.copy()
+    for arm in scene.arms:
+        settled[arm.joint_qpos] = start[arm.joint_qpos]
+        if arm.fingers is not None:
+            settled[arm.fingers.qpos] = start[arm.fingers.qpos]
+    return settled

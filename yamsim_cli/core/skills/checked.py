@@ -1,0 +1,94 @@
+"""Whether a task that is data can be: its program, and where its things start."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..config.program_task import ProgramTask
+from ..config.recording import RecordConfig
+from ..documents.base import Config, ConflictError
+from ..goals.cast import Cast
+from ..goals.world import TABLE
+from ..scene.robot import bare_arm
+from .operate import Operate
+from .program import read_steps
+
+
+def check_config(config: Config) -> None:
+    """Make sure that a config's task can be, if it is a task or a recording of one that is data.
+
+    Raises:
+        ConflictError: it cannot; its path is where, from the config.
+    """
+    if isinstance(config, ProgramTask):
+        check_program(config)
+    elif isinstance(config, RecordConfig) and config.program is not None:
+        try:
+            check_program(config.program, len(config.rig.arms))
+        except ConflictError as error:
+            raise ConflictError(str(error), *(("task", *path) for path in error.paths)) from error
+        _check_reach(config, config.program)
+
+
+def check_program(task: ProgramTask, arms: int = 2) -> None:
+    """Make sure that a task's program has known skills, roles and parts, and that hands are free when it needs them.
+
+    Args:
+        arms: how many hands there are.
+
+    Raises:
+        ConflictError: it cannot be; its path is where, from the task.
+    """
+    cast = task.typical_cast
+    held: set[str] = set()
+    for path, skill in read_steps(task.expert, cast, ("expert",)):
+        thing = cast.one(skill.roles()[0][1])
+        if skill.NEEDS and thing not in held:
+            raise ConflictError(f"the {thing} is in no hand here: pick it first", path)
+        if skill.NEEDS is False and thing not in held and len(held) >= arms:
+            others = " and the ".join(sorted(held))
+            raise ConflictError(f"no hand is free for the {thing}: the {others} is held; put it down first", path)
+        if skill.LEAVES is not None:
+            held = held | {thing} if skill.LEAVES else held - {thing}
+        if isinstance(skill, Operate):
+            _check_part(task, cast, skill, path)
+
+
+def _check_part(task: ProgramTask, cast: Cast, skill: Operate, path: tuple[str | int, ...]) -> None:
+    items = {item.name: item for item in task.objects}
+    item = items[cast.kinds[cast.one(skill.thing)]]
+    with_handles = [link.name for link in item.links if link.handles]
+    if skill.joint not in with_handles:
+        known = ", ".join(with_handles) or "(none)"
+        raise ConflictError(
+            f"the {item.name} has no part {skill.joint!r} with a handle; valid: {known}", (*path, "joint")
+        )
+
+
+def _check_reach(config: RecordConfig, task: ProgramTask) -> None:
+    """Make sure that of every region on the table some place is nearer to an arm's base than the arm is long."""
+    arms = [(config.rig.T_base_in_world(k)[:2, 3], _length(bare_arm(arm))) for k, arm in enumerate(config.rig.arms)]
+    for role, start in task.starts.items():
+        if start.on != TABLE:
+            continue
+        short = []
+        for base, length in arms:
+            nearest = np.clip(base, (start.x[0], start.y[0]), (start.x[1], start.y[1]))
+            short.append(float(np.linalg.norm(nearest - base)) - length)
+        if min(short) > 0:
+            raise ConflictError(
+                f"all of the region of the {role} is out of reach: its nearest place is {min(short):.2f} m farther "
+                f"away than any arm of rig {config.rig.name!r} is long",
+                ("task", "starts", role, "x"),
+            )
+
+
+def _length(model: mujoco.MjModel) -> float:
+    """At least how far from its base an arm's pinch point never gets, m: all that is between them in one line."""
+    site = model.site("pinch_site")
+    length, body = float(np.linalg.norm(site.pos)), int(np.ravel(site.bodyid)[0])
+    while model.body_parentid[body]:
+        length += float(np.linalg.norm(model.body_pos[body]))
+        body = int(model.body_parentid[body])
+    return length

@@ -1,0 +1,201 @@
+"""The checks of a task, each with its figure."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ..attempt.expert import sides
+from ..attempt.programs import demonstrate_program
+from ..attempt.sampling import sample
+from ..attempt.simulated import Simulated
+from ..attempt.simulator import Simulator
+from ..attempt.simulators import Simulators
+from ..config.program_task import NearMiss, ProgramTask, Start
+from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector, rotation_z
+from ..goals.cast import Cast
+from ..goals.world import TABLE
+from ..scene.compiled import CompiledScene
+from ..sim.watched import WatchedLoop
+from ..skills.program import read_program
+from ..types import Actions, Attempt, EpisodeJob
+
+# A region is looked at in so many places along each side.
+_GRID = 8
+
+# The least share of a region that hands have to reach.
+LEAST_REACH = 0.9
+
+# How a hand may come to a place: leaning so far from straight down, towards so many sides, and turned, rad.
+_LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))
+_TOWARDS = tuple(math.radians(angle) for angle in range(0, 360, 60))
+_TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))
+
+# Hands get to things so high over what they start on, m.
+_HEIGHT = 0.03
+
+# What lies nearer than this to where it started counts as not moved, m.
+_MOVED = 0.05
+
+# How long nothing is done before it is judged, s.
+_STILL_S = 2.0
+
+
+@dataclass(frozen=True)
+class Check:
+    """What one check found.
+
+    Attributes:
+        name: which check.
+        ok: whether it passed; None where it does not apply.
+        value: its figure, a share or a count; None without one.
+        detail: the figures behind it, for a person.
+    """
+
+    name: str
+    ok: bool | None
+    value: float | None
+    detail: str
+
+
+def check_reach(simulator: Simulator, task: ProgramTask) -> Check:
+    """Of the places in the regions on the table, how many some hand reaches, in whatever way it is turned."""
+    shares = {role: _reached(simulator, start) for role, start in task.starts.items() if start.on == TABLE}
+    least = min(shares.values(), default=1.0)
+    told = ", ".join(f"{role} {share:.0%}" for role, share in shares.items())
+    return Check("reach", least >= LEAST_REACH, least, f"of each region: {told}; at least {LEAST_REACH:.0%} is needed")
+
+
+def _reached(simulator: Simulator, start: Start) -> float:
+    height = simulator.config.table.top + _HEIGHT
+    places = list(itertools.product(np.linspace(*start.x, _GRID), np.linspace(*start.y, _GRID)))
+    return sum(_gets_to(simulator, np.array((x, y, height))) for x, y in places) / len(places)
+
+
+def _gets_to(simulator: Simulator, place: Array) -> bool:
+    return any(simulator.expert_tools.reaches(T) for T in _hands(place))
+
+
+def _hands(place: Array) -> Iterator[Array]:
+    """Poses (4, 4) of a hand at a place, from above first."""
+    down = rotation_from_vector([math.pi, 0.0, 0.0])
+    for lean in _LEANS:
+        for towards in _TOWARDS if lean else _TOWARDS[:1]:
+            tilted = rotation_from_vector([lean * math.cos(towards), lean * math.sin(towards), 0.0])
+            for turn in _TURNS:
+                yield pose(place, tilted @ rotation_z(turn) @ down)
+
+
+def check_still(simulators: Simulators, seed: int, n: int) -> Check:
+    """Whether the goal is never reached by doing nothing."""
+    reached = []
+    for job in (EpisodeJob(seed, number) for number in range(n)):
+        simulator = simulators.of(job)
+        attempt = sample(simulator, job)
+        if attempt.start is None:
+            continue
+        loop = _loop(simulator, attempt)
+        ticks = math.ceil(_STILL_S / simulator.config.task.timing.tick) + loop.hold_ticks
+        loop.act(_nothing(simulator.scene, attempt.start, ticks), last=True)
+        reached.append(loop.result().verdict.reached)
+    return _never("hold_still", reached, "attempts in which nothing is done")
+
+
+def check_open_fingers(simulators: Simulators, seed: int, n: int) -> Check:
+    """Whether the goal is never reached by an expert whose fingers do not close."""
+    task = simulators.session.config.program
+    assert task is not None, "of tasks that are data alone"
+    if not any(skill.LEAVES for skill in read_program(task.expert, task.typical_cast)):
+        return Check("open_fingers", None, None, "nothing is taken into a hand")
+    reached = []
+    for job in (EpisodeJob(seed, number) for number in range(n)):
+        simulator = simulators.of(job)
+        attempt = sample(simulator, job)
+        if attempt.start is not None:
+            reached.append(demonstrate_program(simulator, attempt, grips=False).outcome.success)
+    return _never("open_fingers", reached, "attempts in which no finger closes")
+
+
+def check_near_misses(simulator: Simulator, done: Simulated) -> Check:
+    """Whether the goal fails where things are put off from how a success ended: back to where they started, one at a
+    time, and as the task's own near misses say.
+    """
+    loop = _loop(simulator, done.attempt)
+    states = done.states
+    loop.act(
+        Actions(
+            np.concatenate([state.actions.ctrl for state in states]),
+            np.concatenate([state.actions.magnet for state in states]),
+            np.concatenate([state.actions.joints for state in states]),
+        ),
+        last=True,
+    )
+    task, cast = simulator.config.program, simulator.cast
+    assert task is not None and cast is not None and done.attempt.layout is not None, "of tasks that are data alone"
+    ended = loop.data.qpos.copy()
+    passed, looked = [], 0
+    for what, qpos in _misses(simulator.scene, task, cast, done.attempt, ended):
+        loop.data.qpos[:] = qpos
+        mujoco.mj_forward(simulator.scene.model, loop.data)
+        looked += 1
+        if loop.judged().reached:
+            passed.append(what)
+    detail = f"{looked} near misses" + (f", of which these count: {'; '.join(passed)}" if passed else ", none counts")
+    return Check("near_misses", not passed if looked else None, float(len(passed)), detail)
+
+
+def _misses(
+    scene: CompiledScene, task: ProgramTask, cast: Cast, attempt: Attempt, ended: Array
+) -> Iterator[tuple[str, Array]]:
+    """What was put off, and MuJoCo's positions (nq,) then."""
+    assert attempt.start is not None, "it has moved"
+    for name in _moved(scene, attempt.start, ended):
+        back, at = ended.copy(), scene.object_qpos[name]
+        back[at : at + 7] = attempt.start[at : at + 7]
+        yield f"the {name} where it started", back
+    for miss in task.near_misses:
+        off = ended.copy()
+        for name in cast.of(miss.thing):
+            _put_off(off, scene.object_qpos[name], miss)
+            yield f"the {name} {miss.what}", off.copy()
+
+
+def _moved(scene: CompiledScene, start: Array, ended: Array) -> Iterator[str]:
+    for name, at in scene.object_qpos.items():
+        if float(np.linalg.norm(ended[at : at + 3] - start[at : at + 3])) > _MOVED:
+            yield name
+
+
+def _put_off(qpos: Array, at: int, miss: NearMiss) -> None:
+    qpos[at : at + 3] += miss.move
+    if miss.tilt_deg:
+        R, turned = np.empty(9), rotation_from_vector([math.radians(miss.tilt_deg), 0.0, 0.0])
+        mujoco.mju_quat2Mat(R, qpos[at + 3 : at + 7])
+        qpos[at + 3 : at + 7] = quat_from_rotation(turned @ R.reshape(3, 3))
+
+
+def _never(name: str, reached: Sequence[bool], what: str) -> Check:
+    if not reached:
+        return Check(name, False, None, "no attempt had a start")
+    count = sum(reached)
+    return Check(name, not count, count / len(reached), f"{count} of {len(reached)} {what} reach the goal")
+
+
+def _loop(simulator: Simulator, attempt: Attempt) -> WatchedLoop:
+    task, cast = simulator.config.program, simulator.cast
+    assert task is not None and cast is not None and attempt.start is not None, "of tasks that are data alone"
+    return WatchedLoop(simulator.varied(attempt), attempt.start, task, cast, sides(simulator.config))
+
+
+def _nothing(scene: CompiledScene, start: Array, ticks: int) -> Actions:
+    """Actions with which every arm holds its place."""
+    ctrl = np.zeros(scene.model.nu)
+    for arm in scene.arms:
+        ctrl[arm.drives] = start[arm.recorded_qpos]
+    joints = np.array([start[arm.recorded_qpos] for arm in scene.arms])
+    return Actions(np.tile(ctrl, (ticks, 1)), np.zeros((ticks, len(scene.arms)), bool), np.tile(joints, (ticks, 1, 1)))
