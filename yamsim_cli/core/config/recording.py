@@ -197,9 +197,7 @@ class RecordConfig(Config):
                 ("rig",),
                 ("task",),
             )
-        prompt = self.task.language_prompt
-        for word, side in (("giving", self.arm), ("taking", _other(self.arm))):
-            prompt = prompt.replace(f"{{{word}}}", side)
+        prompt = self.task.prompt_by(self.arm, _other(self.arm))
         return self.model_copy(update={"task": self.task.model_copy(update={"language_prompt": prompt})})
 
     @model_validator(mode="after")

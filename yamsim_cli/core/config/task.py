@@ -139,6 +139,10 @@ class TaskConfig(Config):
         """All that is moved, or has something put onto it, in the order in which records name it."""
         return self.object, self.target
 
+    def prompt_by(self, giving: str, taking: str) -> str:
+        """The description, where it tells of two arms, with their sides."""
+        return self.language_prompt.replace("{giving}", giving).replace("{taking}", taking)
+
     @field_validator("language_task", "language_prompt")
     @classmethod
     def _filled_in(cls, text: str, info: ValidationInfo) -> str:

@@ -38,7 +38,8 @@ def task_there(name: str, locations: Locations) -> dict[str, Any]:
         "name": task.name,
         "kind": task.kind,
         "rig": None,
-        "prompt": task.language_prompt,
+        # As it is said unless --arm asks for the other one.
+        "prompt": task.prompt_by("right", "left"),
         "things": {"object": [task.object.name], "target": [task.target.name]},
         "skills": [],
         "goal": [],
