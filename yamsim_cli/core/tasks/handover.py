@@ -25,7 +25,8 @@ class Schedule:
     """The control ticks by which things have happened; they do not depend on anything random.
 
     Attributes:
-        reached: the giving hand is at the object.
+        near: the giving hand is over the object. Hands that hold by friction lean, so that their first way is longer.
+        reached: it is at the object.
         grasped: it has it.
         met: it has brought it to the exchange.
         taken: the taking hand has it too.
@@ -35,6 +36,7 @@ class Schedule:
         grip: how long fingers take to close or to open where friction holds; 0 where the weld does.
     """
 
+    near: int
     reached: int
     grasped: int
     met: int
@@ -55,14 +57,16 @@ def schedule(task: TaskConfig, grasp: GraspKind) -> Schedule:
     """When what happens."""
     way, meeting = task.timing.ticks_per_waypoint, exchange(task)
     grip = 0 if grasp == "weld" else task.timing.grip_ticks
-    grasped = 2 * way + grip
+    near = way if grasp == "weld" else 3 * way // 2
+    reached = near + way
+    grasped = reached + grip
     met = grasped + way + meeting.carry_ticks
     taken = met + meeting.take_ticks + grip
     given = taken + meeting.both_ticks
     # The taking hand waits until the giving one is on its way.
     placed = given + way // 2 + meeting.carry_ticks + way
     total = placed + grip + way + task.timing.settle_ticks
-    return Schedule(2 * way, grasped, met, taken, given, placed, total, grip)
+    return Schedule(near, reached, grasped, met, taken, given, placed, total, grip)
 
 
 def start_opening(task: TaskConfig) -> float:
@@ -142,7 +146,7 @@ def giving_plan(
     waypoints: tuple[Waypoint, ...]
     if at.grip:
         waypoints = (
-            to.open("pre-grasp", T_above, way),
+            to.open("pre-grasp", T_above, at.near),
             to.open("grasp", T_start, way),
             to.close("close", T_start, at.grip),
             to.close("lift", T_lifted, way, stop=False),
@@ -154,7 +158,7 @@ def giving_plan(
     else:
         giving = meeting.take_ticks + meeting.both_ticks
         waypoints = (
-            to.open("pre-grasp", T_above, way),
+            to.open("pre-grasp", T_above, at.near),
             to.close("grasp", T_start, way),
             to.close("lift", T_lifted, way, stop=False),
             to.close("exchange", T_exchange, meeting.carry_ticks),
