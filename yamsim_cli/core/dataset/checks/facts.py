@@ -79,8 +79,8 @@ def hand_keys(values: Values) -> list[str]:
 
 def each_hand(entries: Mapping[str, Any]) -> dict[str, Array]:
     """The poses (4, 4) of both hands in a frame of two arms, by keys of their own; empty of any other."""
-    hands = entries.get(_HAND)
-    return {f"{_HAND}[{k}]": hands[k] for k in range(2)} if np.shape(hands) == (2, 4, 4) and hands is not None else {}
+    hands = np.asarray(entries.get(_HAND, ()))
+    return {f"{_HAND}[{k}]": hands[k] for k in range(2)} if hands.shape == (2, 4, 4) else {}
 
 
 def _are(values: Values, key: str, shape: tuple[int, ...]) -> bool:
