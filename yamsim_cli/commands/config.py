@@ -111,6 +111,6 @@ def schema(kind: Kind, json: Json = False) -> None:
 
     Example: yamsim config schema rigs > rig.schema.json
     """
-    from yamsim_cli.core.config.loader import model_of
+    from yamsim_cli.core.config.loader import schema_of
 
-    print_json(model_of(kind).model_json_schema())
+    print_json(schema_of(kind))

@@ -32,7 +32,11 @@ BAD = {
     ),
     "unknown key of a role": ({("things", "cube", "cuont"): 2}, "things.cube.cuont", "did you mean 'count'?"),
     "unknown skill": ({("expert",): [{"pikc": {"thing": "cube"}}]}, "expert[0].pikc", "unknown skill 'pikc'; did you"),
-    "unknown role in the program": ({("expert",): [{"pick": {"thing": "cubes"}}]}, "expert[0].pick.thing", "did you mean 'cube'"),
+    "unknown role in the program": (
+        {("expert",): [{"pick": {"thing": "cubes"}}]},
+        "expert[0].pick.thing",
+        "did you mean 'cube'",
+    ),
     "unknown argument": (
         {("expert",): [{"pick": {"thing": "cube", "hand": "left"}}]},
         "expert[0].pick.hand",
@@ -44,8 +48,12 @@ BAD = {
         "the cube is in no hand here: pick it first",
     ),
     "no hand left": (
-        {("rig",): "yam_station_linear_4310_d405", ("expert",): [PICK, {"pick": {"thing": "plate"}}, {"lift": {"thing": "third"}}],
-         ("things", "third"): {"of": "cube_green"}, ("starts", "third"): {"x": [0.3, 0.4], "y": [0, 0.1]}},
+        {
+            ("rig",): "yam_station_linear_4310_d405",
+            ("things", "third"): {"of": "cube_green"},
+            ("starts", "third"): {"x": [0.3, 0.4], "y": [0, 0.1]},
+            ("expert",): [PICK, {"pick": {"thing": "plate"}}, {"lift": {"thing": "third"}}],
+        },
         "expert[2].lift",
         "no hand is free for the third: the cube and the plate is held",
     ),
@@ -56,11 +64,27 @@ BAD = {
     ),
     "no start": ({("starts", "cube"): None}, "starts", "nothing says where the cube starts"),
     "start of nobody": ({("starts", "cap"): {"x": [0, 1], "y": [0, 1]}}, "starts.cap", "unknown role 'cap'"),
-    "on what comes later": ({("starts", "plate", "on"): "cube"}, "starts.plate.on", "'cube' is nothing that is placed before"),
-    "opened what has no parts": ({("starts", "cube", "open"): {"lid": [0, 1]}}, "starts.cube.open.lid", "has no part 'lid'"),
-    "held out and said": ({("phrasings", "held_out"): ["the cube goes onto the plate"]}, "phrasings.held_out", "so it is not held out"),
-    "near miss of nobody": ({("near_misses",): [{"thing": "cap", "what": "off"}]}, "near_misses[0].thing", "unknown role 'cap'"),
-}  # fmt: skip
+    "on what comes later": (
+        {("starts", "plate", "on"): "cube"},
+        "starts.plate.on",
+        "'cube' is nothing that is placed before",
+    ),
+    "opened what has no parts": (
+        {("starts", "cube", "open"): {"lid": [0, 1]}},
+        "starts.cube.open.lid",
+        "has no part 'lid'",
+    ),
+    "held out and said": (
+        {("phrasings", "held_out"): ["the cube goes onto the plate"]},
+        "phrasings.held_out",
+        "so it is not held out",
+    ),
+    "near miss of nobody": (
+        {("near_misses",): [{"thing": "cap", "what": "off"}]},
+        "near_misses[0].thing",
+        "unknown role 'cap'",
+    ),
+}
 
 
 def _load(file: Path, locations: Locations) -> object:

@@ -125,7 +125,7 @@ def trial(name: str, config: RecordConfig, locations: Locations) -> Iterator[Tri
 def test_who_does_not_look_needs_no_renderer(config: RecordConfig, locations: Locations) -> None:
     with trial("Blind", config, locations) as runner:
         assert runner.run(EpisodeJob(0, 0)).ended is Ended.TIME_LIMIT
-        assert runner._simulator._renderer is None
+        assert runner._simulators.of(EpisodeJob(0, 0))._renderer is None
 
 
 def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
@@ -150,7 +150,9 @@ def test_a_picture_shows_what_was_when_it_was_told(
         assert (result.ended, result.error) == (Ended.DONE, "")
         seen = type(runner._policy).seen  # type: ignore[attr-defined]
         assert result.attempt.start is not None
-        rendered = render(runner._simulator, result.attempt, result.attempt.start, ("scene_camera",))["scene_camera"]
+        rendered = render(
+            runner._simulators.of(EpisodeJob(0, 0)), result.attempt, result.attempt.start, ("scene_camera",)
+        )["scene_camera"]
     np.testing.assert_array_equal(seen[0]["scene_rgb"], rendered)
     with pytest.raises(RuntimeError, match="once its trial is over"):
         seen[8]["scene_rgb"]

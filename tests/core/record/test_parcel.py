@@ -12,6 +12,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.record.parcel import pack, unpack, unpacked_runner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
+from yamsim_cli.core.types import EpisodeJob
 
 
 def test_what_is_unpacked_is_what_was_packed(tmp_path: Path, config: RecordConfig) -> None:
@@ -42,4 +43,4 @@ def test_a_runner_needs_nothing_but_its_parcel(
     config = make_config({("image", "size_px"): [16, 16]})
     with unpacked_runner(pack(Session(config, locations))) as runner:
         assert list(tmp_path.iterdir()) == [], "nothing is left on the node"
-        assert planned(runner._simulator, 0).states
+        assert planned(runner._simulators.of(EpisodeJob(0, 0)), 0).states

@@ -44,7 +44,9 @@ CABINET_HERE = {"cube": None, "cabinet": {"x": [0.52, 0.53], "y": [-0.01, 0.01],
 
 # Skill -> a task that needs it.
 TASKS: dict[str, dict[str, Any]] = {
-    "pick": _task([PICK], {"all": [{"held_by": {"thing": "cube"}}, {"above": {"thing": "cube", "other": "table", "by": 0.03}}]}),
+    "pick": _task(
+        [PICK], {"all": [{"held_by": {"thing": "cube"}}, {"above": {"thing": "cube", "other": "table", "by": 0.03}}]}
+    ),
     "place": ONTO_PLATE,
     "insert": _task(
         [PICK, {"insert": {"thing": "cube", "into": "bin"}}],
@@ -55,7 +57,12 @@ TASKS: dict[str, dict[str, Any]] = {
     "handover": _task([PICK, {"handover": {"thing": "cube"}}], {"handed_over": {"thing": "cube"}}),
     "put_aside": _task(
         [PICK, {"put_aside": {"thing": "cube"}}],
-        {"all": [{"on": {"thing": "cube", "surface": "table"}}, {"near": {"thing": "cube", "place": [0.34, 0.05], "radius": 0.12}}]},
+        {
+            "all": [
+                {"on": {"thing": "cube", "surface": "table"}},
+                {"near": {"thing": "cube", "place": [0.34, 0.05], "radius": 0.12}},
+            ]
+        },
     ),
     "push": _task(
         [{"push": {"thing": "can", "to": [0.42, 0.0]}}],
@@ -81,11 +88,16 @@ TASKS: dict[str, dict[str, Any]] = {
     ),
     "lift": _task(
         [{"lift": {"thing": "tray"}}],
-        {"all": [{"held_by": {"thing": "tray", "arm": "both"}}, {"above": {"thing": "tray", "other": "table", "by": 0.06}}]},
+        {
+            "all": [
+                {"held_by": {"thing": "tray", "arm": "both"}},
+                {"above": {"thing": "tray", "other": "table", "by": 0.06}},
+            ]
+        },
         things=TRAY,
         starts=TRAY_HERE,
     ),
-}  # fmt: skip
+}
 
 # What takes more than two seconds.
 SLOW = ("set_upright",)

@@ -97,10 +97,10 @@ def test_things_have_their_distance(three: Session) -> None:
 
 def test_a_gap_is_that_of_rectangles() -> None:
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    assert gap(square, square + (1.5, 0.2)) == pytest.approx(0.5)
-    assert gap(square, square + (0.5, 0.5)) < 0
+    assert gap(square, square + np.array([1.5, 0.2])) == pytest.approx(0.5)
+    assert gap(square, square + np.array([0.5, 0.5])) < 0
     turned = square @ np.array([[1, 1], [-1, 1]]) / math.sqrt(2)
-    assert gap(square, turned + (0.5, 1.3)) == pytest.approx(0.3)
+    assert gap(square, turned + np.array([0.5, 1.3])) == pytest.approx(0.3)
 
 
 def test_what_has_no_room_is_named(tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from ..documents.base import Config, ConflictError, Reference
 from ..documents.document import Document, KeyPath, is_setting, parse_yaml
@@ -19,7 +19,7 @@ from . import robot_names
 from .camera import CameraConfig
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
-from .recording import RecordConfig, RenderConfig
+from .recording import AnyTask, RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import SceneConfig
 from .task import TaskConfig
@@ -61,6 +61,12 @@ def model_of(kind: str) -> type[Config]:
 def variant(model: type[Config], data: Mapping[str, Any]) -> type[Config]:
     """The model that a document has to fit: of tasks there are two, told apart by their `kind`."""
     return ProgramTask if model is TaskConfig and data.get("kind") == PROGRAM else model
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    """The JSON schema of a kind of config. Raises as `model_of`."""
+    model = model_of(kind)
+    return TypeAdapter(AnyTask).json_schema() if model is TaskConfig else model.model_json_schema()
 
 
 def load_config(

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from ..documents.base import Config, ConflictError, Name, Positive, Reference
-from ..documents.units import Distance, Heading, HeadingRange, JointAngle, OffsetPoint, ReachRange, Within
+from ..documents.base import Config, ConflictError, Name, Reference
+from ..documents.units import Distance, Heading, HeadingRange, JointAngle, OffsetPoint, ReachRange, Share, Within
 from ..errors import suggest
 from ..goals.cast import Cast
 from ..goals.goal import Goal
@@ -21,8 +21,6 @@ PROGRAM = "program"
 
 # How a thing can lie at the start: as it stands, on its side, or on its head.
 Attitude = Literal["upright", "lying", "upside_down"]
-
-_Share = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
 
 class Role(Config):
@@ -65,7 +63,7 @@ class Start(Config):
     yaw_deg: HeadingRange = (-180, 180)
     attitudes: Annotated[tuple[Attitude, ...], Field(min_length=1)] = ("upright",)
     apart: Distance = 0.02
-    open: Mapping[Name, tuple[_Share, _Share]] = Field(default_factory=dict)
+    open: Mapping[Name, tuple[Share, Share]] = Field(default_factory=dict)
 
 
 class Phrasings(Config):
@@ -146,7 +144,7 @@ class ProgramTask(Config):
     near_misses: tuple[NearMiss, ...] = ()
     expert: Annotated[tuple[Mapping[str, Any], ...], Field(min_length=1)]
     timing: ProgramTiming = ProgramTiming()
-    time_limit_s: Positive = 120.0
+    time_limit_s: Annotated[FiniteFloat, Within("s", 0.1, 3600)] = 120.0
     start_joints: tuple[JointAngle, ...] | None = None
 
     @model_validator(mode="after")

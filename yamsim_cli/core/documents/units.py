@@ -93,6 +93,8 @@ Size = Annotated[FiniteFloat, Within("m", 1e-3, 10)]
 Offset = Annotated[FiniteFloat, Within("m", -1, 1)]
 # A gap, or a height above something, m.
 Distance = Annotated[FiniteFloat, Within("m", 0, 1)]
+# A part of a whole.
+Share = Annotated[FiniteFloat, Within("of 1", 0, 1)]
 Heading = Annotated[FiniteFloat, Within("degrees", -360, 360)]
 # The angle from a picture's top to its bottom. Every such angle in radians lies below the lower bound.
 FieldOfView = Annotated[FiniteFloat, Within("degrees", 4, 179)]

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, cast
 
-from pydantic import Field, create_model, model_validator
+from pydantic import Field, FiniteFloat, create_model, model_validator
 
-from ..documents.base import Config, NonNegative
+from ..documents.base import Config
+from ..documents.units import Within
 from .cast import Cast
 from .measure import Measure, worst
 from .predicates import PREDICATES, Predicate
@@ -98,7 +99,7 @@ class Goal(Clause):  # type: ignore[misc]
         for_s: the time, s of the simulation; 0 asks for the last moment alone.
     """
 
-    for_s: NonNegative = 0.0
+    for_s: Annotated[FiniteFloat, Within("s", 0, 60)] = 0.0
 
 
 @dataclass(frozen=True)

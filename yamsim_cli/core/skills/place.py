@@ -52,9 +52,13 @@ class Placing(Skill):
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """Where the thing may come to lie: poses (4, 4) in `world`, the best first."""
 
+    def _best(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """The same, looked for but once while nothing moves: every grip that is tried asks for them."""
+        return bench.once((self, thing), lambda: self.goals(bench, cast, thing))
+
     def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
         """See `Skill`."""
-        return [T[:2, 3] for T in self.goals(bench, cast, thing)[:1]]
+        return [T[:2, 3] for T in self._best(bench, cast, thing)[:1]]
 
     def fault(
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, joints: Array
@@ -62,7 +66,7 @@ class Placing(Skill):
         """See `Skill`."""
         fault = None
         load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
-        for T_goal in self.goals(bench, cast, thing):
+        for T_goal in self._best(bench, cast, thing):
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
             there = hand.reach(T_pinch, (joints, hand.ready))
             if there is None:
@@ -83,7 +87,7 @@ class Placing(Skill):
             raise SkillFailedError(Cause.DROPPED, f"no hand holds the {thing} that is to be put down")
         held = bench.look_at(hand)
         fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
-        for T_goal in self.goals(bench, cast, thing):
+        for T_goal in self._best(bench, cast, thing):
             over = _raised(T_goal, _OVER) @ inverse(held.T_thing_in_pinch)
             joints = hand.reach(over, (hand.joints, hand.ready), PASSING)
             if joints is None or hand.reach(T_goal @ inverse(held.T_thing_in_pinch), (joints,), PASSING) is None:

@@ -13,7 +13,7 @@ from ..layout import EPISODE, lowdim_name
 from ..lowdim import content_hash
 from ..records import EpisodeRecord, from_json
 from .context import Context, EpisodeDirectory
-from .facts import POSE, EpisodeFacts, Values, hand_keys, layout, numbered, places, pose_keys, seen_outcome
+from .facts import POSE, EpisodeFacts, Values, each_hand, hand_keys, layout, numbered, places, pose_keys, seen_outcome
 from .files import check_presence, list_files, read_file
 from .images import CameraChecks, ImageReader, check_frozen
 from .lowdim import LowdimChecks, ValueForm, expected_forms
@@ -214,8 +214,10 @@ class _EpisodeCheck:
             check_intrinsics(key, matrices, checks.size, self._frame_name, self._problems)
         if len(self._problems) == before:
             points = [key for key in keys if key.endswith(POSE)]
+            seen = {k: {**entries, **each_hand(entries)} for k, entries in values.items()}
+            points += each_hand(values[min(values)]) if values else {}
             for camera, checks in cameras.items():
-                check_view(camera, values, points, checks.size, self._problems)
+                check_view(camera, seen, points, checks.size, self._problems)
 
     def _compare_outcomes(self, seen: float | None, stored: float | None) -> None:
         if seen is not None and (stored is None or abs(seen - stored) > _OUTCOME_TOLERANCE):

@@ -77,6 +77,12 @@ def hand_keys(values: Values) -> list[str]:
     return [_HAND] if there and _are(values, _HAND, (2, 4, 4)) else []
 
 
+def each_hand(entries: Mapping[str, Any]) -> dict[str, Array]:
+    """The poses (4, 4) of both hands in a frame of two arms, by keys of their own; empty of any other."""
+    hands = np.asarray(entries.get(_HAND, ()))
+    return {f"{_HAND}[{k}]": hands[k] for k in range(2)} if hands.shape == (2, 4, 4) else {}
+
+
 def _are(values: Values, key: str, shape: tuple[int, ...]) -> bool:
     return all(np.shape(entries[key]) == shape for entries in values.values() if key in entries)
 

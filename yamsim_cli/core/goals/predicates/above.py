@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from ...documents.base import NonNegative
+from ...documents.units import Distance
 from ..cast import Cast
 from ..measure import Measure
 from ..world import TABLE, World
@@ -23,7 +23,7 @@ class Above(Predicate):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
     thing: str
     other: str
-    by: NonNegative = 0.0
+    by: Distance = 0.0
 
     def measures(self, world: World, cast: Cast) -> list[Measure]:
         """See `Predicate`."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
+from ...documents.units import Share
 from ..cast import Cast
 from ..measure import Measure, either
 from ..world import World
@@ -23,7 +24,7 @@ class Inside(Predicate):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "container")
     thing: str
     container: str
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.8
+    share: Annotated[Share, Field(gt=0)] = 0.8
 
     def measures(self, world: World, cast: Cast) -> list[Measure]:
         """See `Predicate`."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import FiniteFloat, model_validator
+from pydantic import Field, model_validator
 
-from ...documents.base import Positive
+from ...documents.units import Distance, Place
 from ..cast import Cast
 from ..measure import Measure
 from ..world import World
@@ -26,8 +26,8 @@ class Near(Predicate):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
     thing: str
     other: str | None = None
-    place: tuple[FiniteFloat, FiniteFloat] | None = None
-    radius: Positive
+    place: tuple[Place, Place] | None = None
+    radius: Annotated[Distance, Field(gt=0)]
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Near:

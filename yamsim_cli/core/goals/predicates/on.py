@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from ...documents.base import NonNegative
+from ...documents.units import Distance
 from ..cast import Cast
 from ..measure import Measure, either
 from ..world import TABLE, World
@@ -24,8 +24,8 @@ class On(Predicate):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
     thing: str
     surface: str
-    inside: NonNegative = 0.0
-    radius: NonNegative | None = None
+    inside: Distance = 0.0
+    radius: Distance | None = None
 
     def measures(self, world: World, cast: Cast) -> list[Measure]:
         """See `Predicate`."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from pydantic import Field, FiniteFloat
-
+from ...documents.units import Share
 from ..cast import Cast
 from ..measure import Measure
 from ..world import World
@@ -25,7 +24,7 @@ class Open(Predicate):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     thing: str
     joint: str
-    share: Annotated[FiniteFloat, Field(ge=0, le=1)] = 0.7
+    share: Share = 0.7
     side: Literal["least", "most"] = "least"
 
     def measures(self, world: World, cast: Cast) -> list[Measure]:

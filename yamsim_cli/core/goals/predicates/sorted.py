@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from ...documents.base import NonNegative
+from ...documents.units import Distance
 from ..cast import Cast
 from ..measure import Measure, either
 from ..world import World
@@ -33,8 +33,8 @@ class Sorted(Predicate):
     things: str
     order: tuple[str, ...] = ()
     axis: Literal["x", "y"] = "y"
-    apart: NonNegative = 0.0
-    line: NonNegative | None = None
+    apart: Distance = 0.0
+    line: Distance | None = None
     into: Mapping[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")

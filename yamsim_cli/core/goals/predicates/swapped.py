@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
-from ...documents.base import Positive
+from ...documents.units import Distance
 from ..cast import Cast
 from ..measure import Measure
 from ..world import World
@@ -24,7 +25,7 @@ class Swapped(Predicate):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "other")
     thing: str
     other: str
-    radius: Positive = 0.03
+    radius: Annotated[Distance, Field(gt=0)] = 0.03
 
     def measures(self, world: World, cast: Cast) -> list[Measure]:
         """See `Predicate`."""
