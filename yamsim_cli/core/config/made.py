@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def made_object(name: str, shape: Shape) -> dict[str, Any]:
         "preposition": form.carries,
     }
     if form.holds:
-        made["grasp"] = _grasp(form.holds, mass, centre)
+        made["grasp"] = _grasp(form, mass, centre)
     return {key: value for key, value in made.items() if value not in (None, [])}
 
 
@@ -129,19 +130,28 @@ def _contact(form: Form) -> dict[str, Any]:
     return {"friction": [*_FRICTION, _FLAT], "condim": 4, "push_out_s": _PUSH_OUT}
 
 
-def _grasp(holds: tuple[Hold, ...], mass: float, centre: Array) -> Mapping[str, Any]:
+def _grasp(form: Form, mass: float, centre: Array) -> Mapping[str, Any]:
     """Where to hold it, and by friction as far as pads can: a weld holds whatever is told to."""
     # The nearer to its weight, the less it turns in the pads.
-    holds = tuple(sorted(holds, key=lambda hold: round(_lever(hold, centre), 3)))
+    holds = tuple(sorted(form.holds, key=lambda hold: round(_lever(hold, centre), 3)))
     held = [hold for hold in holds if hold.flat and _least_force(hold, mass, centre) <= _most_force(hold)]
-    points = [
-        {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4)}
-        for hold in (held or holds)
-    ]
+    if form.turned:
+        held = [hold for hold in held if hold.where == held[0].where]
+    best = (held or holds)[0]
+    welded = _point(replace(best, tilt_deg=0.0))
     if not held:
-        return points[0]
+        return welded
     needed = max(_FORCE, _TIMES_WEIGHT * mass * _G / 2, *(_least_force(hold, mass, centre) for hold in held))
-    return {**points[0], "friction": {"force": round(min(needed, _MOST), 1), "points": points}}
+    around = {"around": True} if form.turned and len(held) > 1 else {}
+    return {
+        **welded,
+        "friction": {"force": round(min(needed, _MOST), 1), "points": [_point(hold) for hold in held], **around},
+    }
+
+
+def _point(hold: Hold) -> dict[str, Any]:
+    tilt = {"tilt_deg": hold.tilt_deg} if hold.tilt_deg else {}
+    return {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4), **tilt}
 
 
 def _least_force(hold: Hold, mass: float, centre: Array) -> float:

@@ -13,6 +13,7 @@ from ..config.task import TaskConfig, Timing
 from ..config.things import GraspPoint
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..types import Holds, Layout, Phases, Plan, Waypoint
+from .resting import resting_height
 
 # With a weld, fingers close on the way to the grasp, and open on the way to the place, after this share of it. So the
 # hand never waits for them, and the weld lets go only when they are open.
@@ -42,6 +43,25 @@ def grasp_points(task: TaskConfig, grasp: GraspKind) -> tuple[GraspPoint, ...]:
         return (held,)
     assert held.friction is not None  # likewise
     return held.friction.points
+
+
+def points_for(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_world: Array) -> tuple[GraspPoint, ...]:
+    """The places where the object may be held as it stands, the best one first.
+
+    Of those that go round an object, the best is where a hand that leans outwards lies on it with both pads: closing
+    across the direction away from the base, or on the near side of a wall that leans.
+    """
+    points = grasp_points(task, grasp)
+    taken = task.object.grasp
+    if grasp == "weld" or taken is None or taken.friction is None or not taken.friction.around:
+        return points
+    outwards = _outwards(layout.T_in_world[task.object.name], T_base_in_world)
+
+    def unsuited(point: GraspPoint) -> float:
+        along = math.cos(math.radians(point.axis_deg) - outwards)
+        return round(1 - along if point.tilt_deg else abs(along), 3)
+
+    return tuple(sorted(points, key=unsuited))
 
 
 def start_opening(task: TaskConfig, grasp: GraspKind) -> float:
@@ -92,7 +112,7 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
     outwards = azimuth(T_start, T_base_in_world)
     T_goal = T_target.copy()
     T_goal[:3, :3] = rotation_z(yaw(T_start) + azimuth(T_target, T_base_in_world) - outwards)
-    T_goal[2, 3] += task.target.support_height + task.object.rest_height
+    T_goal[2, 3] += resting_height(task.object, task.target)
     T_arc = pose(
         [*(T_start[:2, 3] + T_goal[:2, 3]) / 2, max(T_start[2, 3], T_goal[2, 3]) + heights.arc],
         interpolate_rotation(T_start[:3, :3], T_goal[:3, :3], 0.5),
@@ -115,11 +135,9 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
         assert taken.friction is not None  # likewise
         waypoints = _gripped(task.timing, way, closed, opened, taken.friction.force)
     names = [waypoint.name for waypoint in waypoints]
-    # The direction from the base to the object, in the object's frame.
-    outwards += yaw(T_base_in_world) - yaw(T_start)
     return Plan(
         object=task.object.name,
-        T_object_in_pinch=inverse(leaning(hold, outwards)),
+        T_object_in_pinch=inverse(leaning(hold, _outwards(T_start, T_base_in_world))),
         waypoints=waypoints,
         grasp=names.index("grasp"),
         release=names.index("place"),
@@ -183,6 +201,11 @@ def raised(T: Array, height: float) -> Array:
     T_raised = T.copy()
     T_raised[2, 3] += height
     return T_raised
+
+
+def _outwards(T_in_world: Array, T_base_in_world: Array) -> float:
+    """Heading of the direction from a base to an object, in the object's frame, rad."""
+    return azimuth(T_in_world, T_base_in_world) + (yaw(T_base_in_world) - yaw(T_in_world))
 
 
 def azimuth(T_in_world: Array, T_base_in_world: Array) -> float:
