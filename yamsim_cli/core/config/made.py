@@ -31,14 +31,15 @@ _PUSH_OUT = 0.006
 # So much rolling friction, as a share of the radius, keeps what is round still on a slope of 3 degrees.
 _ROLLING = 0.05
 
-# What a pad presses with, N: so much at least, so many times half the weight, and so that pads of this height hold
-# level what hangs beside them.
-_FORCE, _TIMES_WEIGHT = 15.0, 8.0
-_PAD_HEIGHT, _LEVEL = 0.016, 1.5
+# What a pad presses with, N: so much at least, so many times half the weight, and so many times what holds level what
+# hangs beside the fingers.
+_FORCE, _TIMES_WEIGHT, _LEVEL = 15.0, 8.0, 1.2
 _G = 9.81
 # What a pad can press with: the drive's spring, which both share, ends so far behind closed fingers, N/m, m, N. Source:
 # MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
 _SPRING, _BEHIND, _MOST = 1000.0, 0.005, 50.0
+# How far fingers that come along a wall stay off it, m: the outer one finds room between a plate's rim and the table.
+_BESIDE_A_WALL = 0.006
 # It slides out of pads that press with less than so many times half its weight.
 _SLIDES = 3.0
 
@@ -143,8 +144,10 @@ def _grasp(form: Form, mass: float, centre: Array) -> Mapping[str, Any]:
         return welded
     needed = max(_FORCE, _TIMES_WEIGHT * mass * _G / 2, *(_least_force(hold, mass, centre) for hold in held))
     around = {"around": True} if form.turned and len(held) > 1 else {}
+    beside = {"clearance": _BESIDE_A_WALL} if held[0].tilt_deg else {}
     return {
         **welded,
+        **beside,
         "friction": {"force": round(min(needed, _MOST), 1), "points": [_point(hold) for hold in held], **around},
     }
 
@@ -156,7 +159,7 @@ def _point(hold: Hold) -> dict[str, Any]:
 
 def _least_force(hold: Hold, mass: float, centre: Array) -> float:
     """What a pad has to press with, N."""
-    return mass * _G * max(_SLIDES / 2, _LEVEL * _lever(hold, centre) / _PAD_HEIGHT)
+    return mass * _G * max(_SLIDES / 2, _LEVEL * _lever(hold, centre) / hold.depth)
 
 
 def _lever(hold: Hold, centre: Array) -> float:

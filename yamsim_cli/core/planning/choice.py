@@ -33,7 +33,7 @@ _ROTATION = math.radians(1.0)
 _LEANS = tuple(math.radians(angle) for angle in (15, 20, 10, 25, 5, 30, 0))
 
 # Where the place itself tilts the hand, by how much more it leans: pads lie best on a wall when it leans no more.
-_BESIDE = tuple(math.radians(angle) for angle in (0, 5, -5, 10))
+_BESIDE = tuple(math.radians(angle) for angle in (0, 2, -2, 4, -4))
 
 # How far joints should stay from their stops, rad.
 _FREE = 0.15

@@ -117,15 +117,21 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
         [*(T_start[:2, 3] + T_goal[:2, 3]) / 2, max(T_start[2, 3], T_goal[2, 3]) + heights.arc],
         interpolate_rotation(T_start[:3, :3], T_goal[:3, :3], 0.5),
     )
+    T_pinch_in_object = leaning(hold, _outwards(T_start, T_base_in_world))
+    T_place = raised(T_goal, heights.release)
     way = {
         "pre-grasp": raised(T_start, heights.approach),
         "grasp": T_start,
         "lift": raised(T_start, heights.lift),
         "arc-top": T_arc,
         "pre-place": raised(T_goal, heights.approach),
-        "place": raised(T_goal, heights.release),
+        "place": T_place,
         "retract": raised(T_goal, heights.approach),
     }
+    if hold.point.tilt_deg:
+        # Along the wall that is between the fingers, which would run into it otherwise.
+        way["pre-grasp"] = _withdrawn(T_start, T_pinch_in_object, heights.approach)
+        way["retract"] = _withdrawn(T_place, T_pinch_in_object, heights.approach)
     taken = task.object.grasp
     assert taken is not None  # checked when the config was loaded
     closed, opened = hold.point.opening, hold.point.opening + taken.clearance
@@ -137,7 +143,7 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
     names = [waypoint.name for waypoint in waypoints]
     return Plan(
         object=task.object.name,
-        T_object_in_pinch=inverse(leaning(hold, _outwards(T_start, T_base_in_world))),
+        T_object_in_pinch=inverse(T_pinch_in_object),
         waypoints=waypoints,
         grasp=names.index("grasp"),
         release=names.index("place"),
@@ -194,6 +200,13 @@ def leaning(hold: Hold, outwards: float) -> Array:
     axis = (math.sin(outwards), -math.cos(outwards), 0.0)
     T[:3, :3] = rotation_from_vector([hold.lean * part for part in axis]) @ T[:3, :3]
     return T
+
+
+def _withdrawn(T: Array, T_pinch_in_object: Array, by: float) -> Array:
+    """The object's pose (4, 4) that goes with a hand `by` metres back from where it holds the object at `T`."""
+    T_back = T.copy()
+    T_back[:3, 3] -= by * (T @ T_pinch_in_object)[:3, 2]
+    return T_back
 
 
 def raised(T: Array, height: float) -> Array:

@@ -40,6 +40,7 @@ class Hold:
         flat: whether both pads lie on it with their faces; what they only touch with a line pivots between them.
         tilt_deg: of the hand from straight down, fingers towards `axis_deg`, so that they lie on a wall that leans,
             degrees.
+        depth: how much of it is between the fingers, along them, m: on that they keep it from turning.
     """
 
     where: str
@@ -48,6 +49,7 @@ class Hold:
     width: float
     flat: bool = True
     tilt_deg: float = 0.0
+    depth: float = 0.016
 
 
 @dataclass(frozen=True)

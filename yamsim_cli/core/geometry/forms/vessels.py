@@ -22,8 +22,9 @@ _TOLERANCE = 0.0010
 
 # A body wider than this is held by its rim: linear_4310 opens 95 mm.
 _WIDEST = 0.091
-# How far under the rim the middle of the pads is, and under the top at most: deeper the palm comes down on it, m.
-_UNDER_RIM, _PALM = 0.008, 0.040
+# How far under the rim the middle of the pads is, so that the rim lies between the fingers above them, half a pad's
+# height, and how far under the top the pads are at most: deeper the palm comes down on it, m.
+_UNDER_RIM, _PAD, _PALM = 0.014, 0.008, 0.040
 # A neck is held by its middle, so far under its rim, m.
 _NECK = 0.014
 
@@ -155,32 +156,30 @@ def _holds(size: Vessel, inside: Array) -> list[Hold]:
         axes = (90.0 + around[around < 180]) % 180 if size.handles == "none" else (90.0,)
         found += [Hold("body", (0.0, 0.0, round(height, 4)), float(axis), round(width, 4)) for axis in axes]
     if not neck or size.neck > 0.05:  # type: ignore[operator]  # a neck that a finger fits into
-        tilt, bulge = _slope(inside)
-        z = size.height - _UNDER_RIM * math.cos(tilt)
-        radius = _outer(size, inside, z) - size.wall / 2
+        radius, z, tilt, bulge = _at_the_rim(size, inside)
         for angle in around if size.handles == "none" else (90.0, 270.0):
-            x, y = (
-                round(radius * float(part), 4) + 0.0 for part in (np.cos(np.radians(angle)), np.sin(np.radians(angle)))
-            )
-            inwards = float(angle + 180) % 360
-            place = (x, y, round(z, 4))
-            found.append(
-                Hold("rim", place, inwards, round(size.wall + bulge, 4), tilt_deg=round(math.degrees(tilt), 1))
-            )
+            turn = np.radians(angle)
+            place = (round(radius * float(np.cos(turn)), 4) + 0.0, round(radius * float(np.sin(turn)), 4) + 0.0, z)
+            inwards, width = float(angle + 180) % 360, round(size.wall + bulge, 4)
+            depth = _UNDER_RIM + _PAD
+            found.append(Hold("rim", place, inwards, width, tilt_deg=round(math.degrees(tilt), 1), depth=depth))
     return found
 
 
-def _slope(inside: Array) -> tuple[float, float]:
-    """How the wall leans outwards over the height of a pad under the rim, rad, and how far it bulges there, m."""
-    wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9]
-    top = wall[-1]
-    far = np.linalg.norm(wall - top, axis=1)
+def _at_the_rim(size: Vessel, inside: Array) -> tuple[float, float, float, float]:
+    """Where pads lie on the wall: radius and height (m) of its middle there, how it leans outwards (rad), and how far it
+    bulges (m).
+    """
+    wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9][::-1]
     # Along the wall, not upright: a plate's rim is flat.
-    low = np.array([np.interp(2 * _UNDER_RIM, far[::-1], wall[::-1, k]) for k in (0, 1)])
-    way = top - low
-    span = float(np.linalg.norm(way))
-    across = np.array([way[1], -way[0]]) / span
-    return math.atan2(float(way[0]), float(way[1])), float(np.ptp((wall[far < span] - top) @ across))
+    under = np.linalg.norm(wall - wall[0], axis=1)
+    middle = min(_UNDER_RIM, under[-1] / 2)
+    places = middle + np.linspace(-1, 1, 9) * min(_PAD, middle)
+    line = np.column_stack([np.interp(places, under, wall[:, k]) for k in (0, 1)])
+    way = (line[0] - line[-1]) / np.linalg.norm(line[0] - line[-1])
+    out = np.array([way[1], -way[0]])
+    r, z = line[4] + out * size.wall / 2
+    return float(r), round(float(z), 4), math.atan2(float(way[0]), float(way[1])), float(np.ptp(line @ out))
 
 
 def cap(diameter: float, height: float, wall: float, grips: int) -> Form:
