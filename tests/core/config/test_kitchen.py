@@ -115,6 +115,16 @@ def test_sizes_that_make_no_thing_are_told_with_their_line(
     assert "\n" not in str(fault.value)
 
 
+@pytest.mark.parametrize("name", ["plate", "bowl", "food_container", "container"])
+def test_walls_are_held_by_friction_along_them(name: str, locations: Locations) -> None:
+    grasp = thing(name, locations).grasp
+    assert grasp is not None
+    assert grasp.friction is not None
+    assert all(point.tilt_deg is not None for point in grasp.friction.points)
+    # A weld needs no pads on a wall.
+    assert grasp.tilt_deg is None
+
+
 @pytest.mark.parametrize(("asked", "found"), [("spoon", "kitchen_spoon"), ("bowl", "024_bowl"), ("cup", "kitchen_cup")])
 def test_a_name_without_what_stands_in_front(asked: str, found: str, locations: Locations) -> None:
     assert locations.config_file("objects", asked).stem == found

@@ -139,12 +139,12 @@ def _grasp(form: Form, mass: float, centre: Array) -> Mapping[str, Any]:
     if form.turned:
         held = [hold for hold in held if hold.where == held[0].where]
     best = (held or holds)[0]
-    welded = _point(replace(best, tilt_deg=0.0))
+    welded = _point(replace(best, tilt_deg=None))
     if not held:
         return welded
     needed = max(_FORCE, _TIMES_WEIGHT * mass * _G / 2, *(_least_force(hold, mass, centre) for hold in held))
     around = {"around": True} if form.turned and len(held) > 1 else {}
-    beside = {"clearance": _BESIDE_A_WALL} if held[0].tilt_deg else {}
+    beside = {"clearance": _BESIDE_A_WALL} if held[0].tilt_deg is not None else {}
     return {
         **welded,
         **beside,
@@ -153,7 +153,7 @@ def _grasp(form: Form, mass: float, centre: Array) -> Mapping[str, Any]:
 
 
 def _point(hold: Hold) -> dict[str, Any]:
-    tilt = {"tilt_deg": hold.tilt_deg} if hold.tilt_deg else {}
+    tilt = {"tilt_deg": hold.tilt_deg} if hold.tilt_deg is not None else {}
     return {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4), **tilt}
 
 

@@ -31,14 +31,16 @@ class GraspPoint(Config):
         position: of the pinch point in the object's frame, m.
         axis_deg: direction in the object's xy plane along which the fingers close, degrees from +x.
         opening: of one finger around the object once closed, m.
-        tilt_deg: of the hand from straight down, its fingers pointing towards that direction, degrees: along a wall
-            that leans, so that both pads lie on it.
+        tilt_deg: of a wall that leans, and of the hand from straight down, its fingers pointing towards that direction,
+            degrees: both pads lie on the wall. Without, the hand may lean as suits the arm.
     """
 
     position: OffsetPoint
     axis_deg: Heading
     opening: Annotated[FiniteFloat, Within("m", 0, 1)]
-    tilt_deg: Annotated[FiniteFloat, Within("degrees", -90, 90), Field(exclude_if=lambda tilt: not tilt)] = 0.0
+    tilt_deg: Annotated[
+        Annotated[FiniteFloat, Within("degrees", -90, 90)] | None, Field(exclude_if=lambda tilt: tilt is None)
+    ] = None
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
         """The pinch frame (4, 4) in the object's: z into it, y along the closing axis, either way round."""

@@ -85,7 +85,7 @@ def path_strain(arm: SceneArm, path: JointPath) -> float:
 
 
 def _leans(point: GraspPoint) -> tuple[float, ...]:
-    return _BESIDE if point.tilt_deg else _LEANS
+    return _LEANS if point.tilt_deg is None else _BESIDE
 
 
 class PathChooser:

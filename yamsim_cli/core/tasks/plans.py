@@ -19,6 +19,9 @@ from .resting import resting_height
 # hand never waits for them, and the weld lets go only when they are open.
 WELD_FINGERS_FROM = 0.7
 
+# How far a hand leans outwards that holds a wall which goes away from the arm: what suits the arm best, rad.
+_ALONG_A_WALL = math.radians(15)
+
 
 @dataclass(frozen=True)
 class Hold:
@@ -27,7 +30,8 @@ class Hold:
     Attributes:
         point: where it holds the object.
         flipped: whether the hand is turned by half a turn about its approach.
-        lean: angle of the hand from straight down, with the fingers pointing away from the arm's base, rad.
+        lean: angle of the hand from straight down, with the fingers pointing away from the arm's base, rad; at a wall,
+            by how much more it tilts than that.
     """
 
     point: GraspPoint
@@ -59,7 +63,7 @@ def points_for(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_wor
 
     def unsuited(point: GraspPoint) -> float:
         along = math.cos(math.radians(point.axis_deg) - outwards)
-        return round(1 - along if point.tilt_deg else abs(along), 3)
+        return round(1 - along if point.tilt_deg is not None else abs(along), 3)
 
     return tuple(sorted(points, key=unsuited))
 
@@ -128,7 +132,7 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
         "place": T_place,
         "retract": raised(T_goal, heights.approach),
     }
-    if hold.point.tilt_deg:
+    if hold.point.tilt_deg is not None:
         # Along the wall that is between the fingers, which would run into it otherwise.
         way["pre-grasp"] = _withdrawn(T_start, T_pinch_in_object, heights.approach)
         way["retract"] = _withdrawn(T_place, T_pinch_in_object, heights.approach)
@@ -196,6 +200,14 @@ def leaning(hold: Hold, outwards: float) -> Array:
         outwards: heading of the direction away from the base, in the object's frame, rad.
     """
     T = hold.point.T_pinch_in_object(hold.flipped)
+    if hold.point.tilt_deg is not None:
+        # The hand leans outwards only so far as its pads stay on the wall: about the axis along which they close.
+        heading = math.radians(hold.point.axis_deg)
+        closing = T[:3, 1] * math.copysign(1.0, T[0, 1] * math.cos(heading) + T[1, 1] * math.sin(heading))
+        T[:3, :3] = rotation_from_vector(_ALONG_A_WALL * math.sin(outwards - heading) * closing) @ T[:3, :3]
+        beside = (math.sin(heading), -math.cos(heading), 0.0)
+        T[:3, :3] = rotation_from_vector([hold.lean * part for part in beside]) @ T[:3, :3]
+        return T
     # A turn about the horizontal axis to the right of `outwards` lets the fingers point outwards.
     axis = (math.sin(outwards), -math.cos(outwards), 0.0)
     T[:3, :3] = rotation_from_vector([hold.lean * part for part in axis]) @ T[:3, :3]

@@ -38,8 +38,8 @@ class Hold:
         axis_deg: direction in which the fingers close, degrees from +x.
         width: of what is between them, m.
         flat: whether both pads lie on it with their faces; what they only touch with a line pivots between them.
-        tilt_deg: of the hand from straight down, fingers towards `axis_deg`, so that they lie on a wall that leans,
-            degrees.
+        tilt_deg: of the hand from straight down, fingers towards `axis_deg`, so that they lie on a wall, degrees; None
+            where it is no wall that they lie on.
         depth: how much of it is between the fingers, along them, m: on that they keep it from turning.
     """
 
@@ -48,7 +48,7 @@ class Hold:
     axis_deg: float
     width: float
     flat: bool = True
-    tilt_deg: float = 0.0
+    tilt_deg: float | None = None
     depth: float = 0.016
 
 

@@ -167,8 +167,8 @@ def _holds(size: Vessel, inside: Array) -> list[Hold]:
 
 
 def _at_the_rim(size: Vessel, inside: Array) -> tuple[float, float, float, float]:
-    """Where pads lie on the wall: radius and height (m) of its middle there, how it leans outwards (rad), and how far it
-    bulges (m).
+    """Where pads lie on the wall: radius and height of its middle (m), how it leans outwards (rad), how far it bulges
+    (m).
     """
     wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9][::-1]
     # Along the wall, not upright: a plate's rim is flat.
