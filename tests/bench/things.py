@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.bench.setting import use_gl
 from tests.mugs import HEIGHT, RADIUS, WALL, mug, write_mugs
 
 
@@ -182,5 +183,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("round-trip", "collision", "reading"))
     what = parser.parse_args().what
+    # MuJoCo is imported only once it is settled what draws.
+    use_gl()
     with tempfile.TemporaryDirectory() as scratch:
         {"round-trip": round_trip, "collision": collision, "reading": reading}[what](Path(scratch))
