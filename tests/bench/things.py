@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.bench.setting import use_gl
 from tests.mugs import HEIGHT, RADIUS, WALL, mug, write_mugs
 
 
@@ -163,10 +164,7 @@ def reading(folder: Path) -> None:
 
     print("| thing | faces | faces drawn | s | s of a core | most memory of a child, MB |\n|---|---|---|---|---|---|")
     mug(100).export(folder / "mug.obj")
-    ball = trimesh.creation.icosphere(subdivisions=6, radius=0.04)
-    noise = np.random.default_rng(0).normal(size=len(ball.vertices))
-    ball.vertices *= 1 + 0.002 * noise[:, None]
-    bumps = trimesh.creation.icosphere(subdivisions=6, radius=0.04)
+    bumps = trimesh.creation.torus(0.04, 0.015, major_sections=250, minor_sections=200)
     bumps.vertices *= 1 + 0.05 * np.sin(8 * bumps.vertices[:, :1] / 0.04)
     colours = (127 + 120 * np.sin(bumps.vertices / 0.01)).clip(0, 255).astype(np.uint8)
     scan = trimesh.Trimesh(bumps.vertices, bumps.faces, vertex_colors=colours, process=False)
@@ -185,5 +183,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("round-trip", "collision", "reading"))
     what = parser.parse_args().what
+    # MuJoCo is imported only once it is settled what draws.
+    use_gl()
     with tempfile.TemporaryDirectory() as scratch:
         {"round-trip": round_trip, "collision": collision, "reading": reading}[what](Path(scratch))
