@@ -24,6 +24,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from tests.bench.error_plot import plot_errors
 from tests.bench.setting import use_gl
 from tests.damaged_photos import Damage, creased, glaring, half_covered, unevenly_lit
 from tests.truth_photos import CAMERA, Photographer, covered, shot_of, spoilt
@@ -239,41 +240,6 @@ def _spread(values: list[Any], digits: int) -> str:
     return " / ".join(f"{value:.{digits}f}" for value in (np.median(values), np.quantile(values, 0.95), max(values)))
 
 
-def plot(rows: list[tuple[Case, list[Trial]]], path: Path) -> None:
-    """Errors over range, median and 95 %, on logarithmic axes, as SVG."""
-    width, height, left, top = 560, 360, 70, 30
-    low, high = -3.0, 2.0
-
-    def x(distance: float) -> float:
-        return left + (distance - 0.2) / 1.4 * (width - left - 20)
-
-    def y(error: float) -> float:
-        return top + (high - math.log10(max(error, 10**low))) / (high - low) * (height - top - 50)
-
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
-        'font-family="sans-serif" font-size="12">',
-        f'<rect width="{width}" height="{height}" fill="white"/>',
-        f'<text x="{left}" y="18">Error of the board centre over range, mm: median (line) and 95 % (dashes)</text>',
-    ]
-    for power in range(int(low), int(high) + 1):
-        parts.append(f'<path d="M{left} {y(10.0**power)}H{width - 20}" stroke="#ddd"/>')
-        parts.append(f'<text x="{left - 8}" y="{y(10.0**power) + 4}" text-anchor="end">{10.0**power:g}</text>')
-    points: dict[str, list[str]] = {"": [], "6 4": []}
-    for case, trials in rows:
-        assert isinstance(case.distance, float)
-        errors = [trial.error_mm for trial in trials if trial.error_mm is not None]
-        parts.append(f'<text x="{x(case.distance)}" y="{height - 30}" text-anchor="middle">{case.distance}</text>')
-        for dashes, value in (("", np.median(errors)), ("6 4", np.quantile(errors, 0.95))):
-            points[dashes].append(f"{x(case.distance):.1f} {y(float(value)):.1f}")
-    for dashes, line in points.items():
-        parts.append(
-            f'<path d="M{"L".join(line)}" fill="none" stroke="#0a6" stroke-dasharray="{dashes}" stroke-width="2"/>'
-        )
-    parts.append(f'<text x="{(left + width) / 2}" y="{height - 8}" text-anchor="middle">range, m</text></svg>')
-    path.write_text("\n".join(parts))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--poses", type=int, default=100, help="boards a row; ten times as many in the last table")
@@ -315,7 +281,12 @@ def main() -> None:
         writer.writerows(asdict(trial) for group in trials for trial in group)
     first = next(iter(tables))
     if all(isinstance(case.distance, float) for case in tables[first]):
-        plot([(case, found[first, case.name]) for case in tables[first]], options.out / "fiducials.svg")
+        errors = {
+            case.distance: [trial.error_mm for trial in found[first, case.name] if trial.error_mm is not None]
+            for case in tables[first]
+            if isinstance(case.distance, float)
+        }
+        plot_errors(errors, options.out / "fiducials.svg")
     console.print(f"\nEvery pose: {options.out / 'fiducials.csv'}; errors over range: {options.out / 'fiducials.svg'}")
 
 
