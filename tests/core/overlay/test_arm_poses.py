@@ -12,10 +12,12 @@ from tests.board_photos import facing, photograph, picture, with_noise
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.overlay.arm_poses import Lens, PhotoResult, find_arms, unknown_lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.vision.fiducials.suspects import outer_corners
+from yamsim_cli.core.vision.lens import project_points
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 # Both boards lie between the arms: the middle of the rig, a little turned.
@@ -123,6 +125,23 @@ def test_an_arm_whose_board_is_hidden_is_inferred_only_when_the_margin_is_truste
     assert shift_mm(result, russet, visible) < 1.0
     assert shift_mm(result, russet, hidden) < 3.0
     assert result.margin is None
+
+
+def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) -> None:
+    """Blurred, and covered on two sides as dark as itself: what lies over its outer markers does not pull its pose."""
+    ((board, T_before),) = boards_of(russet, (0,))
+    before = found(russet, photograph(CAMERA, [(board, T_before)]))
+    T = pose((0.003, -0.004, 0.002)) @ T_before
+    grey = photograph(CAMERA, [(board, T)], blur=2.0)
+    corners = project_points(CAMERA, outer_corners(board) @ T[:3, :3].T + T[:3, 3])
+    right, bottom = corners.max(axis=0).astype(int)
+    grey[:, right - 6 :] = grey[bottom - 4 :] = 35
+    assert found(russet, grey).arms[0].status == "not_found"
+    result = find_arms(russet, PHOTO, grey, Lens.known(CAMERA, "file"), trust_margin=False, before=before)
+    arm = result.arms[0]
+    assert arm.status == "ok", arm.sighting
+    assert arm.T_base_in_cam is not None
+    assert arm.T_base_in_cam @ russet.arms[0].T_board_in_base == pytest.approx(T, abs=1e-3)
 
 
 def test_no_board_no_pose(russet: RigConfig) -> None:

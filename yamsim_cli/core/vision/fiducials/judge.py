@@ -13,7 +13,7 @@ from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array
 from .advice import advice_on, looks_of
 from .align import INFLATION, Alignment
-from .fits import PoseFit, angle_between, clearly_better, rival_of
+from .fits import PoseFit, angle_between, clearly_better, rival_of, without_strange
 from .linearize import Tile
 from .sighting import Sighting, Status
 
@@ -39,6 +39,7 @@ def judge(
         fit: the best pose.
         fits: all that were fitted.
     """
+    fit = without_strange(photo, camera, board, fit)
     rival = rival_of(photo, camera, board, fit, fits)
     if rival is not None and clearly_better(rival, fit):
         # The fit began at the wrong one of the two poses that a flat board may have.

@@ -26,10 +26,12 @@ class Tile:
     Attributes:
         correlation: of drawing and photo, -1..1.
         shift: how far (px, right and down) the photo has it from where the drawing has it.
+        unexplained: what the drawing leaves of the photo, mean square, grey levels squared.
     """
 
     correlation: float
     shift: tuple[float, float]
+    unexplained: float
 
 
 @dataclass(frozen=True)
@@ -135,8 +137,9 @@ def _without_light(
     xx, yy = xx + 1e-6, yy + 1e-6
     shifts = np.column_stack([yy * xr - xy * yr, xx * yr - xy * xr]) / (xx * yy - xy**2)[:, None]
     correlation = contrast * np.sqrt(power / (of_tiles(seen**2) + 1e-9))
+    unexplained = of_tiles(residual**2) / of_tiles(np.ones(len(residual)))
     tiles = {
-        int(number): Tile(float(alike), (float(right), float(down)))
-        for number, alike, (right, down) in zip(numbers, correlation, shifts, strict=True)
+        int(number): Tile(float(alike), (float(right), float(down)), float(left))
+        for number, alike, (right, down), left in zip(numbers, correlation, shifts, unexplained, strict=True)
     }
     return residual, slopes[:, :-2], tiles
