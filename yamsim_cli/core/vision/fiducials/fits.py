@@ -21,9 +21,9 @@ from .print_view import Piece
 
 # A marker whose print and photo correlate less than this is hidden, moved or something else.
 SAME_PRINT = 0.75
-# A marker of which the drawing leaves so many times as much unexplained as of most others, of its own contrast too, is
-# covered in part, say. Source: photos of whole boards have at most 2.5, creased ones 4, half covered ones 40 and more.
-_STRANGE = 5.0
+# A marker of which so many times as much stays unexplained as of most others is covered in part, say, if it correlates
+# less than this. Source: photos of whole boards have at most 2.5, creased ones 4, half covered ones 40 and more.
+_STRANGE, _SPOILT = 5.0, 0.9
 # So often, at most, it is asked again which markers are strange: one that is pulls the pose off the others.
 _MOST_ROUNDS = 3
 # How much more likely the photo has to be under the pose than under its rival (difference of log-likelihoods), with
@@ -126,10 +126,10 @@ def without_strange(photo: NDArray[np.float32], camera: CameraModel, board: Boar
 
 
 def _strange(tiles: Mapping[int, Tile]) -> set[int]:
-    """Markers of which far more is unexplained than of most, in grey levels and as a share of what is seen."""
-    left = np.array([[tile.unexplained, 1 - tile.correlation**2] for tile in tiles.values()])
-    times = (left / np.maximum(np.median(left, axis=0), 1e-9)).min(axis=1)
-    return {k for k, many in zip(tiles, times, strict=True) if many > _STRANGE}
+    """Markers of which neither the drawing nor a shift of it explains nearly as much as of most."""
+    left = np.array([tile.unexplained for tile in tiles.values()])
+    least = _STRANGE * max(float(np.median(left)), 1e-9)
+    return {k for k, tile in tiles.items() if tile.unexplained > least and tile.correlation < _SPOILT}
 
 
 def rival_of(
