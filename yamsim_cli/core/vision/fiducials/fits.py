@@ -151,7 +151,7 @@ def rival_of(
         before = agreement(photo, camera, [piece], T, alignment.smear, alignment.noise)
         if before is None or before.cost / before.pixels > _HOPELESS * fit.mean_square:
             continue
-        after = align(photo, camera, [piece], T, alignment.smear)
+        after = align(photo, camera, [piece], T, alignment.smear, roughly=True)
         if (
             after is None
             or angle_between(after.T_ref_in_cam, fit.T) < _SAME_POSE

@@ -111,16 +111,25 @@ def _strengths(
     photo: NDArray[np.float32], drawn: NDArray[np.float32], beside: NDArray[np.float32], tile: NDArray[np.int_]
 ) -> Array:
     """How bright (n, sides) what lies beside the print is at each pixel's tile, in the print's own contrast."""
-    strengths = np.zeros(beside.shape)
-    for number in np.unique(tile):
-        mine = tile == number
-        every = np.column_stack([photo[mine], drawn[mine], beside[mine]]).astype(np.float64)
-        every -= every.mean(axis=0)
-        touched = np.append(True, (every[:, 2:] ** 2).sum(axis=0) > _LEAST_BESIDE)
-        shapes = every[:, 1:][:, touched]
-        found, *_ = np.linalg.lstsq(shapes, every[:, 0], rcond=None)
-        if found[0] > _LEAST_CONTRAST:
-            strengths[np.ix_(mine, touched[1:])] = found[1:] / found[0]
+    order = np.argsort(tile, kind="stable")
+    _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
+    every = np.column_stack([drawn, beside, photo])[order].astype(np.float64)
+    every -= (np.add.reduceat(every, starts) / np.bincount(which)[:, None])[which]
+    shapes = every.shape[1] - 1
+    first, second = np.tril_indices(shapes + 1)
+    products = np.zeros((len(starts), shapes + 1, shapes + 1))
+    products[:, first, second] = np.add.reduceat(every[:, first] * every[:, second], starts)
+    products[:, second, first] = products[:, first, second]
+    # Sides that hardly touch a tile are left out of its equations.
+    power = np.einsum("tkk->tk", products[:, 1:shapes, 1:shapes])
+    touched = np.column_stack([np.ones(len(starts), dtype=bool), power > _LEAST_BESIDE])
+    normal = products[:, :shapes, :shapes] * touched[:, :, None] * touched[:, None, :]
+    normal += np.eye(shapes) * np.where(touched, 1e-9, 1.0)[:, None, :]
+    found = np.linalg.solve(normal, (products[:, :shapes, shapes] * touched)[..., None])[..., 0]
+    contrast = found[:, :1]
+    of_tile = np.where(contrast > _LEAST_CONTRAST, found[:, 1:] / np.maximum(contrast, _LEAST_CONTRAST), 0.0)
+    strengths = np.empty(beside.shape)
+    strengths[order] = of_tile[which]
     return strengths
 
 
