@@ -81,8 +81,8 @@ def linearized(
         beside = drawing.beside.reshape(-1, 2)[use]
         # What lies beside the print is smeared into it by the same lens, and moves with it.
         for side, strength in enumerate(_strengths(seen, drawn, beside, tile[use]).T):
-            pictures = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
-            more = _changes(*pictures, smear, use)
+            outside, smeared = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
+            more = _changes(outside, smeared, smear, use)
             slopes, curvature, by_motion = (
                 of_print + strength.reshape(-1, *[1] * (of_print.ndim - 1)) * of_side
                 for of_print, of_side in zip((slopes, curvature, by_motion), more, strict=True)
