@@ -89,6 +89,7 @@ bench: setup-dev gl meshes ## measure speed
 
 bench-fiducials: setup-dev gl ## measure how well boards are located, in photos whose truth is known
 	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.fiducials
+	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.strangers
 	OMP_NUM_THREADS=1 $(PYTHON_BIN) -m tests.bench.intervals
 
 # Every warning is an error: a link to a page, a heading or a file that is not there among them.

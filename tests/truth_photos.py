@@ -27,7 +27,8 @@ CAMERA = CameraModel.pinhole(640, 480, 600.0)
 BLUR, NOISE = 0.6, 2.0
 
 _FINER = 4
-_VISIBLE = 0.985
+# Sight lines along a board's side, and which share of it they cover.
+_SIGHT_LINES, _INSIDE = 25, 0.995
 _EDGE_PX = 3
 
 
@@ -91,9 +92,28 @@ class Photographer:
         size = np.array([self.camera.width, self.camera.height])
         if (pixels < _EDGE_PX).any() or (pixels > size - 1 - _EDGE_PX).any():
             return False
-        seen = int((self._renderer.segment(self._data, "photo") == placed.geom).sum())
-        ideal = in_cam[:, :2] / in_cam[:, 2:] * self._warp.ideal.fx
-        return seen > _VISIBLE * cv2.contourArea(ideal.astype(np.float32))
+        # Sight lines to places all over it, from which nothing else is met first.
+        across = np.linspace(-1, 1, _SIGHT_LINES)
+        on_board = np.array([[half_x * x, half_y * y, 0.0] for x in across for y in across]) * _INSIDE
+        towards = on_board @ placed.T_in_world[:3, :3].T + placed.T_in_world[:3, 3] - T_cam_in_world[:3, 3]
+        count = len(towards)
+        met, far = np.empty(count, np.int32), np.empty(count)
+        groups = np.array(mujoco.MjvOption().geomgroup, np.uint8)
+        mujoco.mj_multiRay(
+            self._model,
+            self._data,
+            T_cam_in_world[:3, 3].copy(),
+            towards.ravel(),
+            groups,
+            True,
+            -1,
+            met,
+            far,
+            None,
+            count,
+            mujoco.mjMAXVAL,
+        )
+        return bool((met == placed.geom).all())
 
     def take(self) -> np.ndarray:
         """The picture as RGB (height, width, 3), with neither blur nor noise."""

@@ -155,6 +155,25 @@ def test_no_markers_exits_with_4_and_the_ids(folder: Path) -> None:
     assert [arm["status"] for arm in run.json["images"][0]["arms"]] == ["not_found", "not_found"]
 
 
+def test_what_would_help_a_refused_board_is_told(folder: Path) -> None:
+    """In text and in JSON, where the other board gives a pose; where none does, the error tells."""
+    path = folder / "photo.png"
+    photo = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    assert photo is not None
+    # The lower half, with arm 1's board in it, is far out of focus.
+    photo[240:] = cv2.GaussianBlur(photo, (0, 0), 12)[240:]
+    cv2.imwrite(str(path), photo)
+    args = ("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "camera.yaml")
+    told = yamsim(*args, cwd=folder)
+    assert told.code == 0, told.err
+    asked = yamsim(*args, "--json", cwd=folder)
+    (arm,) = [arm for arm in asked.json["images"][0]["arms"] if arm["T_base_in_cam"] is None]
+    assert arm["reason"] and arm["advice"]
+    line = f"photo.png: {arm['name']}: {arm['reason']}; would help: {', '.join(arm['advice'])}"
+    assert line in told.err.splitlines()
+    assert line not in asked.err
+
+
 def test_another_rigs_boards_are_named(folder: Path) -> None:
     rig = (Path(__file__).parents[2] / "configs" / "rigs" / "single.yaml").read_text()
     (folder / "mine.yaml").write_text(rig.replace("first_id: 217", "first_id: 10"))

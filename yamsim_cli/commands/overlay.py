@@ -140,6 +140,11 @@ def _tell(report: OverlayReport) -> None:
     for result in report.results:
         for caption in captions(result):
             print_line(f"{result.path}: {caption}")
+        # Where no arm has a pose, the error that follows says why.
+        refused = [arm for arm in result.arms if result.bases and arm.T_base_in_cam is None]
+        for arm in refused:
+            if arm.sighting:
+                note(f"{result.path}: {arm.name}: {arm.sighting.explanation}")
         for text in result.notes:
             note(f"{result.path}: {text}")
     print_line(f"{len(report.files)} files, such as {report.files[0]}")

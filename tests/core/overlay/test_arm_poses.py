@@ -12,10 +12,12 @@ from tests.board_photos import facing, photograph, picture, with_noise
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.overlay.arm_poses import Lens, PhotoResult, find_arms, unknown_lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.vision.fiducials.suspects import outer_corners
+from yamsim_cli.core.vision.lens import project_points
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 # Both boards lie between the arms: the middle of the rig, a little turned.
@@ -125,6 +127,23 @@ def test_an_arm_whose_board_is_hidden_is_inferred_only_when_the_margin_is_truste
     assert result.margin is None
 
 
+def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) -> None:
+    """Blurred, and covered on two sides as dark as itself: what lies over its outer markers does not pull its pose."""
+    ((board, T_before),) = boards_of(russet, (0,))
+    before = found(russet, photograph(CAMERA, [(board, T_before)]))
+    T = pose((0.003, -0.004, 0.002)) @ T_before
+    grey = photograph(CAMERA, [(board, T)], blur=2.0)
+    corners = project_points(CAMERA, outer_corners(board) @ T[:3, :3].T + T[:3, 3])
+    right, bottom = corners.max(axis=0).astype(int)
+    grey[:, right - 6 :] = grey[bottom - 4 :] = 35
+    assert found(russet, grey).arms[0].status == "not_found"
+    result = find_arms(russet, PHOTO, grey, Lens.known(CAMERA, "file"), trust_margin=False, before=before)
+    arm = result.arms[0]
+    assert arm.status == "ok", arm.sighting
+    assert arm.T_base_in_cam is not None
+    assert arm.T_base_in_cam @ russet.arms[0].T_board_in_base == pytest.approx(T, abs=1e-3)
+
+
 def test_no_board_no_pose(russet: RigConfig) -> None:
     result = found(russet, photograph(CAMERA, []), trust=True)
     assert (result.bases, result.ids) == ({}, ())
@@ -149,11 +168,20 @@ def test_a_recorded_pose_stands_in_for_a_board_that_is_not_seen(russet: RigConfi
 
 
 def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
+    """From nearby it is seen well, and noted; one that is far off gives no pose, which would be off by 4 cm."""
     (board, T), other = boards_of(russet)
-    grey = photograph(CAMERA, [(replace(board, gap=2 * board.gap), T), other])
-    notes = found(russet, grey).notes
-    assert any(note.startswith("arm1's markers lie 0.") and "marker_length_mm and gap_mm" in note for note in notes)
-    assert not any(note.startswith("arm2") for note in notes)
+    near = photograph(CAMERA, [(replace(board, gap=1.25 * board.gap), facing(0.0, 0.0, 0.22))])
+    (note,) = found(russet, near).notes
+    assert note.startswith("arm1's markers lie 0.") and "marker_length_mm and gap_mm" in note
+    far_off = found(russet, photograph(CAMERA, [(replace(board, gap=2 * board.gap), T), other]))
+    assert [arm.status for arm in far_off.arms] == ["poor_fit", "ok"]
+    refused = far_off.arms[0].sighting
+    assert refused is not None
+    assert (
+        "px off a flat print's: a crease, a bent plate, another lens, or other measures than the rig's"
+        in refused.reason
+    )
+    assert far_off.notes == ()
 
 
 def test_an_unknown_camera_of_several_photos(russet: RigConfig, clean: np.ndarray) -> None:

@@ -20,6 +20,7 @@ from yamsim_cli.core.errors import ConfigError, PartialJobError, ResourceError, 
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
 from yamsim_cli.core.images.image_files import read_image
+from yamsim_cli.core.overlay import overlayer
 from yamsim_cli.core.overlay.overlay_report import OverlayReport
 from yamsim_cli.core.overlay.overlayer import OverlayOptions
 from yamsim_cli.core.overlay.photos import Photo, find_photos
@@ -242,6 +243,20 @@ def test_a_photo_without_boards(run: Runner, photo: Path) -> None:
     )
     with pytest.raises(PartialJobError, match=r"1 of 2 photos give no pose, first empty\.png: no board gives"):
         run("empty.png", "photo.png").check()
+
+
+def test_each_photo_of_a_series_is_told_of_the_one_before(run: Runner, photo: Path, monkeypatch: Any) -> None:
+    told = []
+    find = overlayer.find_arms
+
+    def finds(rig: Any, photo: Any, grey: Any, lens: Any, trust: bool, before: Any) -> Any:
+        told.append(before)
+        return find(rig, photo, grey, lens, trust, before)
+
+    monkeypatch.setattr(overlayer, "find_arms", finds)
+    Path("q.png").write_bytes(photo.read_bytes())
+    run("photo.png", "q.png")
+    assert [one and [arm.status for arm in one.arms] for one in told] == [None, ["ok", "ok"]]
 
 
 def test_a_camera_of_another_size(run: Runner, photo: Path) -> None:

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 
 from tests.board_photos import facing, photograph, picture, with_noise
+from tests.damaged_photos import creased
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from yamsim_cli.core.vision.fiducials.align import align
 from yamsim_cli.core.vision.fiducials.locate import at_pose, locate
 from yamsim_cli.core.vision.fiducials.markers import seen_ids
+from yamsim_cli.core.vision.fiducials.print_view import Piece
 from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
+from yamsim_cli.core.vision.fiducials.smear import Smear
 from yamsim_cli.core.vision.fiducials.together import locate_together
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
@@ -275,3 +279,23 @@ def test_a_turned_board_keeps_its_corners_in_order() -> None:
     for angle in (0.0, 1.6, 3.0, -1.5):
         truth = facing(0, 0, 0.5) @ pose((0, 0, 0), rotation_from_vector([0, 0, angle]))
         assert_exact(seen(photograph(CAMERA, [(ONE, truth)])), truth)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_creased_print_gives_no_pose(seed: int) -> None:
+    """Folded by 4 degrees, its pose is off by 2.6, and a tenth of one is what its noise explains."""
+    truth = facing(0.0, 0.0, 0.8, 0.4, 0.2)
+    photo = with_noise(creased(np.random.default_rng(seed), picture(CAMERA, [(ONE, truth)]), CAMERA, ONE, truth))
+    found = seen(photo)
+    assert found.status is Status.POOR_FIT
+    assert "px off a flat print's: a crease, a bent plate, another lens" in found.reason
+
+
+def test_what_lies_beside_a_blurred_print_does_not_pull_it() -> None:
+    """White paper and a grey table are smeared into its outer markers, where black was drawn: it was 6 mm off."""
+    truth = facing(0.0, 0.0, 0.8, 0.9, 0.3)
+    whole = Piece(ONE, np.eye(4), tuple(range(9)))
+    fit = align(picture(CAMERA, [(ONE, truth)], 4.0), CAMERA, [whole], truth, Smear(3.5))
+    assert fit is not None
+    assert fit.smear.blur == pytest.approx(4.0, abs=0.02)
+    assert np.linalg.norm(fit.T_ref_in_cam[:3, 3] - truth[:3, 3]) < 2e-3

@@ -89,6 +89,7 @@ def align(
     T_ref_in_cam: Array,
     smear: Smear = USUAL_SMEAR,
     growth: Guess | None = None,
+    roughly: bool = False,
 ) -> Alignment | None:
     """Move a pose until the boards' print agrees best with the photo.
 
@@ -98,6 +99,7 @@ def align(
         T_ref_in_cam: where to start, right to about a marker's cell.
         smear: where to start; motion is found too where there is some.
         growth: find the print's size too; without, the boards' is taken as it is.
+        roughly: stop sooner: how well the print agrees is told as well by then, where it is less so.
 
     Returns:
         None where nothing of the pieces lies in the picture, or the fit breaks down.
@@ -105,7 +107,7 @@ def align(
     views = _views(photo, camera, pieces, T_ref_in_cam)
     if views is None:
         return None
-    fit = _PoseProblem(views, camera, _centre(pieces), moving=smear.length > 0, growth=growth)
+    fit = _PoseProblem(views, camera, _centre(pieces), moving=smear.length > 0, growth=growth, roughly=roughly)
     found = fit.solve(_State(T_ref_in_cam, smear, growth.start if growth else 0.0))
     return None if found is None else fit.alignment(*found)
 
@@ -155,7 +157,9 @@ class _PoseProblem(PrintProblem[_State]):
         centre: Array,
         moving: bool,
         growth: Guess | None = None,
+        roughly: bool = False,
     ) -> None:
+        super().__init__(roughly)
         self._views = views
         self._camera = camera
         self._centre = centre

@@ -19,8 +19,8 @@ _HUBER = 1.345
 _LEAST_NOISE = 0.3
 
 _MOST_STEPS = 30
-# Steps below this no longer matter: shift of the print in the picture, px.
-_CONVERGED_PX = 4e-3
+# Steps below this no longer matter: shift of the print in the picture, px. And where only the misfit is asked for.
+_CONVERGED_PX, _NEARLY_PX = 4e-3, 2e-2
 
 Part = tuple[Array, Array, dict[int, Tile]]
 S = TypeVar("S")
@@ -63,7 +63,10 @@ class System:
 
 
 class PrintProblem(LeastSquares[S, System]):
-    """Where a print lies, and how the photo answers."""
+    """Where a print lies, and how the photo answers; `roughly` where only how well it explains that is asked for."""
+
+    def __init__(self, roughly: bool = False) -> None:
+        self._settled_px = _NEARLY_PX if roughly else _CONVERGED_PX
 
     @abstractmethod
     def system(self, state: S, noise: float | None) -> System | None:
@@ -85,7 +88,7 @@ class PrintProblem(LeastSquares[S, System]):
 
     def settled(self, state: S, known: System, step: Array, gain: Array) -> bool:
         """Whether the last step hardly moved the print."""
-        return self.moved_px(state, step) < _CONVERGED_PX
+        return self.moved_px(state, step) < self._settled_px
 
     def solve(self, start: S) -> tuple[S, System] | None:
         """The best state near a first one, and the equations there; None where the photo does not show it."""

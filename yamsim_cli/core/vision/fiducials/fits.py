@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,11 +15,17 @@ from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, pose, rotation_vector
 from ..lens import project_points, rays
 from .align import Alignment, agreement, align
+from .linearize import Tile
 from .markers import Group
 from .print_view import Piece
 
 # A marker whose print and photo correlate less than this is hidden, moved or something else.
 SAME_PRINT = 0.75
+# A marker of which so many times as much stays unexplained as of most others is covered in part, say, if it correlates
+# less than this. Source: photos of whole boards have at most 2.5, creased ones 4, half covered ones 40 and more.
+_STRANGE, _SPOILT = 5.0, 0.9
+# So often, at most, it is asked again which markers are strange: one that is pulls the pose off the others.
+_MOST_ROUNDS = 3
 # How much more likely the photo has to be under the pose than under its rival (difference of log-likelihoods), with
 # neighbouring pixels counted as `_CORRELATED` times fewer independent ones.
 _MIN_EVIDENCE = 12.0
@@ -99,6 +105,33 @@ def fit_pose(
     return PoseFit(first, agreeing, len(tiles) - len(agreeing))
 
 
+def without_strange(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> PoseFit:
+    """A fit without markers that the print explains far worse than the others: those covered in part pull the pose."""
+    candidates = Piece(board, np.eye(4), fit.agreeing)
+    tiles = fit.alignment.tiles[0]
+    for _ in range(_MOST_ROUNDS):
+        kept = tuple(k for k in candidates.markers if k in tiles and k not in _strange(tiles))
+        if kept == fit.agreeing:
+            break
+        smear, noise = fit.alignment.smear, fit.alignment.noise
+        again = align(photo, camera, [Piece(board, np.eye(4), kept)], fit.T, smear)
+        if again is None or not faces_camera(again.T_ref_in_cam):
+            break
+        fit = PoseFit(again, kept, fit.contradicting + len(fit.agreeing) - len(kept))
+        check = agreement(photo, camera, [candidates], fit.T, again.smear, noise)
+        if check is None:
+            break
+        tiles = check.tiles[0]
+    return fit
+
+
+def _strange(tiles: Mapping[int, Tile]) -> set[int]:
+    """Markers of which neither the drawing nor a shift of it explains nearly as much as of most."""
+    left = np.array([tile.unexplained for tile in tiles.values()])
+    least = _STRANGE * max(float(np.median(left)), 1e-9)
+    return {k for k, tile in tiles.items() if tile.unexplained > least and tile.correlation < _SPOILT}
+
+
 def rival_of(
     photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit, fits: Sequence[PoseFit]
 ) -> PoseFit | None:
@@ -118,7 +151,7 @@ def rival_of(
         before = agreement(photo, camera, [piece], T, alignment.smear, alignment.noise)
         if before is None or before.cost / before.pixels > _HOPELESS * fit.mean_square:
             continue
-        after = align(photo, camera, [piece], T, alignment.smear)
+        after = align(photo, camera, [piece], T, alignment.smear, roughly=True)
         if (
             after is None
             or angle_between(after.T_ref_in_cam, fit.T) < _SAME_POSE

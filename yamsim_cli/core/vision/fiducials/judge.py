@@ -13,17 +13,23 @@ from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array
 from .advice import advice_on, looks_of
 from .align import INFLATION, Alignment
-from .fits import PoseFit, angle_between, clearly_better, rival_of
+from .fits import PoseFit, angle_between, clearly_better, rival_of, without_strange
 from .linearize import Tile
 from .sighting import Sighting, Status
 
-# Accepted poses are known at least this well.
+# Accepted poses are known at least this well: the turn in all, and, without what lens and print size do, the shift.
 _MAX_TURN_SIGMA = math.radians(2.0)
-_MAX_SHIFT_SIGMA = 0.03  # of the distance
+_MAX_SHIFT_SIGMA = 0.01  # of the distance
 
-# With more blur than this (sigma, px), what lies beside the print is smeared into it more than the fit makes up for.
-# Source: photos at 0.8 m with a blur of 4 px, whose errors were 1.1 times what was stated in the median, without it.
-_SHARP = 1.5
+# With more blur than this (sigma, px), the noise moves a pose more than the linearized problem says.
+# Source: photos at 0.8 m with a blur of 4 px, whose errors were 1.8 times what was stated at most, without it.
+_SHARP = 3.0
+
+# Markers that lie off each other this many times as far as noise explains are still no sign of anything else. What more
+# there is (a crease, a bent plate, another lens) moves the pose so many times as far as as much noise would.
+# Source: photos of creased boards, whose errors were 1.2 times what was stated in the median with 3.
+_USUAL_SCATTER, _NO_NOISE = 2.0, 4.0
+_POSE_PARAMETERS = 6
 
 # What a printed board's scale is known to where nobody measured it. A printer stretches by a few tenths of a percent.
 PRINT_SIGMA = 0.0025
@@ -39,6 +45,7 @@ def judge(
         fit: the best pose.
         fits: all that were fitted.
     """
+    fit = without_strange(photo, camera, board, fit)
     rival = rival_of(photo, camera, board, fit, fits)
     if rival is not None and clearly_better(rival, fit):
         # The fit began at the wrong one of the two poses that a flat board may have.
@@ -59,14 +66,16 @@ def judge(
         )
         return refused(Status.AMBIGUOUS, reason)
     sighting = Sighting(board, ids, Status.OK, "", fit.T, covariance, shared, rms, fit.alignment.smear)
-    turn, shift = sighting.rotation_sigma, sighting.position_sigma
-    assert turn is not None and shift is not None
-    distance = float(np.linalg.norm(fit.T[:3, 3]))
-    if turn > _MAX_TURN_SIGMA or shift > _MAX_SHIFT_SIGMA * distance + camera.focal_sigma * distance:
-        reason = (
-            f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: too few, too small "
-            "or too blurred markers"
-        )
+    turn, shift = sighting.rotation_sigma, math.sqrt(float(np.trace((covariance - shared @ shared.T)[3:, 3:])))
+    assert turn is not None
+    if turn > _MAX_TURN_SIGMA or shift > _MAX_SHIFT_SIGMA * float(np.linalg.norm(fit.T[:3, 3])):
+        why = "too few, too small or too blurred markers"
+        if _NO_NOISE * _excess_scatter(fit.alignment) > INFLATION:
+            why = (
+                f"its markers lie {rms:.2f} px off a flat print's: a crease, a bent plate, another lens, or other "
+                "measures than the rig's"
+            )
+        reason = f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: {why}"
         return refused(Status.POOR_FIT, reason)
     return sighting
 
@@ -80,7 +89,8 @@ def shift_rms(tiles: Mapping[int, Tile]) -> float:
 def uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
     """Covariance (6, 6) of a turn about a point (3,) of the reference frame and of its shift; its shared part (6, k).
 
-    The noise's, inflated, with what the uncertainties of the lens and of the print's scale add.
+    The noise's, inflated, more where markers lie off each other by more than noise explains, with what the
+    uncertainties of the lens and of the print's scale add.
     """
     x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
     # A turn w about the centre moves the point by w x r.
@@ -88,6 +98,16 @@ def uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tupl
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
     mistakes = [alignment.by_lens @ camera.mistakes, PRINT_SIGMA * alignment.by_print]
     shared: Array = moved @ np.column_stack(mistakes)
-    inflation = INFLATION * max(1.0, alignment.smear.blur / _SHARP)
+    inflation = max(INFLATION * max(1.0, alignment.smear.blur / _SHARP), _NO_NOISE * _excess_scatter(alignment))
     covariance: Array = moved @ alignment.covariance @ moved.T * inflation**2 + shared @ shared.T
     return covariance, shared
+
+
+def _excess_scatter(alignment: Alignment) -> float:
+    """How many times as far markers lie off each other as noise alone explains, beyond what is usual."""
+    tiles = [tile for piece in alignment.tiles for tile in piece.values()]
+    free = 2 * len(tiles) - _POSE_PARAMETERS
+    if free <= 0:
+        return 0.0
+    scatter = sum(tile.shifted for tile in tiles) / free / alignment.noise**2
+    return math.sqrt(max(0.0, scatter - _USUAL_SCATTER**2))

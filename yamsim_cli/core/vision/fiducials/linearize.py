@@ -16,7 +16,9 @@ from .smear import Smear
 # A tile of fewer pixels says nothing about its own brightness.
 _MIN_TILE_PIXELS = 12
 # A tile into which less than this is smeared from beside the print (sum of squared shares) is not touched by it.
-_LEAST_BESIDE = 1e-2
+_LEAST_BESIDE = 1e-4
+# A tile with less contrast (grey levels) shows no print beside which anything could be bright.
+_LEAST_CONTRAST = 1.0
 
 
 @dataclass(frozen=True)
@@ -26,10 +28,14 @@ class Tile:
     Attributes:
         correlation: of drawing and photo, -1..1.
         shift: how far (px, right and down) the photo has it from where the drawing has it.
+        shifted: how much of the photo that the drawing leaves unexplained the shift would explain, grey levels squared.
+        unexplained: what it would leave, mean square, grey levels squared.
     """
 
     correlation: float
     shift: tuple[float, float]
+    shifted: float
+    unexplained: float
 
 
 @dataclass(frozen=True)
@@ -68,22 +74,63 @@ def linearized(
     use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
         return None
-    grey = drawing.grey
-    slopes = np.stack([cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)], axis=-1) / 32
-    curvature = cv2.Laplacian(grey, cv2.CV_32F, ksize=1)
-    by_own_px = -slopes.reshape(-1, 2)[use].astype(np.float64)
-    by_ray = (by_own_px[:, None, :] @ view.px_per_ray[use])[:, 0]
-    pixels = Pixels(drawing.at[use], view.centre_rays[use], by_ray, by_own_px / view.coarser)
-    # Blur spreads as heat does.
-    by_blur = smear.blur * curvature.ravel()[use] / view.coarser
-    by_motion = np.zeros((len(by_blur), 2))
-    if smear.length:
-        by_motion[:] = np.stack([by.ravel()[use] for by in smear.by_motion(drawing.sharp)], axis=-1) / view.coarser
-    by_all = np.column_stack([by_blur, by_motion, columns(pixels), pixels.by_shift])
-    beside = np.zeros((int(use.sum()), 0), np.float32)
-    if drawing.beside is not None:
+    seen, drawn = view.photo.ravel()[use], drawing.grey.ravel()[use]
+    beside = np.zeros((len(seen), 0), np.float32)
+    slopes, curvature, by_motion = _changes(drawing.sharp, drawing.grey, smear, use)
+    if drawing.beside is not None and drawing.outside is not None:
         beside = drawing.beside.reshape(-1, 2)[use]
-    return _without_light(view.photo.ravel()[use], grey.ravel()[use], beside, by_all, tile[use])
+        # What lies beside the print is smeared into it by the same lens, and moves with it.
+        for side, strength in enumerate(_strengths(seen, drawn, beside, tile[use]).T):
+            outside, smeared = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
+            more = _changes(outside, smeared, smear, use)
+            slopes, curvature, by_motion = (
+                of_print + strength.reshape(-1, *[1] * (of_print.ndim - 1)) * of_side
+                for of_print, of_side in zip((slopes, curvature, by_motion), more, strict=True)
+            )
+    by_ray = (-slopes[:, None, :] @ view.px_per_ray[use])[:, 0]
+    pixels = Pixels(drawing.at[use], view.centre_rays[use], by_ray, -slopes / view.coarser)
+    # Blur spreads as heat does.
+    by_blur = smear.blur * curvature / view.coarser
+    by_all = np.column_stack([by_blur, by_motion / view.coarser, columns(pixels), pixels.by_shift])
+    return _without_light(seen, drawn, beside, by_all, tile[use])
+
+
+def _changes(
+    sharp: NDArray[np.float32], smeared: NDArray[np.float32], smear: Smear, use: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Of a picture's pixels (n,) in use: slopes (n, 2), curvature (n,), and change (n, 2) with the motion."""
+    slopes = np.stack([cv2.Scharr(smeared, cv2.CV_32F, 1, 0), cv2.Scharr(smeared, cv2.CV_32F, 0, 1)], axis=-1) / 32
+    curvature = cv2.Laplacian(smeared, cv2.CV_32F, ksize=1).ravel()[use]
+    by_motion = np.zeros((len(curvature), 2))
+    if smear.length:
+        by_motion[:] = np.stack([by.ravel()[use] for by in smear.by_motion(sharp)], axis=-1)
+    return slopes.reshape(-1, 2)[use].astype(np.float64), curvature.astype(np.float64), by_motion
+
+
+def _strengths(
+    photo: NDArray[np.float32], drawn: NDArray[np.float32], beside: NDArray[np.float32], tile: NDArray[np.int_]
+) -> Array:
+    """How bright (n, sides) what lies beside the print is at each pixel's tile, in the print's own contrast."""
+    order = np.argsort(tile, kind="stable")
+    _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
+    every = np.column_stack([drawn, beside, photo])[order].astype(np.float64)
+    every -= (np.add.reduceat(every, starts) / np.bincount(which)[:, None])[which]
+    shapes = every.shape[1] - 1
+    first, second = np.tril_indices(shapes + 1)
+    products = np.zeros((len(starts), shapes + 1, shapes + 1))
+    products[:, first, second] = np.add.reduceat(every[:, first] * every[:, second], starts)
+    products[:, second, first] = products[:, first, second]
+    # Sides that hardly touch a tile are left out of its equations.
+    power = np.einsum("tkk->tk", products[:, 1:shapes, 1:shapes])
+    touched = np.column_stack([np.ones(len(starts), dtype=bool), power > _LEAST_BESIDE])
+    normal = products[:, :shapes, :shapes] * touched[:, :, None] * touched[:, None, :]
+    normal += np.eye(shapes) * np.where(touched, 1e-9, 1.0)[:, None, :]
+    found = np.linalg.solve(normal, (products[:, :shapes, shapes] * touched)[..., None])[..., 0]
+    contrast = found[:, :1]
+    of_tile = np.where(contrast > _LEAST_CONTRAST, found[:, 1:] / np.maximum(contrast, _LEAST_CONTRAST), 0.0)
+    strengths = np.empty(beside.shape)
+    strengths[order] = of_tile[which]
+    return strengths
 
 
 def _tiles(view: PrintView, drawing: Drawing) -> NDArray[np.int_]:
@@ -135,8 +182,12 @@ def _without_light(
     xx, yy = xx + 1e-6, yy + 1e-6
     shifts = np.column_stack([yy * xr - xy * yr, xx * yr - xy * xr]) / (xx * yy - xy**2)[:, None]
     correlation = contrast * np.sqrt(power / (of_tiles(seen**2) + 1e-9))
+    shifted = shifts[:, 0] * xr + shifts[:, 1] * yr
+    unexplained = (of_tiles(residual**2) - shifted) / of_tiles(np.ones(len(residual)))
     tiles = {
-        int(number): Tile(float(alike), (float(right), float(down)))
-        for number, alike, (right, down) in zip(numbers, correlation, shifts, strict=True)
+        int(number): Tile(float(alike), (float(right), float(down)), float(gain), float(left))
+        for number, alike, (right, down), gain, left in zip(
+            numbers, correlation, shifts, shifted, unexplained, strict=True
+        )
     }
     return residual, slopes[:, :-2], tiles

@@ -110,6 +110,7 @@ class _PlaneProblem(PrintProblem[_State]):
     """Least squares over the map's eight numbers and the blur."""
 
     def __init__(self, view: PrintView, focal: float) -> None:
+        super().__init__()
         self._view, self._focal = view, focal
         board = view.piece.board
         # In half boards, the eight numbers are of a size.

@@ -25,7 +25,7 @@ _FINE = 3
 _ENOUGH_PX_A_CELL = 2.7
 
 # With less smear (its reach, px), nothing from beside the print gets as far as what is compared.
-_SHARP_REACH = 1.4
+_SHARP_REACH = 0.9
 
 # Pixels around the board that a pose may move it by.
 _MARGIN_PX = 3
@@ -75,15 +75,17 @@ class Drawing:
     Attributes:
         sharp: (rows, columns), 0 black to 1 white.
         grey: the same, smeared.
-        beside: (rows, columns, 2), how much of each pixel comes from beside the print: from its left or right, and from
-            above or below; None where that is nothing to speak of. What lies there is not known, and drawn as if the
-            outer markers' black went on.
+        outside: (rows, columns, 2), how much of each pixel lies beside the print: left or right, and above or below;
+            None where too little of that is smeared into what is compared. What lies there is not known, and drawn as
+            if the outer markers' black went on.
+        beside: the same, smeared.
         at: where on the board (n, 2) each pixel lies, in m of the board's own measures.
         marker: which marker's surroundings (n,) the pixel shows and nothing else; -1 for none.
     """
 
     sharp: Grey
     grey: Grey
+    outside: Grey | None
     beside: Grey | None
     at: Array
     marker: NDArray[np.int_]
@@ -201,19 +203,23 @@ def draw_print(view: PrintView, plane: Array, smear: Smear) -> Drawing:
     map_y = (np.float32(board.height / 2) - y) * scale - np.float32(0.5)
     fine = cv2.remap(view.pattern, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     shape = (view.photo.shape[1], view.photo.shape[0])
-    beside = None
+    outside = beside = None
     if smear.reach < _SHARP_REACH:
         # What is compared lies too far inside for anything to be smeared into it.
         sharp = np.asarray(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), dtype=np.float32)
         grey = smear.of(sharp)
     else:
-        outside = (np.abs(x) > board.width / 2).astype(np.float32), (np.abs(y) > board.height / 2).astype(np.float32)
-        every = cv2.resize(cv2.merge([fine, *outside]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
+        past_x, past_y = np.abs(x) > board.width / 2, np.abs(y) > board.height / 2
+        # Past a corner, half of it is from either side.
+        half = np.float32(1) / (np.float32(1) + (past_x & past_y))
+        past = past_x * half, past_y * half
+        every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
         smeared = smear.of(every)
-        sharp, grey, beside = every[..., 0], np.ascontiguousarray(smeared[..., 0]), smeared[..., 1:]
+        sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(smeared[..., 0])
+        outside, beside = every[..., 1:], smeared[..., 1:]
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
     at = homogeneous[:, :2] / homogeneous[:, 2:]
-    return Drawing(sharp, grey, beside, at, _marker_at(view, at, smear))
+    return Drawing(sharp, grey, outside, beside, at, _marker_at(view, at, smear))
 
 
 def fine_places(view: PrintView, onto_board: Array) -> tuple[Grey, Grey]:

@@ -14,6 +14,9 @@ Grey = NDArray[np.float32]
 # A straight smear is laid down as so many points a pixel of its length, and at least this many.
 _POINTS_A_PX, _LEAST_POINTS = 4, 9
 
+# What is beyond the picture's edge: what is at the edge goes on.
+_BEYOND = cv2.BORDER_REPLICATE
+
 
 @dataclass(frozen=True)
 class Smear:
@@ -43,16 +46,17 @@ class Smear:
 
     def of(self, picture: Grey) -> Grey:
         """A picture (rows, columns[, channels]), smeared."""
-        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur)
+        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BEYOND)
         if self.length:
-            blurred = cv2.filter2D(blurred, -1, self._line(slope=False))
+            blurred = cv2.filter2D(blurred, -1, self._line(slope=False), borderType=_BEYOND)
         return np.asarray(blurred, dtype=np.float32)
 
     def by_motion(self, picture: Grey) -> tuple[Grey, Grey]:
         """How the smeared picture (rows, columns) changes with the motion, right and down."""
-        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur)
+        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BEYOND)
         slopes = (cv2.Scharr(blurred, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(blurred, cv2.CV_32F, 0, 1) / 32)
-        across, down = (np.asarray(cv2.filter2D(slope, -1, self._line(slope=True)), np.float32) for slope in slopes)
+        line = self._line(slope=True)
+        across, down = (cv2.filter2D(slope, -1, line, borderType=_BEYOND).astype(np.float32) for slope in slopes)
         return across, down
 
     def _line(self, slope: bool) -> Grey:
