@@ -42,12 +42,15 @@ def simulators(session: Session) -> Iterator[Simulators]:
         yield made
 
 
-@pytest.fixture(scope="module")
-def dataset(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("data") / "dataset"
+def recorded(session: Session, out: Path) -> Path:
     watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
     record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
     return out
+
+
+@pytest.fixture(scope="module")
+def dataset(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(session, tmp_path_factory.mktemp("data") / "dataset")
 
 
 @pytest.mark.render

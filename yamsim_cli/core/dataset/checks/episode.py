@@ -8,7 +8,6 @@ import numpy as np
 
 from ...errors import DatasetError
 from ...files import sha256_bytes
-from ...geometry.se3 import Array
 from ..layout import EPISODE, lowdim_name
 from ..lowdim import content_hash
 from ..records import EpisodeRecord, from_json
@@ -17,7 +16,7 @@ from .facts import POSE, EpisodeFacts, Values, each_hand, hand_keys, layout, num
 from .files import check_presence, list_files, read_file
 from .images import CameraChecks, ImageReader, check_frozen
 from .lowdim import LowdimChecks, ValueForm, expected_forms
-from .motion import check_fingers, check_limits, check_speeds, check_times, each_arm
+from .motion import angles_shown, check_fingers, check_limits, check_speeds, check_times, each_arm
 from .poses import check_intrinsics, check_pose, check_view
 from .problem import Problems
 from .timestamps import TIMESTAMPS, read_timestamps
@@ -192,12 +191,9 @@ class _EpisodeCheck:
             check_speeds(arm.joints, period, arm.limits.joints, self._frame_name, self._problems)
             if self._record and arm.limits.fingers and arm.openings:
                 check_fingers(arm.openings, arm.limits.fingers, self._frame_name, self._problems)
-        angles: dict[int, Array] = {k: np.concatenate([arm.joints[k] for arm in arms]) for k in joints} if arms else {}
         for camera, checks in cameras.items():
-            # What is at a wrist sees the same while its own arm stands still, whatever another one does.
-            number = self._context.wrist_cameras.get(camera)
-            own = dict(arms[number].joints) if arms and number is not None else angles
-            check_frozen(checks.fingerprints, self._files.images[camera], own, self._problems)
+            moving = angles_shown(camera, arms, self._context.wrist_cameras)
+            check_frozen(checks.fingerprints, self._files.images[camera], moving, self._problems)
 
     def _check_poses(self, values: Values, cameras: Mapping[str, CameraChecks]) -> None:
         keys = pose_keys(values)

@@ -101,6 +101,20 @@ def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated
     return found
 
 
+def angles_shown(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, int]) -> dict[int, Array]:
+    """Frame -> angles (n,) of the arms whose motion a camera's pictures have to show, rad; empty without arms.
+
+    A camera at a wrist sees the same while its own arm stands still, whatever another one does.
+
+    Args:
+        wrists: camera -> number of the arm that carries it.
+    """
+    if not arms:
+        return {}
+    shown = [arms[wrists[camera]]] if camera in wrists else list(arms)
+    return {k: np.concatenate([arm.joints[k] for arm in shown]) for k in shown[0].joints}
+
+
 def check_limits(joints: Mapping[int, Array], limits: Sequence[JointLimits], name: Named, problems: Problems) -> None:
     """Note joints beyond their stops. `joints` is frame -> angles (n,), rad."""
     for k, values in sorted(joints.items()):
