@@ -31,6 +31,7 @@ COUNTS: dict[str, Any] = {
     "rates": {"0.05": 0.987, "0.08": 0.99},
     "dxy_m": SPREAD,
     "causes": {"off_target": 13},
+    "recovered": 0,
 }
 BATCH = COUNTS | {
     "task": "handover",
