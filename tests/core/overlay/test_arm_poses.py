@@ -170,9 +170,10 @@ def test_a_recorded_pose_stands_in_for_a_board_that_is_not_seen(russet: RigConfi
 def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     """From nearby it is seen well, and noted; one that is far off gives no pose, which would be off by 4 cm."""
     (board, T), other = boards_of(russet)
-    near = photograph(CAMERA, [(replace(board, gap=1.25 * board.gap), facing(0.0, 0.0, 0.22))])
-    (note,) = found(russet, near).notes
-    assert note.startswith("arm1's markers lie 0.") and "marker_length_mm and gap_mm" in note
+    large = CAMERA.scaled(2.0)
+    near = photograph(large, [(replace(board, gap=1.12 * board.gap), facing(0.0, 0.0, 0.22))])
+    (note,) = find_arms(russet, PHOTO, near, Lens.known(large, "file"), trust_margin=False).notes
+    assert note.startswith("arm1's markers lie ") and "marker_length_mm and gap_mm" in note
     far_off = found(russet, photograph(CAMERA, [(replace(board, gap=2 * board.gap), T), other]))
     assert [arm.status for arm in far_off.arms] == ["poor_fit", "ok"]
     refused = far_off.arms[0].sighting

@@ -109,5 +109,7 @@ def _excess_scatter(alignment: Alignment) -> float:
     free = 2 * len(tiles) - _POSE_PARAMETERS
     if free <= 0:
         return 0.0
-    scatter = sum(tile.shifted for tile in tiles) / free / alignment.noise**2
+    # By the median, since glare on some of the markers is no bend: of two squares' sum, it is 2 log 2 of one's mean.
+    usual = float(np.median([tile.shifted for tile in tiles])) / (2 * math.log(2))
+    scatter = usual * 2 * len(tiles) / free / alignment.noise**2
     return math.sqrt(max(0.0, scatter - _USUAL_SCATTER**2))
