@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import ResourceError, UsageError
+from .errors import ConfigError, ResourceError, UsageError
 from .session import Session
 
 if TYPE_CHECKING:
@@ -146,7 +146,10 @@ class Opener:
         from .config.loader import model_of
         from .config.program_task import PROGRAM
 
-        data = model_of("tasks").read(where.config_file("tasks", task)).data
+        try:
+            data = model_of("tasks").read(where.config_file("tasks", task)).data
+        except ConfigError:
+            return None  # Loading the whole config says so, and who asked for it.
         rig = data.get("rig") if data.get("kind") == PROGRAM else None
         return rig if isinstance(rig, str) else None
 
