@@ -8,7 +8,7 @@ import pytest
 from yamsim_cli.core.config.recording import GraspKind, RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z, tilt
 from yamsim_cli.core.tasks.pickplace import sample_layout
-from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan, phases, phases_of, ticks
+from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan, phases, phases_of, points_for, ticks
 from yamsim_cli.core.types import Layout, Phases, Plan
 
 BASE = pose((0.1, -0.2, 0.0), rotation_z(0.3))
@@ -68,6 +68,35 @@ def test_a_hand_that_leans_points_away_from_the_base_at_the_grasp_and_at_the_pla
     # About the same point of the object.
     upright = _plan(config, layout, "contact", flipped)
     np.testing.assert_allclose(inverse(plan.T_object_in_pinch)[:3, 3], inverse(upright.T_object_in_pinch)[:3, 3])
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 100, -40])
+def test_a_bowl_is_taken_by_the_near_rim_along_its_wall(make_config: Callable[..., RecordConfig], yaw_deg: int) -> None:
+    config = make_config(
+        {("task", "object"): "kitchen_bowl", ("task", "target"): "kitchen_plate", ("rig",): "single_linear",
+         ("grasp",): "contact"}
+    )  # fmt: skip
+    T_bowl = BASE @ pose((0.4, 0.1, 0.0), rotation_z(np.radians(yaw_deg)))
+    bowl_and_plate = Layout({"bowl": T_bowl, "plate": BASE @ pose((0.5, -0.2, 0.0))})
+    points = points_for(config.task, "contact", bowl_and_plate, BASE)
+    assert sorted(points, key=str) == sorted(grasp_points(config.task, "contact"), key=str)
+    point = points[0]
+    plan = make_plan(config.task, "contact", bowl_and_plate, BASE, Hold(point, flipped=False))
+    T_pinch = T_bowl @ inverse(plan.T_object_in_pinch)
+    # As near as one of twelve places can be.
+    nearest = np.hypot(0.4, 0.1) - np.hypot(*point.position[:2]) * np.cos(np.radians(16))
+    assert np.hypot(*(inverse(BASE) @ T_pinch)[:2, 3]) <= nearest
+    # The fingers close across the wall: it rises outwards by the tilt, and goes round the bowl's axis.
+    radial = (T_pinch[:3, 3] - T_bowl[:3, 3]) * (1, 1, 0)
+    radial /= np.linalg.norm(radial)
+    assert point.tilt_deg is not None
+    tilted = np.radians(point.tilt_deg)
+    across = np.cos(tilted) * radial - np.sin(tilted) * np.array([0, 0, 1])
+    assert abs(T_pinch[:3, 1] @ across) == pytest.approx(1, abs=1e-6)
+    # The hand comes the way that it points.
+    by_name = {waypoint.name: waypoint.T_object_in_world for waypoint in plan.waypoints}
+    way = by_name["grasp"][:3, 3] - by_name["pre-grasp"][:3, 3]
+    np.testing.assert_allclose(way, config.task.heights.approach * T_pinch[:3, 2], atol=1e-9)
 
 
 def test_a_weld_plan_keeps_its_timing(config: RecordConfig, layout: Layout) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,14 +31,15 @@ _PUSH_OUT = 0.006
 # So much rolling friction, as a share of the radius, keeps what is round still on a slope of 3 degrees.
 _ROLLING = 0.05
 
-# What a pad presses with, N: so much at least, so many times half the weight, and so that pads of this height hold
-# level what hangs beside them.
-_FORCE, _TIMES_WEIGHT = 15.0, 8.0
-_PAD_HEIGHT, _LEVEL = 0.016, 1.5
+# What a pad presses with, N: so much at least, so many times half the weight, and so many times what holds level what
+# hangs beside the fingers.
+_FORCE, _TIMES_WEIGHT, _LEVEL = 15.0, 8.0, 1.2
 _G = 9.81
 # What a pad can press with: the drive's spring, which both share, ends so far behind closed fingers, N/m, m, N. Source:
 # MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
 _SPRING, _BEHIND, _MOST = 1000.0, 0.005, 50.0
+# How far fingers that come along a wall stay off it, m: the outer one finds room between a plate's rim and the table.
+_BESIDE_A_WALL = 0.006
 # It slides out of pads that press with less than so many times half its weight.
 _SLIDES = 3.0
 
@@ -82,7 +84,7 @@ def made_object(name: str, shape: Shape) -> dict[str, Any]:
         "preposition": form.carries,
     }
     if form.holds:
-        made["grasp"] = _grasp(form.holds, mass, centre)
+        made["grasp"] = _grasp(form, mass, centre)
     return {key: value for key, value in made.items() if value not in (None, [])}
 
 
@@ -129,24 +131,35 @@ def _contact(form: Form) -> dict[str, Any]:
     return {"friction": [*_FRICTION, _FLAT], "condim": 4, "push_out_s": _PUSH_OUT}
 
 
-def _grasp(holds: tuple[Hold, ...], mass: float, centre: Array) -> Mapping[str, Any]:
+def _grasp(form: Form, mass: float, centre: Array) -> Mapping[str, Any]:
     """Where to hold it, and by friction as far as pads can: a weld holds whatever is told to."""
     # The nearer to its weight, the less it turns in the pads.
-    holds = tuple(sorted(holds, key=lambda hold: round(_lever(hold, centre), 3)))
+    holds = tuple(sorted(form.holds, key=lambda hold: round(_lever(hold, centre), 3)))
     held = [hold for hold in holds if hold.flat and _least_force(hold, mass, centre) <= _most_force(hold)]
-    points = [
-        {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4)}
-        for hold in (held or holds)
-    ]
+    if form.turned:
+        held = [hold for hold in held if hold.where == held[0].where]
+    best = (held or holds)[0]
+    welded = _point(replace(best, tilt_deg=None))
     if not held:
-        return points[0]
+        return welded
     needed = max(_FORCE, _TIMES_WEIGHT * mass * _G / 2, *(_least_force(hold, mass, centre) for hold in held))
-    return {**points[0], "friction": {"force": round(min(needed, _MOST), 1), "points": points}}
+    around = {"around": True} if form.turned and len(held) > 1 else {}
+    beside = {"clearance": _BESIDE_A_WALL} if held[0].tilt_deg is not None else {}
+    return {
+        **welded,
+        **beside,
+        "friction": {"force": round(min(needed, _MOST), 1), "points": [_point(hold) for hold in held], **around},
+    }
+
+
+def _point(hold: Hold) -> dict[str, Any]:
+    tilt = {"tilt_deg": hold.tilt_deg} if hold.tilt_deg is not None else {}
+    return {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4), **tilt}
 
 
 def _least_force(hold: Hold, mass: float, centre: Array) -> float:
     """What a pad has to press with, N."""
-    return mass * _G * max(_SLIDES / 2, _LEVEL * _lever(hold, centre) / _PAD_HEIGHT)
+    return mass * _G * max(_SLIDES / 2, _LEVEL * _lever(hold, centre) / hold.depth)
 
 
 def _lever(hold: Hold, centre: Array) -> float:

@@ -11,7 +11,7 @@ from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 from ..documents.base import Config, ConflictError, Name
 from ..documents.document import Document
 from ..documents.units import Distance, Heading, OffsetPoint, Within
-from ..geometry.se3 import Array, pose, rotation_z
+from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .articulation import Handle, Link
 from .made import MADE, made_from
 from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
@@ -31,17 +31,28 @@ class GraspPoint(Config):
         position: of the pinch point in the object's frame, m.
         axis_deg: direction in the object's xy plane along which the fingers close, degrees from +x.
         opening: of one finger around the object once closed, m.
+        tilt_deg: of a wall that leans, and of the hand from straight down, its fingers pointing towards that direction,
+            degrees: both pads lie on the wall. Without, the hand may lean as suits the arm.
     """
 
     position: OffsetPoint
     axis_deg: Heading
     opening: Annotated[FiniteFloat, Within("m", 0, 1)]
+    tilt_deg: Annotated[
+        Annotated[FiniteFloat, Within("degrees", -90, 90)] | None, Field(exclude_if=lambda tilt: tilt is None)
+    ] = None
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
-        """The pinch frame (4, 4) in the object's: z down into it, y along the closing axis, either way round."""
+        """The pinch frame (4, 4) in the object's: z into it, y along the closing axis, either way round."""
         down = pose(rotation=[[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-        turn = math.radians(self.axis_deg) + math.pi / 2 + (math.pi if flipped else 0.0)
-        return pose(self.position, rotation_z(turn)) @ down
+        heading = math.radians(self.axis_deg)
+        turn = heading + math.pi / 2 + (math.pi if flipped else 0.0)
+        T = pose(self.position, rotation_z(turn)) @ down
+        if self.tilt_deg:
+            # A turn about the horizontal axis to the right of the heading lets the fingers point along it.
+            tilt = math.radians(self.tilt_deg)
+            T[:3, :3] = rotation_from_vector((tilt * math.sin(heading), -tilt * math.cos(heading), 0.0)) @ T[:3, :3]
+        return T
 
 
 class FrictionGrasp(Config):
@@ -50,10 +61,12 @@ class FrictionGrasp(Config):
     Attributes:
         force: with which each pad presses, N.
         points: the places where the object can be held so, the best first.
+        around: whether they go round the object, each as good as the others: then the hand takes first what suits it.
     """
 
     force: Annotated[FiniteFloat, Within("N", 0.05, 500)]
     points: Annotated[tuple[GraspPoint, ...], Field(min_length=1)]
+    around: Annotated[bool, Field(exclude_if=lambda around: not around)] = False
 
 
 class Grasp(GraspPoint):

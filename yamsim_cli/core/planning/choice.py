@@ -32,6 +32,9 @@ _ROTATION = math.radians(1.0)
 # leans far may run into other things.
 _LEANS = tuple(math.radians(angle) for angle in (15, 20, 10, 25, 5, 30, 0))
 
+# Where the place itself tilts the hand, by how much more it leans: pads lie best on a wall when it leans no more.
+_BESIDE = tuple(math.radians(angle) for angle in (0, 2, -2, 4, -4))
+
 # How far joints should stay from their stops, rad.
 _FREE = 0.15
 # Largest shares of the motors' speed and of the drives' torque that a path should need.
@@ -79,6 +82,10 @@ def path_strain(arm: SceneArm, path: JointPath) -> float:
     speed = float((np.abs(path.velocities) / arm.motor_speed).max())
     torque = float((np.abs(path.torques) / arm.most_torque).max())
     return max(0.0, _FREE - free) + max(0.0, speed - _SPEED) + max(0.0, torque - _TORQUE)
+
+
+def _leans(point: GraspPoint) -> tuple[float, ...]:
+    return _LEANS if point.tilt_deg is None else _BESIDE
 
 
 class PathChooser:
@@ -134,16 +141,16 @@ class PathChooser:
         return best[1:]
 
     def _candidates(self, layout: Layout) -> Iterator[_Candidate]:
-        for point in self._kind.grasp_points(self._task, self._grasp):
+        for point in self._kind.grasp_points(self._task, self._grasp, layout, self._arm.T_base_in_world):
             for flipped in self._ways_round(layout, point):
-                for lean in _LEANS:
+                for lean in _leans(point):
                     yield self._candidate(layout, Hold(point, flipped, lean))
 
     def _ways_round(self, layout: Layout, point: GraspPoint) -> list[bool]:
         """Both ways round, the better one first. It depends on the last joint, and not on how the hand leans."""
         margins = {}
         for flipped in (False, True):
-            plan = self._plan(layout, Hold(point, flipped, _LEANS[0]))
+            plan = self._plan(layout, Hold(point, flipped, _leans(point)[0]))
             self._ik.hold(plan.T_object_in_pinch)
             solution = self._ik.solve(plan.waypoints[plan.grasp].T_object_in_world, self._start, _ITERATIONS)
             margins[flipped] = round(solution.margin - solution.tilt_error - solution.heading_error, 3)

@@ -23,6 +23,7 @@ from ..scene.robot import bare_arm
 from ..session import Session
 from ..tasks.kinds import sample_layout
 from ..tasks.plans import grasp_points
+from ..tasks.resting import resting_height
 from ..types import Cause, EpisodeJob, Layout
 
 # Attempts that failed in one way, from the first one on, after which it is asked whether any could do better.
@@ -162,7 +163,7 @@ class Reach:
             return False
         task = self._task
         taken, target = (layout.T_in_world[item.name][:3, 3] for item in (task.object, task.target))
-        over = task.target.support_height + task.object.rest_height + task.heights.release
+        over = resting_height(task.object, task.target) + task.heights.release
         put = target + np.array([0.0, 0.0, over])
         return self._reaches(self._picking, taken) and self._reaches(self._placing, put)
 

@@ -18,6 +18,7 @@ from ..config.things import GraspPoint
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_z, yaw
 from ..types import Layout, Phases, Plan, Waypoint
 from .plans import WELD_FINGERS_FROM, Hold, azimuth, leaning, raised
+from .resting import resting_height
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def taking_plan(
     turn = azimuth(T_target, T_base_in_world) - azimuth(T_exchange, T_base_in_world)
     T_goal = T_target.copy()
     T_goal[:3, :3] = rotation_z(yaw(T_exchange) + turn)
-    T_goal[2, 3] += task.target.support_height + task.object.rest_height
+    T_goal[2, 3] += resting_height(task.object, task.target)
     T_arc = pose(
         [*(T_exchange[:2, 3] + T_goal[:2, 3]) / 2, max(T_exchange[2, 3], T_goal[2, 3] + heights.arc)],
         interpolate_rotation(T_exchange[:3, :3], T_goal[:3, :3], 0.5),

@@ -40,11 +40,12 @@ class OneArmed:
     """The parts of a task that one arm does and `core.planning.choice` plans; functions of numbers alone.
 
     Attributes:
-        grasp_points: gives the places where the object may be held, the best one first.
+        grasp_points: gives the places where the object may be held as it stands, the best one first for an arm whose
+            base is at a pose (4, 4).
         make_plan: gives what the hand does, once it is decided how it holds the object.
     """
 
-    grasp_points: Callable[[TaskConfig, GraspKind], tuple[GraspPoint, ...]]
+    grasp_points: Callable[[TaskConfig, GraspKind, Layout, Array], tuple[GraspPoint, ...]]
     make_plan: Callable[[TaskConfig, GraspKind, Layout, Array, plans.Hold], Plan]
 
 
@@ -81,7 +82,7 @@ KINDS: Mapping[str, TaskKind] = {
         ticks=lambda config: plans.ticks(config.pair, config.grasp),
         start_opening=lambda config: plans.start_opening(config.pair, config.grasp),
         judge=pickplace.judge,
-        one_armed=OneArmed(plans.grasp_points, plans.make_plan),
+        one_armed=OneArmed(plans.points_for, plans.make_plan),
     ),
     "handover": TaskKind(
         sample_layout=pickplace.sample_layout,

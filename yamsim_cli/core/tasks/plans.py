@@ -13,10 +13,14 @@ from ..config.task import TaskConfig, Timing
 from ..config.things import GraspPoint
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..types import Holds, Layout, Phases, Plan, Waypoint
+from .resting import resting_height
 
 # With a weld, fingers close on the way to the grasp, and open on the way to the place, after this share of it. So the
 # hand never waits for them, and the weld lets go only when they are open.
 WELD_FINGERS_FROM = 0.7
+
+# How far a hand leans outwards that holds a wall which goes away from the arm: what suits the arm best, rad.
+_ALONG_A_WALL = math.radians(15)
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,8 @@ class Hold:
     Attributes:
         point: where it holds the object.
         flipped: whether the hand is turned by half a turn about its approach.
-        lean: angle of the hand from straight down, with the fingers pointing away from the arm's base, rad.
+        lean: angle of the hand from straight down, with the fingers pointing away from the arm's base, rad; at a wall,
+            by how much more it tilts than that.
     """
 
     point: GraspPoint
@@ -42,6 +47,25 @@ def grasp_points(task: TaskConfig, grasp: GraspKind) -> tuple[GraspPoint, ...]:
         return (held,)
     assert held.friction is not None  # likewise
     return held.friction.points
+
+
+def points_for(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_world: Array) -> tuple[GraspPoint, ...]:
+    """The places where the object may be held as it stands, the best one first.
+
+    Of those that go round an object, the best is where a hand that leans outwards lies on it with both pads: closing
+    across the direction away from the base, or on the near side of a wall that leans.
+    """
+    points = grasp_points(task, grasp)
+    taken = task.object.grasp
+    if grasp == "weld" or taken is None or taken.friction is None or not taken.friction.around:
+        return points
+    outwards = _outwards(layout.T_in_world[task.object.name], T_base_in_world)
+
+    def unsuited(point: GraspPoint) -> float:
+        along = math.cos(math.radians(point.axis_deg) - outwards)
+        return round(1 - along if point.tilt_deg is not None else abs(along), 3)
+
+    return tuple(sorted(points, key=unsuited))
 
 
 def start_opening(task: TaskConfig, grasp: GraspKind) -> float:
@@ -92,20 +116,26 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
     outwards = azimuth(T_start, T_base_in_world)
     T_goal = T_target.copy()
     T_goal[:3, :3] = rotation_z(yaw(T_start) + azimuth(T_target, T_base_in_world) - outwards)
-    T_goal[2, 3] += task.target.support_height + task.object.rest_height
+    T_goal[2, 3] += resting_height(task.object, task.target)
     T_arc = pose(
         [*(T_start[:2, 3] + T_goal[:2, 3]) / 2, max(T_start[2, 3], T_goal[2, 3]) + heights.arc],
         interpolate_rotation(T_start[:3, :3], T_goal[:3, :3], 0.5),
     )
+    T_pinch_in_object = leaning(hold, _outwards(T_start, T_base_in_world))
+    T_place = raised(T_goal, heights.release)
     way = {
         "pre-grasp": raised(T_start, heights.approach),
         "grasp": T_start,
         "lift": raised(T_start, heights.lift),
         "arc-top": T_arc,
         "pre-place": raised(T_goal, heights.approach),
-        "place": raised(T_goal, heights.release),
+        "place": T_place,
         "retract": raised(T_goal, heights.approach),
     }
+    if hold.point.tilt_deg is not None:
+        # Along the wall that is between the fingers, which would run into it otherwise.
+        way["pre-grasp"] = _withdrawn(T_start, T_pinch_in_object, heights.approach)
+        way["retract"] = _withdrawn(T_place, T_pinch_in_object, heights.approach)
     taken = task.object.grasp
     assert taken is not None  # checked when the config was loaded
     closed, opened = hold.point.opening, hold.point.opening + taken.clearance
@@ -115,11 +145,9 @@ def make_plan(task: TaskConfig, grasp: GraspKind, layout: Layout, T_base_in_worl
         assert taken.friction is not None  # likewise
         waypoints = _gripped(task.timing, way, closed, opened, taken.friction.force)
     names = [waypoint.name for waypoint in waypoints]
-    # The direction from the base to the object, in the object's frame.
-    outwards += yaw(T_base_in_world) - yaw(T_start)
     return Plan(
         object=task.object.name,
-        T_object_in_pinch=inverse(leaning(hold, outwards)),
+        T_object_in_pinch=inverse(T_pinch_in_object),
         waypoints=waypoints,
         grasp=names.index("grasp"),
         release=names.index("place"),
@@ -172,10 +200,25 @@ def leaning(hold: Hold, outwards: float) -> Array:
         outwards: heading of the direction away from the base, in the object's frame, rad.
     """
     T = hold.point.T_pinch_in_object(hold.flipped)
+    if hold.point.tilt_deg is not None:
+        # The hand leans outwards only so far as its pads stay on the wall: about the axis along which they close.
+        heading = math.radians(hold.point.axis_deg)
+        closing = T[:3, 1] * math.copysign(1.0, T[0, 1] * math.cos(heading) + T[1, 1] * math.sin(heading))
+        T[:3, :3] = rotation_from_vector(_ALONG_A_WALL * math.sin(outwards - heading) * closing) @ T[:3, :3]
+        beside = (math.sin(heading), -math.cos(heading), 0.0)
+        T[:3, :3] = rotation_from_vector([hold.lean * part for part in beside]) @ T[:3, :3]
+        return T
     # A turn about the horizontal axis to the right of `outwards` lets the fingers point outwards.
     axis = (math.sin(outwards), -math.cos(outwards), 0.0)
     T[:3, :3] = rotation_from_vector([hold.lean * part for part in axis]) @ T[:3, :3]
     return T
+
+
+def _withdrawn(T: Array, T_pinch_in_object: Array, by: float) -> Array:
+    """The object's pose (4, 4) that goes with a hand `by` metres back from where it holds the object at `T`."""
+    T_back = T.copy()
+    T_back[:3, 3] -= by * (T @ T_pinch_in_object)[:3, 2]
+    return T_back
 
 
 def raised(T: Array, height: float) -> Array:
@@ -183,6 +226,11 @@ def raised(T: Array, height: float) -> Array:
     T_raised = T.copy()
     T_raised[2, 3] += height
     return T_raised
+
+
+def _outwards(T_in_world: Array, T_base_in_world: Array) -> float:
+    """Heading of the direction from a base to an object, in the object's frame, rad."""
+    return azimuth(T_in_world, T_base_in_world) + (yaw(T_base_in_world) - yaw(T_in_world))
 
 
 def azimuth(T_in_world: Array, T_base_in_world: Array) -> float:

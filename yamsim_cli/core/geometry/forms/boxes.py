@@ -54,13 +54,14 @@ def container(size: Container) -> Form:
     if size.lip:
         collision += _lip(size, x, y)
     z = round(height - _UNDER_RIM, 4)
-    lean = size.taper * 2 * _UNDER_RIM / height
-    thick, flat = round(wall + lean + size.lip, 4), not size.lip
+    thick, flat = round(wall + size.lip, 4), not size.lip
+    # In the middle of what touches.
+    x, y = (round(half - size.taper / 2 - wall / 2, 4) for half in (x, y))
     holds = [
-        Hold("rim", (0.0, round(y - wall / 2, 4), z), 90.0, thick, flat),
-        Hold("rim", (0.0, round(-y + wall / 2, 4), z), 90.0, thick, flat),
-        Hold("rim", (round(x - wall / 2, 4), 0.0, z), 0.0, thick, flat),
-        Hold("rim", (round(-x + wall / 2, 4), 0.0, z), 0.0, thick, flat),
+        Hold("rim", (0.0, y, z), 90.0, thick, flat, tilt_deg=0.0),
+        Hold("rim", (0.0, -y, z), 90.0, thick, flat, tilt_deg=0.0),
+        Hold("rim", (x, 0.0, z), 0.0, thick, flat, tilt_deg=0.0),
+        Hold("rim", (-x, 0.0, z), 0.0, thick, flat, tilt_deg=0.0),
     ]
     if size.cells % 2 == 0:
         holds = holds[2:]

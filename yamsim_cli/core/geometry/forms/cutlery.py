@@ -14,6 +14,10 @@ from .form import Form, Hold, Piece, Plain, capsule, capsules, simplified
 
 Kind = Literal["spoon", "fork", "knife", "turner"]
 
+# Pads whose middle is so high clear the table when the hand leans; so much higher than a handle's middle they may lie,
+# m.
+_ROOM, _OVER = 0.018, 0.004
+
 
 @dataclass(frozen=True)
 class Cutlery:
@@ -49,8 +53,9 @@ def cutlery(size: Cutlery) -> Form:
     holds = []
     for share in places:
         k = int(share * (len(path) - 1))
-        x, y, z = (round(float(v), 4) for v in path[k])
-        holds.append(Hold("handle", (x, y, z), 0.0, round(2 * float(widths[k]), 4)))
+        x, y, z = (float(v) for v in path[k])
+        place = (round(x, 4), round(y, 4), round(max(z, min(z + _OVER, _ROOM)), 4))
+        holds.append(Hold("handle", place, 0.0, round(2 * float(widths[k]), 4)))
     return Form(pieces, tuple(collision), tuple(holds))
 
 
@@ -65,23 +70,20 @@ def _handle_line(size: Cutlery, start: float) -> tuple[Array, Array]:
     end = -size.size[1] / 2 + size.handle / 2
     y = end + (start + 0.006 - end) * t
     low, high = size.handle / 2, size.size[2] - size.handle / 2
-    if size.kind == "knife":
-        z = np.full_like(t, low)
-        half = size.grip / 2 * np.interp(t, [0, 0.1, 0.5, 1], [0.72, 0.95, 1.0, 0.88])
-    else:
-        # Up from the end that touches the table to the highest place, and down to the head.
-        neck = _neck_height(size)
-        z = np.interp(t, [0.0, 0.74, 1.0], [low, high, neck])
-        z = np.convolve(np.pad(z, 3, mode="edge"), np.ones(7) / 7, mode="valid")
-        z = low + (z - z[0]) * (high - low) / (z.max() - z[0])
-        z[-1] = neck
-        # Straight where it is held: pads lie on it with their faces.
-        half = size.grip / 2 * np.interp(t, [0, 0.1, 0.84, 1], [0.7, 1.0, 0.96, 0.55])
+    # Up from the end that touches the table to the highest place, and down to the head: pads find room under it.
+    neck = _neck_height(size)
+    z = np.interp(t, [0.0, 0.74, 1.0], [low, high, neck])
+    z = np.convolve(np.pad(z, 3, mode="edge"), np.ones(7) / 7, mode="valid")
+    z = low + (z - z[0]) * (high - low) / (z.max() - z[0])
+    z[-1] = neck
+    # Straight where it is held: pads lie on it with their faces.
+    narrow = 0.85 if size.kind == "knife" else 0.55
+    half = size.grip / 2 * np.interp(t, [0, 0.1, 0.84, 1], [0.7, 1.0, 0.96, narrow])
     return np.column_stack([np.zeros_like(t), y, z]), half
 
 
 def _neck_height(size: Cutlery) -> float:
-    return {"spoon": 0.55, "fork": 0.75, "turner": 0.45, "knife": 0.0}[size.kind] * size.size[2]
+    return {"spoon": 0.55, "fork": 0.75, "turner": 0.45, "knife": 0.6}[size.kind] * size.size[2]
 
 
 def _sheet(
@@ -194,25 +196,32 @@ def _fork(size: Cutlery) -> tuple[Surface, list[Plain]]:
 def _knife(size: Cutlery) -> tuple[Surface, list[Plain]]:
     long, wide, thick = _head(size), size.size[0], size.thickness
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
-    z0 = size.handle / 2 - thick / 2
+    neck = _neck_height(size)
 
     def edges(t: float) -> tuple[float, float]:
-        back = wide / 2 * float(np.interp(t, [0, 0.6, 0.9, 1], [0.55, 0.62, 0.4, 0.05]))
+        back = wide / 2 * float(np.interp(t, [0, 0.6, 0.9, 1], [0.55, 0.8, 0.5, 0.05]))
         blade = -wide / 2 * float(np.interp(t, [0, 0.12, 0.7, 0.92, 1], [0.5, 0.95, 1.0, 0.62, 0.0]))
         return blade, back
 
-    def height(x: Array, t: float) -> Array:
-        return np.full_like(x, z0)
+    def level(t: float) -> float:
+        # Down to the table behind the bolster: it lies on its blade and on the handle's end.
+        return float((neck - thick / 2) * max(0.0, 1 - t / 0.3) ** 1.6)
 
-    surface = _sheet(edges, height, (y0, y1), thick)
+    surface = _sheet(edges, lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
     radius = thick / 2
-    t = np.linspace(0.0, 0.99, 7)
+    t = np.concatenate([np.linspace(0.0, 0.3, 4), np.linspace(0.3, 0.99, 5)[1:]])
     parts: list[Plain] = []
     for share in (0.0, 0.33, 0.67, 1.0):
         way = []
         for s in t:
             low, high = edges(float(s))
-            way.append((low + radius + share * max(high - low - 2 * radius, 0), y0 + (long - radius) * s, z0 + radius))
+            way.append(
+                (
+                    low + radius + share * max(high - low - 2 * radius, 0),
+                    y0 + (long - radius) * s,
+                    level(float(s)) + radius,
+                )
+            )
         parts += capsules(simplified(np.array(way), 0.0008), radius)
     return surface, parts
 

@@ -38,6 +38,9 @@ class Hold:
         axis_deg: direction in which the fingers close, degrees from +x.
         width: of what is between them, m.
         flat: whether both pads lie on it with their faces; what they only touch with a line pivots between them.
+        tilt_deg: of the hand from straight down, fingers towards `axis_deg`, so that they lie on a wall, degrees; None
+            where it is no wall that they lie on.
+        depth: how much of it is between the fingers, along them, m: on that they keep it from turning.
     """
 
     where: str
@@ -45,6 +48,8 @@ class Hold:
     axis_deg: float
     width: float
     flat: bool = True
+    tilt_deg: float | None = None
+    depth: float = 0.016
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,7 @@ class Form:
         carries: the preposition of what is put there, "in" or "on".
         support: height of what something put into its middle comes to lie on, m; None where nothing would stay.
         rolls: the least radius of what it touches the ground with, m; 0 where that is flat.
+        turned: whether it is the same from all around, so that holds of one kind are as good as each other.
     """
 
     pieces: tuple[Piece, ...]
@@ -64,6 +70,7 @@ class Form:
     carries: str = "on"
     support: float | None = None
     rolls: float = 0.0
+    turned: bool = False
 
 
 def box(centre: Sequence[float], size: Sequence[float], yaw_deg: float = 0.0) -> Plain:

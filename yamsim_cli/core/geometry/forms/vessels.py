@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,8 +22,9 @@ _TOLERANCE = 0.0010
 
 # A body wider than this is held by its rim: linear_4310 opens 95 mm.
 _WIDEST = 0.091
-# How far under the rim the middle of the pads is, and under the top at most: deeper the palm comes down on it, m.
-_UNDER_RIM, _PALM = 0.008, 0.040
+# How far under the rim the middle of the pads is, so that the rim lies between the fingers above them, half a pad's
+# height, and how far under the top the pads are at most: deeper the palm comes down on it, m.
+_UNDER_RIM, _PAD, _PALM = 0.014, 0.008, 0.040
 # A neck is held by its middle, so far under its rim, m.
 _NECK = 0.014
 
@@ -79,7 +81,7 @@ def vessel(size: Vessel) -> Form:
     """An open vessel that stands on its foot."""
     inside = size.inside()
     pieces = [Piece("body", turned(thickened(inside, size.wall), _SEEN))]
-    segments = _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
+    segments = _segments(size)
     wall = inside[int(np.flatnonzero(np.diff(inside[:, 1]) > 1e-9)[0]) :]
     collision: list[Plain] = [cylinder(0.0, size.wall, float(wall[0, 0]) + size.wall / 2)]
     collision += rings(simplified(wall, _TOLERANCE), size.wall, segments)
@@ -87,7 +89,19 @@ def vessel(size: Vessel) -> Form:
         pieces.append(Piece("handle", surface))
         collision += capsules(simplified(path, _TOLERANCE), radius)
     deep = size.height > 0.03
-    return Form(tuple(pieces), tuple(collision), tuple(_holds(size, inside)), "in" if deep else "on", size.wall)
+    return Form(
+        tuple(pieces),
+        tuple(collision),
+        tuple(_holds(size, inside)),
+        "in" if deep else "on",
+        size.wall,
+        turned=size.handles == "none",
+    )
+
+
+def _segments(size: Vessel) -> int:
+    """How many boxes go round it."""
+    return _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
 
 
 def _outer(size: Vessel, inside: Array, height: float) -> float:
@@ -135,27 +149,37 @@ def _holds(size: Vessel, inside: Array) -> list[Hold]:
     height = max(0.55 * size.height, size.height - _PALM)
     if size.neck and size.neck < 0.06:
         height = size.height - _NECK
+    # At every other box, where pads lie on its face.
+    around = np.arange(0.0, 360.0, 720.0 / _segments(size))
     width = 2 * _outer(size, inside, height)
     if width <= _WIDEST:
-        axes = (90.0, 0.0) if size.handles == "none" else (90.0,)
-        found += [Hold("body", (0.0, 0.0, round(height, 4)), axis, round(width, 4)) for axis in axes]
+        axes = (90.0 + around[around < 180]) % 180 if size.handles == "none" else (90.0,)
+        found += [Hold("body", (0.0, 0.0, round(height, 4)), float(axis), round(width, 4)) for axis in axes]
     if not neck or size.neck > 0.05:  # type: ignore[operator]  # a neck that a finger fits into
-        z = size.height - _UNDER_RIM
-        radius = round(_outer(size, inside, z) - size.wall / 2, 4)
-        places = {0.0: (radius, 0.0), 90.0: (0.0, radius), 180.0: (-radius, 0.0)}
-        kept = places if size.handles == "none" else {90.0: places[90.0], 270.0: (0.0, -radius)}
-        lean = _lean(inside)
-        found += [
-            Hold("rim", (x, y, round(z, 4)), axis % 180, round(size.wall + lean, 4)) for axis, (x, y) in kept.items()
-        ]
+        radius, z, tilt, bulge = _at_the_rim(size, inside)
+        for angle in around if size.handles == "none" else (90.0, 270.0):
+            turn = np.radians(angle)
+            place = (round(radius * float(np.cos(turn)), 4) + 0.0, round(radius * float(np.sin(turn)), 4) + 0.0, z)
+            inwards, width = float(angle + 180) % 360, round(size.wall + bulge, 4)
+            depth = _UNDER_RIM + _PAD
+            found.append(Hold("rim", place, inwards, width, tilt_deg=round(math.degrees(tilt), 1), depth=depth))
     return found
 
 
-def _lean(inside: Array) -> float:
-    """How far the wall leans outwards over the height of a pad under the rim, m."""
-    high = inside[-1, 1]
-    wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9]
-    return abs(float(inside[-1, 0] - np.interp(high - 2 * _UNDER_RIM, wall[:, 1], wall[:, 0])))
+def _at_the_rim(size: Vessel, inside: Array) -> tuple[float, float, float, float]:
+    """Where pads lie on the wall: radius and height of its middle (m), how it leans outwards (rad), how far it bulges
+    (m).
+    """
+    wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9][::-1]
+    # Along the wall, not upright: a plate's rim is flat.
+    under = np.linalg.norm(wall - wall[0], axis=1)
+    middle = min(_UNDER_RIM, under[-1] / 2)
+    places = middle + np.linspace(-1, 1, 9) * min(_PAD, middle)
+    line = np.column_stack([np.interp(places, under, wall[:, k]) for k in (0, 1)])
+    way = (line[0] - line[-1]) / np.linalg.norm(line[0] - line[-1])
+    out = np.array([way[1], -way[0]])
+    r, z = line[4] + out * size.wall / 2
+    return float(r), round(float(z), 4), math.atan2(float(way[0]), float(way[1])), float(np.ptp(line @ out))
 
 
 def cap(diameter: float, height: float, wall: float, grips: int) -> Form:
@@ -169,8 +193,9 @@ def cap(diameter: float, height: float, wall: float, grips: int) -> Form:
     collision = [cylinder(height - wall, height, radius), *rings(skirt, wall, _FEW_BOXES)]
     width = round(2 * radius, 4)
     z = round(height / 2, 4)
-    holds = [Hold("body", (0.0, 0.0, z), axis, width) for axis in (90.0, 0.0)] if width <= _WIDEST else []
-    return Form((Piece("body", body),), tuple(collision), tuple(holds), support=height)
+    axes = (90.0, 135.0, 0.0, 45.0) if width <= _WIDEST else ()
+    holds = tuple(Hold("body", (0.0, 0.0, z), axis, width) for axis in axes)
+    return Form((Piece("body", body),), tuple(collision), holds, support=height, turned=True)
 
 
 def fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float) -> Form:
@@ -207,4 +232,4 @@ def fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float
         around = np.radians(np.arange(0, 360, 45))
         parts = [sphere((waist * np.cos(a), waist * np.sin(a), middle), ball) for a in around]
     holds = [Hold("body", (0.0, 0.0, round(middle, 4)), axis, round(diameter, 4)) for axis in (90.0, 0.0, 45.0, 135.0)]
-    return Form(tuple(pieces), tuple(parts), tuple(holds), rolls=ball)
+    return Form(tuple(pieces), tuple(parts), tuple(holds), rolls=ball, turned=True)
