@@ -1,4 +1,4 @@
-"""The station as an embodiment of Inspect Robots: what it declares, how scenes come to rest, and what checkers are told."""
+"""The station as an embodiment of Inspect Robots: what it declares, how scenes rest, and what checkers are told."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def _at_the_top(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[str, An
 
 
 def _sized(item: SceneObject, shape: dict[str, Any], conditions: Mapping[str, Any]) -> dict[str, Any]:
-    """A shape's plain data with the size that a scene asks for: of what is round its diameter, of tools their length."""
+    """A shape's plain data with the size that a scene asks for: of tools, the length."""
     if item.asset == "dish_rack" and "slot_width_cm" in conditions:
         slot = 10.0 * float(conditions["slot_width_cm"])
         fitting = int((shape["size_mm"][0] - _NO_SLOTS) // slot)

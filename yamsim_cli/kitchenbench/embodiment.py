@@ -47,9 +47,9 @@ LABELS = tuple(f"{side}_{part}" for side in ("left", "right") for part in (*(f"j
 
 _LOG = logging.getLogger("yamsim")
 
-_NOTES = """Two arms of six joints, 0.61 m apart, before a table. An action is 14 absolute targets: six joints of the left
-arm (rad), its gripper (0 closed and pressing .. 1 open), then the right arm's. Over an action, the references go evenly
-from the last targets to the new ones, as far as motors' speeds let them. At zero an arm is folded."""
+_NOTES = """Two arms of six joints, 0.61 m apart, before a table. An action is 14 absolute targets: six joints of the
+left arm (rad), its gripper (0 closed and pressing .. 1 open), then the right arm's. Over an action, references go
+evenly from the last targets to the new ones, as far as motors' speeds let them. At zero an arm is folded."""
 
 
 def open_base(size: str, *, images: bool, quality: str = "fast") -> Session:
