@@ -60,6 +60,12 @@ ROWS: dict[str, Row] = {
     "rerun-0.41": Row("rerun 0.41", "rerun-sdk", _RRD, Environment("rerun-0.41")),
     "gymnasium-1.0": Row("gymnasium 1.0", "gymnasium", _ENVS, Environment("gymnasium-1.0", beside=True)),
     "gymnasium": Row("gymnasium", "gymnasium", _ENVS),
+    "inspect-robots": Row(
+        "Inspect Robots",
+        "inspect-robots",
+        "KitchenBench's rigid tasks on our station: conforms, all 25 scenes at rest; our expert stacks two cups",
+        Environment("inspect", beside=True),
+    ),
     "av-15": Row("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
     "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True)),
     "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True)),

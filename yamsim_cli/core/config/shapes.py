@@ -233,7 +233,7 @@ class RackShape(_Shape):
     size_mm: _Box
     wire_mm: _Thin
     slots: int = Field(ge=1, le=40)
-    slot_mm: _Thin
+    slot_mm: _Size
 
     @model_validator(mode="after")
     def _slots_fit(self) -> RackShape:

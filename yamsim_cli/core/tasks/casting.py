@@ -111,10 +111,10 @@ def _place(
         opened = {part: float(rng.uniform(*share)) for part, share in start.open.items()}
         candidate = Placed(pose(at, R), on, opened)
         beside = [other for other, there in placed.items() if there.on == on]
-        corners = _corners(blocks[name], candidate.T)
+        corners = outline(blocks[name], candidate.T)
         if on == TABLE and not _on_table(corners, table):
             continue
-        if all(gap(corners, _corners(blocks[other], placed[other].T)) >= start.apart for other in beside):
+        if all(gap(corners, outline(blocks[other], placed[other].T)) >= start.apart for other in beside):
             return candidate
     return None
 
@@ -128,7 +128,7 @@ def _attitude(attitude: Attitude, roll: float) -> Array:
     return np.eye(3)
 
 
-def _corners(block: Array, T: Array) -> Array:
+def outline(block: Array, T: Array) -> Array:
     """A block's corners (8, 2) at a pose (4, 4), seen from above, m."""
     x, y, z = np.meshgrid(*block.T, indexing="ij")
     corners: Array = (np.column_stack([x.ravel(), y.ravel(), z.ravel()]) @ T[:3, :3].T + T[:3, 3])[:, :2]

@@ -1,0 +1,186 @@
+"""The station as an embodiment of Inspect Robots: what it declares, how scenes rest, and what checkers are told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
+pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
+
+from inspect_robots import Action, Scene
+from inspect_robots.compat import check_compatibility
+from inspect_robots.conformance import assert_embodiment_conformant
+from inspect_robots.rollout import derive_seed
+from kitchenbench import tasks
+from kitchenbench.sim import build_blueprint, make_success_checker
+
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.kitchenbench.catalog import COMPARTMENT
+from yamsim_cli.kitchenbench.embodiment import CAMERAS, JOINTS, YamsimEmbodiment, open_base
+from yamsim_cli.kitchenbench.motion import Motion
+from yamsim_cli.kitchenbench.policy import YamsimExpert
+from yamsim_cli.kitchenbench.scene import AHEAD, RIGID_KINDS, realize
+from yamsim_cli.kitchenbench.world import KitchenWorld
+
+RIGID = ("place_cutlery", "stack", "place_in_rack", "handoff", "sort_cutlery")
+SCENES = {scene.id: scene for name in RIGID for scene in tasks.TASK_FACTORIES[name]().scenes}
+
+# Where a blueprint puts things into each other, so that they cannot come to rest where it says.
+APART = {"place-in-rack-plate", "place-in-rack-bowl-tilt", "place-in-rack-cup-narrow", "place-in-rack-rightmost-slot"}
+APART |= {"place-in-rack-wet-slippery", "sort-cutlery-spoon-heavy", "sort-cutlery-tray-offset"}
+
+
+@pytest.fixture(scope="module")
+def embodiment() -> Iterator[YamsimEmbodiment]:
+    made = YamsimEmbodiment(images=False)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def base() -> Any:
+    return open_base("64x48", images=False)
+
+
+def seed_of(scene: Scene, epoch: int = 0) -> int:
+    return derive_seed(0, scene.init_seed, epoch)
+
+
+def test_it_conforms(embodiment: YamsimEmbodiment) -> None:
+    assert_embodiment_conformant(embodiment.info)
+    assert embodiment.info.action_space.shape == (14,)
+
+
+def test_rigid_tasks_are_compatible_and_others_are_refused(embodiment: YamsimEmbodiment) -> None:
+    expert = YamsimExpert()
+    for name, factory in tasks.TASK_FACTORIES.items():
+        report = check_compatibility(expert, embodiment, factory())
+        assert report.ok == (name in RIGID), report
+        assert name in RIGID or {issue.code for issue in report.errors} == {"scene_target"}
+
+
+def test_rates_that_are_no_whole_ticks_are_refused() -> None:
+    with pytest.raises(UsageError, match=r"control_hz=7 is no whole number of ticks of 1/30 s; give one of 30, 15"):
+        YamsimEmbodiment(images=False, control_hz=7)
+
+
+def test_scenes_of_others_are_refused(embodiment: YamsimEmbodiment) -> None:
+    with pytest.raises(LookupError, match="scene 'mine' is none of KitchenBench's"):
+        embodiment.reset(Scene("mine", "do it"))
+
+
+def test_a_kind_that_is_not_rigid_is_refused(embodiment: YamsimEmbodiment) -> None:
+    scene = tasks.TASK_FACTORIES["fold_cloth"]().scenes[0]
+    with pytest.raises(
+        LookupError, match=f"goals of kind 'fold' are not realized; those are: {sorted(RIGID_KINDS)[0]}"
+    ):
+        embodiment.reset(scene, seed=0)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_come_to_rest_and_answer_all_queries(name: str, base: Any) -> None:
+    blueprint = build_blueprint(SCENES[name], seed_of(SCENES[name]))
+    realized = realize(blueprint, base)
+    try:
+        if name not in APART:
+            assert max(realized.offsets_mm.values()) < 5.0
+        for thing, off in realized.offsets_mm.items():
+            assert (off >= 5.0) == any(line.startswith(f"{thing}: came to rest") for line in realized.unrealized)
+        for condition in set(blueprint.conditions) - {"slot_width_cm"}:
+            assert any(line.startswith(condition) for line in realized.unrealized)
+        motion = Motion(realized, 10)
+        world = KitchenWorld(realized, motion)
+        for item in blueprint.objects:
+            low, high = world.aabb(item.name)
+            assert (low < high).all()
+            assert world.opening_fraction(item.name) == 0.0
+            assert 0.0 <= world.contained_fraction(blueprint.objects[0].name, item.name) <= 1.0
+            if item.asset != COMPARTMENT:
+                assert world.contained_mass_g(item.name, item.name) > 1.0
+        verdict = make_success_checker(blueprint, world)(world)
+        assert not verdict.success and "unknown" not in verdict.explanation
+        start = motion.data.qpos.copy()
+        motion.act(motion.state())
+        moved = {n: np.abs(motion.data.qpos[k : k + 3] - start[k : k + 3]).max() for n, k in _places(realized).items()}
+        assert max(moved.values()) < 0.002, moved
+    finally:
+        realized.simulator.close()
+
+
+def _places(realized: Any) -> dict[str, int]:
+    return dict(realized.simulator.scene.object_qpos)
+
+
+def test_things_lie_where_the_bench_has_them(embodiment: YamsimEmbodiment) -> None:
+    """x to the robot's right is our -y; the left arm's gripper is at -x."""
+    scene = SCENES["stack-tight-spacing"]
+    embodiment.reset(scene, seed=seed_of(scene))
+    world = embodiment.world
+    first, last = (np.mean(world.aabb(name), axis=0) for name in ("cup_1", "cup_2"))
+    assert last[1] - first[1] == pytest.approx(-0.10, abs=0.002)
+    assert first[0] == pytest.approx(AHEAD, abs=0.002)
+    low, high = world.aabb("cup_1")
+    assert high - low == pytest.approx([0.09, 0.09, 0.10], abs=0.003)
+    left, right = (np.mean(world.aabb(f"gripper_{side}"), axis=0) for side in ("left", "right"))
+    assert left[1] > 0.2 and right[1] < -0.2
+    for query in (world.aabb, world.opening_fraction, lambda name: world.contained_fraction("cup_1", name)):
+        with pytest.raises(KeyError, match="saucer"):
+            query("saucer")
+    with pytest.raises(KeyError, match="pasta"):
+        world.contained_mass_g("pasta", "cup_1")
+
+
+def test_what_is_inside_is_counted_by_volume(base: Any) -> None:
+    """A knife that is put into a compartment by hand, then half out of it."""
+    scene = SCENES["sort-cutlery-sparse"]
+    realized = realize(build_blueprint(scene, seed_of(scene)), base)
+    motion = Motion(realized, 10)
+    world = KitchenWorld(realized, motion)
+    low, high = world.aabb("compartment_knife")
+    assert np.sort((high - low)[:2]) == pytest.approx([0.09, 0.36])
+    address = realized.simulator.scene.object_qpos["knife_1"]
+    shares = []
+    for lifted in (0.005, 0.30):
+        middle = (low + high) / 2
+        motion.data.qpos[address : address + 3] = middle[0], middle[1], low[2] + lifted
+        motion.refresh()
+        shares.append(world.contained_fraction("knife_1", "compartment_knife"))
+    assert shares[0] > 0.9 and shares[1] == 0.0
+    realized.simulator.close()
+
+
+def test_doing_nothing_scores_nothing(embodiment: YamsimEmbodiment) -> None:
+    scene = SCENES["stack-tight-spacing"]
+    seen = embodiment.reset(scene, seed=seed_of(scene))
+    start = seen.state[JOINTS]
+    assert not seen.images and seen.instruction == "stack the cups"
+    for _ in range(10):
+        result = embodiment.step(Action(start))
+        assert not result.terminated and not result.info["success"]
+    # The drives are springs: what gravity compensation does not know of, the wrist's camera, pulls them off a little.
+    assert np.abs(result.observation.state[JOINTS] - start).max() < 0.02
+
+
+def test_the_same_actions_give_the_same_bits(embodiment: YamsimEmbodiment) -> None:
+    scene, found = SCENES["handoff-cup-upright"], []
+    for _ in range(2):
+        start = embodiment.reset(scene, seed=7).state[JOINTS]
+        target = start + np.linspace(-0.3, 0.2, 14)
+        found.append([embodiment.step(Action(target)).observation.state[JOINTS] for _ in range(3)])
+    assert np.array_equal(*found)
+    arms = np.delete(np.arange(14), (6, 13))
+    assert np.abs(found[0][-1] - target)[arms].max() < 0.03
+
+
+@pytest.mark.render
+def test_pictures_of_three_cameras() -> None:
+    embodiment = YamsimEmbodiment(size="64x48")
+    scene = SCENES["handoff-cup-upright"]
+    images = embodiment.reset(scene, seed=0).images
+    embodiment.close()
+    assert tuple(images) == CAMERAS
+    assert all(image.shape == (48, 64, 3) and image.std() > 5 for image in images.values())

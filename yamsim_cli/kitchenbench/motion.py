@@ -1,0 +1,115 @@
+"""A realized scene in motion, by actions as YAM stations take them: joint targets and shares of the grippers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from ..core.geometry.se3 import Array
+from ..core.scene.breakdown import breakdown
+from ..core.scene.compiled import SceneArm, SceneFingers
+from ..core.sim.closed_loop import ClosedLoop
+from .scene import Realization
+
+#: Six joints and a gripper of the left arm, then of the right one.
+ACTION_DIM = 14
+
+#: Fingers cross all of their way in so many seconds.
+CLOSING = 0.35
+# Below this share, a gripper that closes on something presses: at 0 with all that its drive gives.
+_PRESSES = 0.05
+
+
+class Motion:
+    """A scene in motion. The same actions from the same realization give the same bits.
+
+    An action lasts some control ticks of 1/30 s. Over these, each joint's reference goes evenly from where the last
+    action left it to the new target, or as far towards it as its motor's speed allows; fingers likewise.
+
+    Attributes:
+        data: MuJoCo's present state, poses and contacts up to date.
+
+    Args:
+        ticks: control ticks an action.
+    """
+
+    def __init__(self, realization: Realization, ticks: int) -> None:
+        simulator = realization.simulator
+        timing = simulator.config.task.timing
+        self._scene, self._ticks, self._tick = simulator.scene, ticks, timing.tick
+        self._loop = ClosedLoop(self._scene, realization.start, None, timing)
+        self.data = self._loop.data
+        self._reference = self.state()
+        self._reach = np.concatenate(
+            [[*(arm.motor_speed * self._tick), self._tick / CLOSING] for arm in self._scene.arms]
+        )
+        self.refresh()
+
+    def state(self) -> Array:
+        """Joints (14,) in rad, and how far each gripper is open: 0 closed .. 1 open; the left arm's first."""
+        parts = []
+        for arm, fingers in zip(self._scene.arms, hands(self._scene.arms), strict=True):
+            opening = float(self.data.qpos[fingers.qpos[0]] * fingers.sign[0])
+            parts += [self.data.qpos[arm.joint_qpos], [np.clip(opening / fingers.stroke, 0.0, 1.0)]]
+        return np.concatenate(parts)
+
+    @property
+    def reference(self) -> Array:
+        """Where the last action left the references (14,), as in `state`."""
+        return self._reference.copy()
+
+    def act(self, action: Array) -> None:
+        """Let an action (14,) act."""
+        scene, start = self._scene, self._reference
+        most = self._reach * self._ticks
+        goal = start + np.clip(np.asarray(action, dtype=float) - start, -most, most)
+        for tick in range(self._ticks):
+            before, after = (start + (goal - start) * (tick + k) / self._ticks for k in (0, 1))
+            self._loop.step(self._told(before, after), (False,) * len(scene.arms))
+        self._reference = goal
+        self.refresh()
+
+    def broken(self) -> str | None:
+        """What went wrong in physics itself, if anything did."""
+        return breakdown(self.data) or None
+
+    def _told(self, before: Array, after: Array) -> Array:
+        """What the drives (arms, 7) are told on a tick, in which the references (14,) go so far."""
+        rows = []
+        for k, (arm, fingers) in enumerate(zip(self._scene.arms, hands(self._scene.arms), strict=True)):
+            here = slice(7 * k, 7 * k + 6)
+            middle, speed = (before[here] + after[here]) / 2, (after[here] - before[here]) / self._tick
+            # A drive damps all motion: this makes up for it.
+            rows.append([*(middle + arm.kv / arm.kp * speed), told_opening(fingers, float(after[7 * k + 6]))])
+        return np.array(rows)
+
+    def refresh(self) -> None:
+        """Bring poses and contacts up to date with the positions: after a step, they are those of the step before."""
+        mujoco.mj_kinematics(self._scene.model, self.data)
+        mujoco.mj_comPos(self._scene.model, self.data)
+        mujoco.mj_collision(self._scene.model, self.data)
+
+
+def told_opening(fingers: SceneFingers, share: float) -> float:
+    """What a gripper's drive is told for a share, 0 closed .. 1 open: the opening of one finger, m."""
+    low = fingers.ctrl_range[0]
+    if share >= _PRESSES:
+        return share * fingers.stroke
+    return float(low + share / _PRESSES * (_PRESSES * fingers.stroke - low))
+
+
+def told_share(fingers: SceneFingers, opening: float) -> float:
+    """The share for which a gripper's drive is told an opening (m): the other way round."""
+    low = fingers.ctrl_range[0]
+    if opening >= _PRESSES * fingers.stroke:
+        return float(min(1.0, opening / fingers.stroke))
+    return float(max(0.0, _PRESSES * (opening - low) / (_PRESSES * fingers.stroke - low)))
+
+
+def hands(arms: Sequence[SceneArm]) -> list[SceneFingers]:
+    """The fingers of each arm; the station's have some."""
+    found = [arm.fingers for arm in arms if arm.fingers is not None]
+    assert len(found) == len(arms), "the station's arms have fingers"
+    return found

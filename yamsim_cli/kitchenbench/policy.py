@@ -1,0 +1,156 @@
+"""An expert for the benchmark's rigid tasks: it knows which realization it is in, and plans in a twin of it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import numpy as np
+from inspect_robots import (
+    Action,
+    ActionChunk,
+    EmbodimentInfo,
+    Observation,
+    ObservationSpace,
+    PolicyConfig,
+    PolicyInfo,
+    Scene,
+)
+from kitchenbench.sim import build_blueprint
+
+from ..core.geometry.se3 import Array
+from ..core.planning.demonstration import start_stands
+from ..core.scene.compiled import CompiledScene
+from ..core.skills.bench import Bench, Segment
+from ..core.skills.errors import SkillFailedError
+from ..core.skills.program import Diary, run_program
+from ..core.tasks.randomness import Stream, generator
+from ..core.types import EpisodeJob
+from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, open_base, ticks_of
+from .motion import Motion, hands, told_share
+from .programs import program_of
+from .scene import TICK_HZ, Realization, realize
+from .world import KitchenWorld
+
+# Nothing but what follows from rounding may differ between the twin and what is observed, rad and shares.
+_SAME = 1e-6
+
+_LOG = logging.getLogger("yamsim")
+
+
+class YamsimExpert:
+    """Does the benchmark's rigid tasks by skills, planned in a twin of the scene, from the realization's number.
+
+    That number is privileged: no other policy may use it. Where a skill fails, it is tried again from the state that it
+    left; after three times, the arms stay where they are.
+    """
+
+    def __init__(self) -> None:
+        self.config = PolicyConfig()
+        self._base = open_base("64x48", images=False)
+        self._scene: Scene | None = None
+        self._twin: _Twin | None = None
+        self._bind(CONTROL_HZ)
+
+    def bind(self, embodiment_info: EmbodimentInfo) -> None:
+        """Take over how long the embodiment's actions last."""
+        self._bind(embodiment_info.control_hz or CONTROL_HZ)
+
+    def reset(self, scene: Scene) -> None:
+        """Begin a scene; which realization of it is told by its first observation."""
+        self.close()
+        self._scene = scene
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """The actions of the next motion; when there is none any more, one that stays.
+
+        Raises:
+            RuntimeError: the scene is not where its twin is, so that actions were changed on their way.
+        """
+        assert self._scene is not None, "reset comes first"
+        if self._twin is None:
+            seed = int(observation.state[SEED][0])
+            self._twin = _Twin(realize(build_blueprint(self._scene, seed), self._base), seed, self._ticks)
+        off = float(np.abs(np.asarray(observation.state[JOINTS]) - self._twin.motion.state()).max())
+        if off > _SAME:
+            raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
+        return ActionChunk([Action(action) for action in self._twin.next_actions()], control_hz=self.info.control_hz)
+
+    def close(self) -> None:
+        """Free the twin."""
+        if self._twin is not None:
+            self._twin.close()
+            self._twin = None
+
+    def _bind(self, control_hz: float) -> None:
+        self._ticks = ticks_of(control_hz)
+        self.info = PolicyInfo(
+            name="yamsim_expert",
+            action_space=action_space(self._base.config, self._ticks / TICK_HZ),
+            observation_space=ObservationSpace(state_keys=frozenset({JOINTS, SEED})),
+            control_hz=control_hz,
+        )
+
+
+class _Twin:
+    """The same realization, moved by the same actions, in which skills find what they plan from."""
+
+    def __init__(self, realized: Realization, seed: int, ticks: int) -> None:
+        self._realized, self._ticks = realized, ticks
+        simulator, blueprint = realized.simulator, realized.blueprint
+        self._scene = simulator.scene
+        assert simulator.cast is not None  # realizations have one
+        self.motion = Motion(realized, ticks)
+        self._world = KitchenWorld(realized, self.motion).scene
+        self._world.begin()
+        rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
+        self._bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
+        # For how many ticks everything has been still already: the last action of a motion is longer than it has to be.
+        self._waited = 0
+        self._segments = run_program(program_of(blueprint), self._bench, simulator.cast, Diary())
+
+    def next_actions(self) -> list[Array]:
+        """The actions of the next motion, which have already acted in the twin."""
+        segment = self._next_segment()
+        while segment is not None and _is_still(segment) and segment.ticks <= self._waited:
+            self._waited -= segment.ticks
+            segment = self._next_segment()
+        actions = [self.motion.reference]
+        if segment is not None:
+            actions = list(actions_of(self._scene, segment, self._ticks))
+            self._waited = len(actions) * self._ticks - segment.ticks
+        for action in actions:
+            self.motion.act(action)
+        return actions
+
+    def _next_segment(self) -> Segment | None:
+        try:
+            return next(self._segments, None)
+        except SkillFailedError as error:
+            _LOG.warning("%s: the expert gives up: %s", self._realized.blueprint.scene_id, error)
+            return None
+
+    def close(self) -> None:
+        """Free the scene."""
+        self._realized.simulator.close()
+
+
+def _is_still(segment: Segment) -> bool:
+    return all(
+        float(np.ptp(part, axis=0).max()) == 0.0
+        for path in segment.paths
+        for part in (path.joints, path.gripper, path.grip)
+    )
+
+
+def actions_of(scene: CompiledScene, segment: Segment, ticks: int) -> Iterator[Array]:
+    """The actions (14,) that make the arms follow a segment: what is told them after every so many ticks."""
+    for tick in (*range(ticks, segment.ticks, ticks), segment.ticks):
+        parts = []
+        for arm, fingers, path in zip(scene.arms, hands(scene.arms), segment.paths, strict=True):
+            # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds.
+            joints = path.joints[tick] + path.torques[tick - 1] / arm.kp
+            told = path.gripper[tick - 1] - 2 * path.grip[tick - 1] / fingers.gain
+            share = told_share(fingers, float(np.clip(told, *fingers.ctrl_range)))
+            parts += [np.clip(joints, arm.joint_range[:, 0], arm.joint_range[:, 1]), [share]]
+        yield np.concatenate(parts)

@@ -1,0 +1,82 @@
+"""What an expert does in a scene of the benchmark: skills, by the kind of its goal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
+
+from ..core.geometry.se3 import Array
+from ..core.skills.base import Skill
+from ..core.skills.handover import Handover
+from ..core.skills.insert import Insert
+from ..core.skills.pick import Pick
+from ..core.skills.place import Place
+from .scene import T_in_world
+
+
+def program_of(blueprint: SceneBlueprint) -> list[Skill]:
+    """The skills that are to bring a scene to its goal, in order.
+
+    Raises:
+        LookupError: there is no expert for goals of its kind.
+    """
+    roles = blueprint.roles
+    match blueprint.target_kind:
+        case "place_on":
+            return _put(roles["item"][0], Place(thing=roles["item"][0], on=roles["surface"][0]))
+        case "place_in":
+            return _put(roles["item"][0], Insert(thing=roles["item"][0], into=roles["rack"][0]))
+        case "handoff":
+            return _handed_over(blueprint, roles["item"][0])
+        case "stack":
+            return _stacked(blueprint, roles["stack"])
+        case "sort":
+            return _sorted(blueprint, roles["sortable"])
+    raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
+
+
+def _put(thing: str, placing: Skill) -> list[Skill]:
+    return [Pick(thing=thing), placing]
+
+
+def _handed_over(blueprint: SceneBlueprint, item: str) -> list[Skill]:
+    """By the arm that does not receive it, where the scene says which one does."""
+    height = float(blueprint.conditions.get("handoff_height_cm", 22.0)) / 100
+    match str(blueprint.success_params.get("receiving_arm", "either")):
+        case "left":
+            return [Pick(thing=item, arm="right"), Handover(thing=item, to="left", height=height)]
+        case "right":
+            return [Pick(thing=item, arm="left"), Handover(thing=item, to="right", height=height)]
+    return [Pick(thing=item), Handover(thing=item, to="other", height=height)]
+
+
+def _stacked(blueprint: SceneBlueprint, names: Sequence[str]) -> list[Skill]:
+    """Onto the largest; of equal ones, onto the one from which the others are nearest. The larger come first."""
+    items = {item.name: item for item in blueprint.objects if item.name in names}
+    places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
+
+    def farthest(name: str) -> float:
+        return max(float(np.linalg.norm(place - places[name])) for place in places.values())
+
+    below, *others = sorted(names, key=lambda name: (-_width(items[name]), farthest(name)))
+    others.sort(key=lambda name: (-_width(items[name]), _apart(places, name, below)))
+    skills: list[Skill] = []
+    for name in others:
+        skills += _put(name, Place(thing=name, on=below))
+        below = name
+    return skills
+
+
+def _sorted(blueprint: SceneBlueprint, names: Sequence[str]) -> list[Skill]:
+    assets = {item.name: item.asset for item in blueprint.objects}
+    return [skill for name in names for skill in _put(name, Insert(thing=name, into=f"compartment_{assets[name]}"))]
+
+
+def _width(item: SceneObject) -> float:
+    return item.size_cm or ASSETS[item.asset].footprint_w_cm
+
+
+def _apart(places: dict[str, Array], one: str, other: str) -> float:
+    return float(np.linalg.norm(places[one] - places[other]))

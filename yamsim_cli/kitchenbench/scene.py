@@ -1,0 +1,223 @@
+"""A scene of the benchmark as one of ours: its things on the station's table, at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
+
+from ..core.attempt.expert import sides
+from ..core.attempt.simulator import Simulator
+from ..core.config.program_task import PROGRAM, ProgramTask
+from ..core.config.recording import RecordConfig
+from ..core.config.scene import Table
+from ..core.geometry.se3 import Array, pose, quat_from_rotation, rotation_z
+from ..core.goals.cast import Cast
+from ..core.planning.demonstration import start_stands
+from ..core.session import Session
+from ..core.sim.watched import settle
+from ..core.sim.world import Region, SimWorld
+from ..core.tasks.casting import gap, outline
+from ..core.types import Layout
+from .catalog import COMPARTMENT, thing_of
+
+#: Kinds of goals whose things are rigid.
+RIGID_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort"})
+
+#: The bench's origin lies so far ahead of the middle between the arms' bases, m.
+AHEAD = 0.35
+
+#: The rate of control ticks, Hz, and what makes one of them, physics steps and s.
+TICK_HZ = 30
+_STEPS = 16
+_TIMESTEP = 1.0 / (TICK_HZ * _STEPS)
+
+# A table that a scene needs wider than it is ends so far beside its things, m.
+_EDGE = 0.10
+# Things are let down from so high over the table, wait for that so far apart above it, and fall the last bit, m.
+_OVER, _AWAY, _GAP = 0.5, 2.0, 0.001
+# What gives way to a rack does so in such steps, until it is so far beside it, m.
+_STEP, _BESIDE = 0.002, 0.005
+# The floor of our tray's compartments, m.
+_TRAY_FLOOR = 0.005
+
+# What a blueprint asks for that is a matter of how a policy does it, and what has a physics of its own here.
+_UP_TO_THE_POLICY = frozenset(
+    {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
+)
+_REALIZED = frozenset({"slot_width_cm"})
+
+
+@dataclass(frozen=True)
+class Realization:
+    """A scene of the benchmark, compiled and at rest. Close its simulator when it is not needed any more.
+
+    Attributes:
+        blueprint: what was asked for.
+        simulator: with the compiled scene.
+        start: MuJoCo's positions (nq,) with everything at rest.
+        regions: name -> the part of a thing that a blueprint's object is.
+        offsets_mm: thing -> how far from where the blueprint asks for it it came to rest, seen from above.
+        unrealized: what the blueprint asks for that is not given, as sentences.
+    """
+
+    blueprint: SceneBlueprint
+    simulator: Simulator
+    start: Array
+    regions: Mapping[str, Region]
+    offsets_mm: Mapping[str, float]
+    unrealized: tuple[str, ...]
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Of the scene's arms."""
+        return sides(self.simulator.config)
+
+
+def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
+    """The scene that a blueprint asks for.
+
+    Args:
+        base: a session of the station, whose task is replaced.
+
+    Raises:
+        LookupError: the blueprint has something that is not realized.
+        SimulationError: its scene cannot be compiled.
+    """
+    if blueprint.target_kind not in RIGID_KINDS:
+        raise LookupError(
+            f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} are not realized; "
+            f"those are: {', '.join(sorted(RIGID_KINDS))}"
+        )
+    things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
+    objects = [thing_of(item, blueprint.conditions, base.locations) for item in things]
+    config = base.config
+    task = _task(blueprint, config, {item.name: item for item in objects})
+    scene = config.scene.model_copy(update={"table": _table(config, things)})
+    cast = _cast(blueprint)
+    simulator = Simulator(base.with_values(task=task, scene=scene), cast)
+    wanted = {item.name: T_in_world(item, blueprint) for item in things}
+    free = _clear_of_racks(simulator, blueprint, wanted)
+    start = settle(simulator.scene, _let_down(simulator, free), _TIMESTEP)
+    qpos = simulator.scene.object_qpos
+    offsets = {
+        name: round(1000 * float(np.linalg.norm(start[qpos[name] : qpos[name] + 2] - T[:2, 3])), 2)
+        for name, T in wanted.items()
+    }
+    return Realization(blueprint, simulator, start, _regions(blueprint), offsets, _unrealized(blueprint, offsets))
+
+
+def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
+    """Where a blueprint asks for an object: pose (4, 4) in `world`, at the height of the bench's frame.
+
+    The bench's frame has x to the right, y ahead and z up; it lies on the table, `AHEAD` of the arms' bases.
+    """
+    T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(math.radians(item.yaw_deg)))
+    if item.parent is None:
+        return pose((AHEAD, 0.0, 0.0), rotation_z(-math.pi / 2)) @ T_item
+    parent = next(other for other in blueprint.objects if other.name == item.parent)
+    return T_in_world(parent, blueprint) @ T_item
+
+
+def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, Any]) -> ProgramTask:
+    """The scene as a task of ours. Its goal and its expert are never asked: the benchmark's checker judges."""
+    first = next(iter(objects))
+    place = {"x": (0.0, 0.0), "y": (0.0, 0.0)}
+    return ProgramTask.model_validate(
+        {
+            "name": blueprint.scene_id.replace("-", "_"),
+            "kind": PROGRAM,
+            "rig": config.rig.name,
+            "things": {name: {"of": (item,)} for name, item in objects.items()},
+            "starts": dict.fromkeys(objects, place),
+            "phrasings": {"training": (blueprint.instruction,)},
+            "goal": {"all": [{"upright": {"thing": first}}]},
+            "expert": ({"pick": {"thing": first}},),
+            "timing": {"physics_steps_per_tick": _STEPS, "timestep": _TIMESTEP},
+            "start_joints": config.start_joints,
+        }
+    )
+
+
+def _table(config: RecordConfig, things: list[SceneObject]) -> Table:
+    """The table, wide enough for all that a scene puts onto it: some ask for more than the arms reach."""
+    table = config.scene.table
+    assert table is not None  # checked when the config was loaded
+    reach = max(abs(item.x_cm) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things) / 100
+    wide = table.half_size[1] + config.rig.span / 2
+    return table.widened(max(0.0, 2 * (reach + _EDGE - wide)))
+
+
+def _cast(blueprint: SceneBlueprint) -> Cast:
+    kinds = {item.name: item.asset for item in blueprint.objects}
+    return Cast({**{name: (name,) for name in kinds}, **blueprint.roles}, kinds)
+
+
+def _regions(blueprint: SceneBlueprint) -> dict[str, Region]:
+    found = {}
+    for item in blueprint.objects:
+        if item.asset == COMPARTMENT:
+            assert item.parent is not None, "a compartment is part of a tray"
+            asset = ASSETS[item.asset]
+            size = np.array([asset.footprint_w_cm, asset.footprint_h_cm, asset.height_cm]) / 100
+            T = pose((item.x_cm / 100, item.y_cm / 100, _TRAY_FLOOR), rotation_z(math.radians(item.yaw_deg)))
+            found[item.name] = Region(item.parent, T, size)
+    return found
+
+
+def _clear_of_racks(simulator: Simulator, blueprint: SceneBlueprint, wanted: Mapping[str, Array]) -> dict[str, Array]:
+    """The same places (4, 4), but of things that would stand in a rack's wire: these are beside it, to its left or
+    right. Large things come first, since others may lie on them.
+    """
+    world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, (), list(wanted))
+    room = {name: world.block(name) for name in wanted}
+    area = {name: float(np.prod((block[1] - block[0])[:2])) for name, block in room.items()}
+    places = {name: wanted[name].copy() for name in sorted(wanted, key=lambda name: -area[name])}
+    for rack in blueprint.roles.get("rack", ()):
+        for name, T in places.items():
+            if name == rack:
+                continue
+            away = math.copysign(_STEP, T[1, 3] - places[rack][1, 3])
+            while gap(outline(room[name], T), outline(room[rack], places[rack])) < _BESIDE:
+                T[1, 3] += away
+    return places
+
+
+def _let_down(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
+    """MuJoCo's positions (nq,) with everything let down on what is below it, one thing after the other."""
+    scene, top = simulator.scene, simulator.config.table.top
+    # Until its turn comes, each thing is where nothing else is.
+    away = {name: pose((0.0, 0.0, top + _AWAY * (k + 1))) for k, name in enumerate(wanted)}
+    qpos = scene.start_qpos(Layout(away), start_stands(simulator.config))
+    for name, T_wanted in wanted.items():
+        T = T_wanted.copy()
+        T[2, 3] = top + _OVER
+        T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _OVER) + _GAP
+        address = scene.object_qpos[name]
+        qpos[address : address + 3] = T[:3, 3]
+        qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+    return qpos
+
+
+# From here on, a thing does not lie where it was asked for, mm.
+_OFF = 5.0
+
+
+def _unrealized(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tuple[str, ...]:
+    """What a blueprint asks for, and is not given: sentences for a log."""
+    said = []
+    for name, value in blueprint.conditions.items():
+        if name in _UP_TO_THE_POLICY:
+            said.append(f"{name}={value}: up to the policy; nothing holds it to that")
+        elif name not in _REALIZED:
+            said.append(f"{name}={value}: not realized")
+    for item in blueprint.objects:
+        if item.amount_g is not None:
+            said.append(f"{item.name}: amount_g={item.amount_g:g}: not realized")
+        if (off := offsets.get(item.name, 0.0)) > _OFF:
+            said.append(f"{item.name}: came to rest {off:.0f} mm from where it was asked for")
+    return tuple(said)
