@@ -35,6 +35,9 @@ from .world import KitchenWorld
 # Nothing but what follows from rounding may differ between the twin and what is observed, rad and shares.
 _SAME = 1e-6
 
+# So far may a joint come off its path between two actions, rad: at an arm's length, 5 mm.
+_OFF_PATH = 0.01
+
 _LOG = logging.getLogger("yamsim")
 
 
@@ -105,20 +108,12 @@ class _Twin:
         self._world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
         self._bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
-        # For how many ticks everything has been still already: the last action of a motion is longer than it has to be.
-        self._waited = 0
         self._segments = run_program(program_of(blueprint), self._bench, simulator.cast, Diary())
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
         segment = self._next_segment()
-        while segment is not None and _is_still(segment) and segment.ticks <= self._waited:
-            self._waited -= segment.ticks
-            segment = self._next_segment()
-        actions = [self.motion.reference]
-        if segment is not None:
-            actions = list(actions_of(self._scene, segment, self._ticks))
-            self._waited = len(actions) * self._ticks - segment.ticks
+        actions = [self.motion.reference] if segment is None else list(actions_of(self._scene, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
         return actions
@@ -135,17 +130,28 @@ class _Twin:
         self._realized.simulator.close()
 
 
-def _is_still(segment: Segment) -> bool:
-    return all(
-        float(np.ptp(part, axis=0).max()) == 0.0
-        for path in segment.paths
-        for part in (path.joints, path.gripper, path.grip)
-    )
+def _straight_until(joints: Array, first: int, last: int) -> int:
+    """The last tick, up to `last`, to which a straight line keeps to a path (n + 1, dof) from its tick `first` on."""
+    while last > first + 1:
+        way = joints[last] - joints[first]
+        between = joints[first + 1 : last] - joints[first]
+        share = np.clip(between @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+        if np.abs(between - share[:, None] * way).max() <= _OFF_PATH:
+            break
+        last -= 1
+    return last
 
 
 def actions_of(scene: CompiledScene, segment: Segment, ticks: int) -> Iterator[Array]:
-    """The actions (14,) that make the arms follow a segment: what is told them after every so many ticks."""
-    for tick in (*range(ticks, segment.ticks, ticks), segment.ticks):
+    """The actions (14,) that make the arms follow a segment: what is told them after every so many of its ticks.
+
+    Between two actions references go straight. So where a path has a bend, they come closer together, and the arm is
+    slower there.
+    """
+    joints_of_both = np.concatenate([path.joints for path in segment.paths], axis=1)
+    tick = 0
+    while tick < segment.ticks:
+        tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
         parts = []
         for arm, fingers, path in zip(scene.arms, hands(scene.arms), segment.paths, strict=True):
             # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds.

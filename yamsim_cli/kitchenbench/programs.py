@@ -15,6 +15,9 @@ from ..core.skills.pick import Pick
 from ..core.skills.place import Place
 from .scene import T_in_world
 
+# So high cutlery clears the tray's wall, also as it hangs in the fingers, m.
+_OVER_THE_TRAY = 0.12
+
 
 def program_of(blueprint: SceneBlueprint) -> list[Skill]:
     """The skills that are to bring a scene to its goal, in order.
@@ -71,7 +74,11 @@ def _stacked(blueprint: SceneBlueprint, names: Sequence[str]) -> list[Skill]:
 
 def _sorted(blueprint: SceneBlueprint, names: Sequence[str]) -> list[Skill]:
     assets = {item.name: item.asset for item in blueprint.objects}
-    return [skill for name in names for skill in _put(name, Insert(thing=name, into=f"compartment_{assets[name]}"))]
+    return [
+        skill
+        for name in names
+        for skill in (Pick(thing=name, lift=_OVER_THE_TRAY), Insert(thing=name, into=f"compartment_{assets[name]}"))
+    ]
 
 
 def _width(item: SceneObject) -> float:
