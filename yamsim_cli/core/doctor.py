@@ -36,6 +36,7 @@ EXTRAS = {
     "remote": ("msgpack", "policies in another process"),
     "ray": ("ray", "record --executor ray"),
     "import": ("coacd", "assets import of glTF, SDFormat and other files"),
+    "inspect": ("kitchenbench", "KitchenBench's rigid tasks on the station"),
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),
 }
 
