@@ -37,6 +37,8 @@ def grasp(looked: Subject) -> Outcome:
     if item.grasp is None or item.grasp.friction is None:
         return unchecked("it says nowhere how friction could hold it")
     friction = item.grasp.friction
+    if friction.hands > 1:
+        return unchecked("it takes two hands, and one alone was to try")
     widest = full_opening(looked.locations)
     fitting = [point for point in friction.points if point.opening < widest]
     if not fitting:

@@ -252,6 +252,14 @@ class RecordConfig(Config):
                 ("task", "object"),
                 ("task",),
             )
+        if grasp.friction.hands > 1:
+            raise ConflictError(
+                f"object {self.task.object.name!r} takes two hands, and this task picks it up with one; choose another "
+                "object, or use grasp: weld",
+                ("task", "object"),
+                ("grasp",),
+                ("task",),
+            )
         return self
 
     @model_validator(mode="after")

@@ -62,11 +62,13 @@ class FrictionGrasp(Config):
         force: with which each pad presses, N.
         points: the places where the object can be held so, the best first.
         around: whether they go round the object, each as good as the others: then the hand takes first what suits it.
+        hands: how many hands it takes to hold it level.
     """
 
     force: Annotated[FiniteFloat, Within("N", 0.05, 500)]
     points: Annotated[tuple[GraspPoint, ...], Field(min_length=1)]
     around: Annotated[bool, Field(exclude_if=lambda around: not around)] = False
+    hands: Annotated[Literal[1, 2], Field(exclude_if=lambda hands: hands == 1)] = 1
 
 
 class Grasp(GraspPoint):
