@@ -159,7 +159,7 @@ def test_the_readmes_example_does_what_it_says(repository: Path) -> None:
     [
         "import mujoco",
         "from yamsim_cli.kinematics import Kinematics; Kinematics()",
-        "yamsim_cli.evaluate('hold_still', n=1)",
+        pytest.param("yamsim_cli.evaluate('hold_still', n=1)", marks=pytest.mark.slow),
     ],
 )
 def test_pictures_can_be_drawn_later_in_the_same_process(first: str, repository: Path, tmp_path: Path) -> None:

@@ -127,7 +127,8 @@ def test_a_calibrated_cameras_interval_is_its_files() -> None:
     assert (found.low, found.high) == (pytest.approx(600 * math.exp(-0.0196), 1e-4), pytest.approx(611.9, 1e-4))
 
 
-@pytest.mark.parametrize("photos", [pytest.param(1, marks=pytest.mark.slow), 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("photos", [1, 3])
 def test_intervals_hold_the_truth(locations: Locations, photos: int) -> None:
     """In small what `make bench-fiducials` shows, of outlines alone: any size, lens, distance and tilt."""
     rig = load_config(RigConfig, "rigs", "russet", locations)

@@ -11,11 +11,12 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.resources import Locations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [
-        pytest.param(CASES[0], marks=pytest.mark.slow, id="ideal lens"),
-        pytest.param(CASES[1], marks=pytest.mark.slow, id="real lens"),
+        pytest.param(CASES[0], id="ideal lens"),
+        pytest.param(CASES[1], id="real lens"),
         pytest.param(CASES[4], id="camera given"),
     ],
 )

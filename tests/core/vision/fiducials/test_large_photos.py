@@ -12,6 +12,8 @@ from yamsim_cli.core.vision.fiducials import markers
 from yamsim_cli.core.vision.fiducials.locate import locate
 from yamsim_cli.core.vision.fiducials.markers import find_markers
 
+pytestmark = pytest.mark.slow
+
 LENGTH = 0.02923077
 ONE = Board("one", 217, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
 TWO = Board("two", 226, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
