@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, tilt
-from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene, Kind, SceneArm
 from ..types import Margins, Motion, Phases
+from .faults import Faults
 
 
 def object_pose(data: mujoco.MjData, name: str) -> Array:
@@ -43,9 +43,7 @@ class MotionMonitor:
         self._in_hand: list[list[Array]] = [[] for _ in phases]
         self._tilt = 0.0
         self._lost: float | None = None
-        self._collision: str | None = None
-        self._breakdown: str | None = None
-        self._timestep = float(scene.model.opt.timestep)
+        self._faults = Faults(scene)
 
     def step(self, data: mujoco.MjData) -> None:
         """Observe the state after a physics step."""
@@ -55,18 +53,11 @@ class MotionMonitor:
             self._velocities[number][k] = data.qvel[arm.joint_dof]
             self._torques[number][k] = data.actuator_force[arm.arm_ctrl]
         self._step += 1
-        if self._collision is None:
-            geoms = data.contact.geom
-            forbidden = scene.forbidden(geoms)
-            if forbidden.any():
-                names = " and ".join(scene.model.geom(int(geom)).name for geom in geoms[forbidden][0])
-                self._collision = f"{names} touch after {data.time:.2f} s"
+        self._faults.step(data)
 
     def end_tick(self, data: mujoco.MjData) -> None:
         """Observe the state after a control tick's last step."""
-        if self._breakdown is None and (text := breakdown(data)):
-            # The time is counted in steps, since MuJoCo has reset its own clock.
-            self._breakdown = f"physics broke down within {self._step * self._timestep:.3f} s: {text}"
+        self._faults.end_tick(data)
 
     def tick(self, tick: int, data: mujoco.MjData) -> None:
         """Observe the object at the start of a control tick; poses have to be up to date."""
@@ -113,7 +104,7 @@ class MotionMonitor:
             slip=max((_moved(np.array(places)) for places in self._in_hand), default=0.0),
             tilt=self._tilt,
         )
-        return Motion(margins, self._lost, self._collision, self._breakdown)
+        return Motion(margins, self._lost, self._faults.collision, self._faults.breakdown)
 
 
 def _moved(places: Array) -> float:

@@ -12,9 +12,9 @@ from ..config.program_task import ProgramTask
 from ..geometry.se3 import Array
 from ..goals.cast import Cast
 from ..goals.goal import Verdict, judge
-from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene
 from ..types import Actions, Margins, Motion, StepState
+from .faults import Faults
 from .monitor import object_pose
 from .rollout import Rollout
 from .world import SimWorld
@@ -161,36 +161,24 @@ class _Limits:
         self._scene = scene
         self._velocity = self._torque = 0.0
         self._joint = np.inf
-        self._steps = 0
-        self._collision: str | None = None
-        self._breakdown: str | None = None
+        self._faults = Faults(scene)
 
     def step(self, data: mujoco.MjData) -> None:
-        scene = self._scene
-        self._steps += 1
-        for arm in scene.arms:
+        for arm in self._scene.arms:
             joints = data.qpos[arm.joint_qpos]
             self._velocity = max(self._velocity, float((np.abs(data.qvel[arm.joint_dof]) / arm.motor_speed).max()))
             force = np.abs(data.actuator_force[arm.arm_ctrl])
             self._torque = max(self._torque, float((force / arm.most_torque).max()))
             room = np.minimum(joints - arm.joint_range[:, 0], arm.joint_range[:, 1] - joints)
             self._joint = min(self._joint, float(room.min()))
-        if self._collision is None:
-            geoms = data.contact.geom
-            forbidden = scene.forbidden(geoms)
-            if forbidden.any():
-                names = " and ".join(scene.model.geom(int(geom)).name for geom in geoms[forbidden][0])
-                self._collision = f"{names} touch after {data.time:.2f} s"
+        self._faults.step(data)
 
     def end_tick(self, data: mujoco.MjData) -> None:
-        if self._breakdown is None and (text := breakdown(data)):
-            # The time is counted in steps, since MuJoCo has reset its own clock.
-            seconds = self._steps * float(self._scene.model.opt.timestep)
-            self._breakdown = f"physics broke down within {seconds:.3f} s: {text}"
+        self._faults.end_tick(data)
 
     def motion(self) -> Motion:
         margins = Margins(self._velocity, self._torque, float(self._joint), None, None)
-        return Motion(margins, None, self._collision, self._breakdown)
+        return Motion(margins, None, self._faults.collision, self._faults.breakdown)
 
 
 def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
