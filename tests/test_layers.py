@@ -111,7 +111,9 @@ CONFINED = {
     "av": {"core.images.video"},
     "pyarrow": {"core.export"},
     "rerun": {"core.export.rrd"},
-    "msgpack": {"core.policies.wire"},
+    "msgpack": {"core.policies.openpi", "core.policies.wire"},
+    "lerobot": {"core.policies.lerobot"},
+    "torch": {"core.policies.lerobot"},
     "gymnasium": {"gym_env"},
 }
 

@@ -125,9 +125,9 @@ def evaluate(
     )
 
     from .core.dataset.statistics import THRESHOLDS
+    from .core.evaluate.choice import PolicyChoice
     from .core.evaluate.evaluation import evaluate as run
     from .core.evaluate.evaluation import summary
-    from .core.evaluate.policy_trial import PolicyChoice
 
     choice = PolicyChoice(policy, Path.cwd())
     found = run(session, choice, lambda done, total: None)

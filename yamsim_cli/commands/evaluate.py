@@ -36,13 +36,42 @@ def evaluate(
     policy: Annotated[
         str,
         typer.Option(
-            help="module:Class, file.py:Class, http://HOST:PORT, scripted, hold_still, or replay:DATASET.",
+            help="module:Class, file.py:Class, act://HOST:PORT, ws://HOST:PORT, lerobot:CHECKPOINT, http://HOST:PORT, "
+            "scripted, hold_still, or replay:DATASET.",
             show_default=False,
         ),
     ],
     n: Annotated[int, typer.Option("--n", min=1, help="Trials.")] = 50,
     seed: Seed = None,
     workers: Workers = None,
+    policy_arg: Annotated[
+        list[str] | None,
+        typer.Option(help="A keyword for your own policy's class; may be repeated.", metavar="KEY=VALUE"),
+    ] = None,
+    policy_config: Annotated[
+        str | None,
+        typer.Option(
+            help="What a policy of another program calls things: a config of the kind policies.  "
+            "[default: by its protocol]"
+        ),
+    ] = None,
+    execute: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="K", help="Ask again after so many actions of a chunk.  [default: all of it]"),
+    ] = None,
+    ensemble: Annotated[
+        float | None,
+        typer.Option(
+            min=0, max=100, metavar="DECAY", help="Average chunks that overlap, newer ones by exp(-DECAY) less each."
+        ),
+    ] = None,
+    latency: Annotated[
+        str,
+        typer.Option(
+            help="From a question to when its answer acts, in simulated time: 80ms, 0.08s, or measured.",
+            metavar="TIME",
+        ),
+    ] = "0ms",
     threshold: Threshold = None,
     time_limit: Annotated[
         float | None, typer.Option(min=0.001, help="Longest trial, simulated s.  [default: twice the plan's]")
@@ -54,11 +83,19 @@ def evaluate(
         float, typer.Option(min=1, help="Real seconds after which a trial's worker counts as hung.")
     ] = 600.0,
     min_success: MinSuccess = None,
+    compare: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Another policy on the same starts, or a report of --out; may be repeated.", metavar="POLICY|FILE.json"
+        ),
+    ] = None,
     out: ReportFile = None,
+    html: Annotated[Path | None, typer.Option(help="Also write a leaderboard page.", metavar="FILE")] = None,
     video: Annotated[
         Path | None, typer.Option(help="Film failures: all in one FILE.mp4, or one each in a folder.", metavar="PATH")
     ] = None,
     video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: how many at most.")] = 10,
+    video_all: Annotated[bool, typer.Option("--video-all", help="With --video: film successes too.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move older videos aside.")] = False,
     grasp: Grasp = None,
     randomize: Randomize = None,
@@ -79,13 +116,17 @@ def evaluate(
 
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """
-    if overwrite and video is None:
-        raise UsageError("--overwrite is for videos: give --video")
-    from yamsim_cli.core.policies.loading import sees_images
+    if (overwrite or video_all) and video is None:
+        raise UsageError(f"{'--overwrite' if overwrite else '--video-all'} is for videos: give --video")
+    from yamsim_cli.core.policies.chunks import Chunking, read_latency
+    from yamsim_cli.core.policies.loading import read_arguments, sees_images
+
+    arguments, chunking = read_arguments(policy_arg or []), Chunking(execute, ensemble, read_latency(latency))
+    others = compare or []
 
     session = opener.open(
         config,
-        renders=video is not None or sees_images(policy),
+        renders=video is not None or any(sees_images(name) for name in (policy, *others)),
         n=n,
         seed=seed,
         workers=workers,
@@ -105,28 +146,42 @@ def evaluate(
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.evaluate import evaluation
-    from yamsim_cli.core.evaluate.policy_trial import PolicyChoice
+    from yamsim_cli.core.evaluate.choice import PolicyChoice
+    from yamsim_cli.core.evaluate.compare import compare as compared
+    from yamsim_cli.core.evaluate.compare import read_report
     from yamsim_cli.core.trials.batch import write_report
     from yamsim_cli.core.trials.tally import require_success
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
-    choice = PolicyChoice(policy, Path.cwd(), policy_timeout, time_limit)
-    with progress_bar("trials", "trials") as advance:
-        found = evaluation.evaluate(
-            session,
-            choice,
-            lambda done, total: advance(done, total, ""),
-            trial_timeout,
-        )
+    # Read first: a file that is no report is told before hours of trials.
+    known = {name: read_report(Path(name)) for name in others if name.endswith(".json")}
+
+    def run(choice: PolicyChoice) -> evaluation.Evaluation:
+        with progress_bar("trials", "trials") as advance:
+            return evaluation.evaluate(session, choice, lambda done, total: advance(done, total, ""), trial_timeout)
+
+    limits = (Path.cwd(), policy_timeout, time_limit)
+    found = run(PolicyChoice(policy, *limits, arguments, policy_config, chunking))
     report = evaluation.summary(found, session.config, THRESHOLDS)
+    reports = [report]
+    for name in others:
+        again = PolicyChoice(name, *limits, chunking=chunking)
+        reports.append(known.get(name) or evaluation.summary(run(again), session.config, THRESHOLDS))
+    if others:
+        report["compared"] = [compared(report, other) for other in reports[1:]]
     if films:
         report["videos"] = film(
             films,
-            lambda told: evaluation.film(found, video_trials, films, session, told),
+            lambda told: evaluation.film(found, video_trials, films, session, told, successes=video_all),
         )
     if out is not None:
         write_report(report, out)
         note(f"Written to {out}.")
+    if html is not None:
+        from yamsim_cli.core.summarize.report_files import write_leaderboard
+
+        write_leaderboard(reports, report.get("compared", []), html)
+        note(f"The page is in {html}.")
     if json:
         print_json(report)
     else:

@@ -64,11 +64,29 @@ def _evaluation(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if spread := stats["policy_s"]:
         late = f"; {stats['slower_than_real_time']:.0%} longer than a control tick of {report['tick_s'] * 1000:g} ms"
         yield "an answer of the policy", _figures(spread, "ms") + late
+    chunks = stats["chunks"]
+    if chunks["actions"] > chunks["chunks"] or chunks["stale"] or chunks["waited_s"]:
+        yield (
+            "actions",
+            f"{chunks['actions']} in {chunks['chunks']} chunks; {chunks['stale']} came when their time had passed, "
+            f"and for {chunks['waited_s']:.2f} s there was none",
+        )
+    if len(stats["by_instance"]) > 1:
+        for one in stats["by_instance"]:
+            low, high = one["wilson95"]
+            yield one["instance"], f"{one['n_success']} of {one['n']} ({low:.1%} to {high:.1%})"
+    for pair in report.get("compared", []):
+        yield (
+            f"against {pair['policy']}",
+            f"{pair['success_rate']:.1%}; both {pair['both']}, only {report['policy']} {pair['only_first']}, "
+            f"only the other {pair['only_second']}, neither {pair['neither']} of {pair['n']}; "
+            f"p = {pair['p_value']:.3g} (McNemar, exact)",
+        )
     for trial in report["trials"]:
         if trial["error"]:
             yield f"trial {trial['trial']}: {trial['ended']}", trial["error"]
     yield from _films(report)
-    yield "time", f"{report['seconds']:.1f} s"
+    yield "time", f"{report['seconds']:.1f} s, {report['ticks_per_second']:.0f} control ticks a second"
 
 
 def _figures(spread: dict[str, float], thousandths: str) -> str:

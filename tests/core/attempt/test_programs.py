@@ -18,7 +18,8 @@ from yamsim_cli.core.dataset.checks.episode import check_episode
 from yamsim_cli.core.dataset.checks.problem import Problems
 from yamsim_cli.core.dataset.opening import OpenMode
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
-from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
+from yamsim_cli.core.evaluate.choice import PolicyChoice
+from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.images.jpeg import JpegReader
 from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output

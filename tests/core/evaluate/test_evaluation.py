@@ -18,8 +18,9 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import OutcomeRecord
 from yamsim_cli.core.errors import PartialJobError, UsageError
+from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_run, summary
-from yamsim_cli.core.evaluate.policy_trial import Ended, PolicyChoice, TrialResult, TrialRunner
+from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.closed_loop import ClosedLoop
@@ -201,7 +202,7 @@ def test_a_policy_that_ends_its_process_costs_its_trial_alone(
 def test_trials_that_did_not_run_measure_nothing(ended: tuple[Ended, ...], ran: bool, config: RecordConfig) -> None:
     outcome = OutcomeRecord.of(Outcome(False, Cause.NO_LAYOUT, "no free place"))
     results = tuple(TrialResult(Attempt(EpisodeJob(0, k)), outcome, how) for k, how in enumerate(ended))
-    report = summary(Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0), config, ())
+    report = summary(Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0, ("banana", "pear")), config, ())
     with contextlib.nullcontext() if ran else pytest.raises(PartialJobError, match=r"no trial of mine.py .*no free"):
         require_run(report)
 

@@ -21,8 +21,9 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.evaluate.asking import Asker, TooSlowError
+from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.observation import LazyObservation, Pictures
-from yamsim_cli.core.evaluate.policy_trial import Ended, PolicyChoice, TrialRunner
+from yamsim_cli.core.evaluate.policy_trial import Ended, TrialRunner
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.resources import Locations

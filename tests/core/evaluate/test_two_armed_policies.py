@@ -12,9 +12,10 @@ import pytest
 from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.evaluation import evaluate, summary
 from yamsim_cli.core.evaluate.observation import policy_cameras
-from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
+from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.policies.base import SCENE, WRIST
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session

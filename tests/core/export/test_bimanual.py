@@ -18,7 +18,8 @@ from tests.core.unrendered import change_record
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.core.evaluate.policy_trial import PolicyChoice, TrialRunner
+from yamsim_cli.core.evaluate.choice import PolicyChoice
+from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.export.lerobot import export_lerobot
 from yamsim_cli.core.export.raiden import export_raiden
 from yamsim_cli.core.export.raiden_options import RaidenOptions

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.policies.base import InvalidActionError, read_action
+from yamsim_cli.core.policies.base import InvalidActionError, read_chunk
 from yamsim_cli.core.policies.loading import load_policy, reset_policy, wanted_images, wanted_state
 from yamsim_cli.core.policies.policy_faults import fault_of
 from yamsim_cli.core.policies.wire import WireError, pack, unpack
@@ -18,10 +18,20 @@ HERE = Path(__file__).parent
 
 
 def test_an_action_is_read() -> None:
-    action = read_action({"ctrl": [0, 1, 2, 3, 4, 5, 0.01], "magnet": np.float32(1), "done": np.array([False])}, 1, 7)
-    np.testing.assert_array_equal(action.ctrl, [[0, 1, 2, 3, 4, 5, 0.01]])
-    assert (action.magnet, action.done) == ((True,), False)
-    assert read_action({"ctrl": np.zeros(7, np.float32)}, 1, 7).magnet == (False,)
+    action = read_chunk({"ctrl": [0, 1, 2, 3, 4, 5, 0.01], "magnet": np.float32(1), "done": np.array([False])}, 1, 7)
+    np.testing.assert_array_equal(action.ctrl, [[[0, 1, 2, 3, 4, 5, 0.01]]])
+    assert (action.magnet.tolist(), action.done, action.period) == ([[True]], False, None)
+    assert read_chunk({"ctrl": np.zeros(7, np.float32)}, 1, 7).magnet.tolist() == [[False]]
+
+
+def test_several_actions_are_a_chunk() -> None:
+    chunk = read_chunk({"ctrl": np.arange(21).reshape(3, 7), "magnet": [0, 1, 1], "period": 0.02}, 1, 7)
+    np.testing.assert_array_equal(chunk.ctrl[:, 0], np.arange(21).reshape(3, 7))
+    assert (chunk.magnet.tolist(), chunk.period) == ([[False], [True], [True]], 0.02)
+    two = read_chunk({"ctrl": np.zeros((2, 14)), "magnet": [[0, 1], [1, 0]]}, 2, 7)
+    assert (two.ctrl.shape, two.magnet.tolist()) == ((2, 2, 7), [[False, True], [True, False]])
+    # One for all of them.
+    assert read_chunk({"ctrl": np.zeros((3, 7)), "magnet": True}, 1, 7).magnet.tolist() == [[True]] * 3
 
 
 @pytest.mark.parametrize(
@@ -31,7 +41,12 @@ def test_an_action_is_read() -> None:
         (np.zeros(7), "not ndarray"),
         ({}, "needs ctrl"),
         ({"ctrl": np.zeros(8)}, "ctrl has the shape (8,), not (7,)"),
-        ({"ctrl": np.zeros((1, 7))}, "ctrl has the shape (1, 7), not (7,)"),
+        ({"ctrl": np.zeros((2, 8))}, "ctrl has the shape (2, 8), not (7,), or (1 to 1000 actions, 7)"),
+        ({"ctrl": np.zeros((0, 7))}, "ctrl has the shape (0, 7), not (7,)"),
+        ({"ctrl": np.zeros((1001, 7))}, "ctrl has the shape (1001, 7), not (7,)"),
+        ({"ctrl": np.zeros((3, 7)), "magnet": [0, 1]}, "magnet is [0, 1], not true or false"),
+        ({"ctrl": np.zeros(7), "magnet": [[0], [1, 2]]}, "magnet is no array of truth values"),
+        ({"ctrl": np.zeros(7), "period": float("nan")}, "period is nan, not 0.001 to 10 s"),
         ({"ctrl": [0, 0, 0, float("nan"), 0, 0, 0]}, "ctrl is not finite"),
         ({"ctrl": [0, 0, 0, float("inf"), 0, 0, 0]}, "ctrl is not finite"),
         ({"ctrl": ["a"] * 7}, "ctrl is no array of numbers"),
@@ -43,21 +58,21 @@ def test_an_action_is_read() -> None:
 )
 def test_what_is_no_action_is_told(answer: object, told: str) -> None:
     with pytest.raises(InvalidActionError, match=re.escape(told)):
-        read_action(answer, 1, 7)
+        read_chunk(answer, 1, 7)
 
 
 def test_two_arms_have_two_of_everything() -> None:
-    action = read_action({"ctrl": np.arange(14), "magnet": [False, True]}, 2, 7)
-    np.testing.assert_array_equal(action.ctrl, np.arange(14).reshape(2, 7))
-    assert (action.magnet, action.done) == ((False, True), False)
-    assert read_action({"ctrl": np.zeros(14)}, 2, 7).magnet == (False, False)
+    action = read_chunk({"ctrl": np.arange(14), "magnet": [False, True]}, 2, 7)
+    np.testing.assert_array_equal(action.ctrl, [np.arange(14).reshape(2, 7)])
+    assert (action.magnet.tolist(), action.done) == ([[False, True]], False)
+    assert read_chunk({"ctrl": np.zeros(14)}, 2, 7).magnet.tolist() == [[False, False]]
     for answer, told in (
         ({"ctrl": np.zeros(7)}, "ctrl has the shape (7,), not (14,)"),
         ({"ctrl": np.zeros(14), "magnet": True}, "magnet is True, not 2 times true or false"),
         ({"ctrl": np.zeros(14), "done": [0, 1]}, "done is [0, 1], not true or false"),
     ):
         with pytest.raises(InvalidActionError, match=re.escape(told)):
-            read_action(answer, 2, 7)
+            read_chunk(answer, 2, 7)
 
 
 @pytest.mark.parametrize("name", ["sample_policies.py:Still", "sample_policies:Still"])

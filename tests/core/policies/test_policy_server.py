@@ -15,8 +15,9 @@ import pytest
 from tests.core.policies.sample_policies import Unsendable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.evaluation import evaluate, summary
-from yamsim_cli.core.evaluate.policy_trial import Ended, PolicyChoice, TrialRunner
+from yamsim_cli.core.evaluate.policy_trial import Ended, TrialRunner
 from yamsim_cli.core.policies.base import InvalidActionError
 from yamsim_cli.core.policies.loading import load_policy
 from yamsim_cli.core.policies.remote import RemoteError, RemotePolicy

@@ -17,6 +17,7 @@ from ..resources import Locations
 from ..robots.models import ArmModel, Gripper
 from . import robot_names
 from .camera import CameraConfig
+from .policy import PolicyConfig
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
 from .recording import AnyTask, RecordConfig, RenderConfig
@@ -33,6 +34,7 @@ KINDS: Mapping[str, type[Config]] = {
     "cameras": CameraConfig,
     "quality": RenderConfig,
     "randomization": RandomizationConfig,
+    "policies": PolicyConfig,
     "record": RecordConfig,
     "robots": ArmModel,
     "grippers": Gripper,

@@ -21,7 +21,10 @@ from ..policies.base import Observation, Policy
 from ..policies.loading import FORMS, check_policy, load_policy
 from ..policies.remote import RemotePolicy
 from ..scene.compiled import CompiledScene
+from ..session import Session
 from ..types import Attempt, EpisodeJob, Holds
+from .choice import PolicyChoice
+from .elsewhere import ELSEWHERE, is_elsewhere, make_elsewhere
 
 
 class Trial:
@@ -136,25 +139,33 @@ class Replay(_Playback):
         return start if job in self._by_job else None
 
 
-def make_policy(name: str, folder: Path, timeout: float) -> Policy:
+def make_policy(choice: PolicyChoice, session: Session) -> Policy:
     """The policy that a name says.
 
     Args:
-        folder: where the user's modules, files and datasets are looked for.
-        timeout: seconds that one in another process may take for an answer.
+        choice: its folder is where the user's modules, files and datasets are looked for.
 
     Raises:
-        UsageError: there is no such policy, or it cannot be loaded.
-        ResourceError: nobody answers at its address.
+        ConfigError: the config of a policy from elsewhere is not valid.
+        UsageError: there is no such policy, or it cannot be loaded, or does not fit the rig.
+        ResourceError: nobody answers at its address, or a package is missing.
     """
+    name, folder = choice.name, choice.folder
+    kind, colon, rest = name.partition(":")
+    elsewhere = is_elsewhere(name)
+    if choice.mapping is not None and not elsewhere:
+        raise UsageError(f"--policy-config is for policies of other programs: {', '.join(ELSEWHERE)}")
+    if choice.arguments and (kind in ("scripted", "hold_still", "replay", "http", "https") or elsewhere):
+        raise UsageError(f"--policy-arg is for a policy of your own, module:Class or file.py:Class, and not for {name}")
+    if elsewhere:
+        return make_elsewhere(choice, session)
     if name == "scripted":
         return Scripted()
     if name == "hold_still":
         return HoldStill()
-    kind, colon, rest = name.partition(":")
     if kind == "replay" and colon:
         return Replay(folder / rest)
     if kind in ("http", "https"):
-        remote: Any = RemotePolicy(name, timeout)
+        remote: Any = RemotePolicy(name, choice.call_seconds)
         return check_policy(remote, name)
-    return load_policy(name, folder, FORMS)
+    return load_policy(name, folder, FORMS, choice.arguments)

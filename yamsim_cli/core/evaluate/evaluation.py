@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..attempt.physics import repeat
+from ..attempt.simulators import cast_for
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord, plain
-from ..dataset.statistics import spread
+from ..dataset.statistics import spread, wilson95
 from ..errors import PartialJobError
 from ..progress import Progress
 from ..session import Session
@@ -22,16 +23,22 @@ from ..types import Actions, Attempt, EpisodeJob, Outcome
 from ..workers.executor import LostJobError
 from ..workers.pool import JOB_SECONDS
 from ..workers.processes import WorkerPool
-from .policy_trial import MEASURED, Ended, PolicyChoice, TrialResult, TrialRunner
+from .choice import PolicyChoice
+from .policy_trial import MEASURED, Ended, TrialResult, TrialRunner
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All trials of a policy, in their order, and the real time they took, s."""
+    """All trials of a policy, in their order, and the real time they took, s.
+
+    Attributes:
+        instances: who played which role in each trial, in a few words.
+    """
 
     choice: PolicyChoice
     results: tuple[TrialResult, ...]
     seconds: float
+    instances: tuple[str, ...]
 
 
 def evaluate(
@@ -53,7 +60,47 @@ def evaluate(
     with WorkerPool[EpisodeJob, TrialResult](factory, min(config.workers, n), trial_seconds) as pool:
         results = run_trials(pool, config.seed, n, progress, _lost)
     results.sort(key=lambda result: result.attempt.job.attempt)
-    return Evaluation(choice, tuple(results), time.monotonic() - began)
+    instances = tuple(instance_of(session, result.attempt.job) for result in results)
+    return Evaluation(choice, tuple(results), time.monotonic() - began, instances)
+
+
+def instance_of(session: Session, job: EpisodeJob) -> str:
+    """Which things a trial is with, in a few words."""
+    cast = cast_for(session, job)
+    if cast is None:
+        pair = session.config.pair
+        return f"{pair.object.name} to {pair.target.name}"
+    return ", ".join(f"{role} {kind}" for role, kind in sorted(cast.kinds.items())) or session.config.task.name
+
+
+def by_instance(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """For each instance, JSON-ready: instance, n, n_success, success_rate, wilson95, policy_s."""
+    rows = []
+    for name in dict.fromkeys(sorted(evaluation.instances)):
+        found = [result for result, own in zip(evaluation.results, evaluation.instances, strict=True) if own == name]
+        n, succeeded = len(found), sum(result.outcome.success for result in found)
+        rows.append(
+            {
+                "instance": name,
+                "n": n,
+                "n_success": succeeded,
+                "success_rate": succeeded / n,
+                "wilson95": wilson95(succeeded, n),
+                "policy_s": spread([seconds for result in found for seconds in result.seconds]),
+            }
+        )
+    return rows
+
+
+def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
+    """What became of all actions: chunks, actions and stale ones, and how long the arm waited for one, s."""
+    counts = [result.count for result in results]
+    return {
+        "chunks": sum(count.chunks for count in counts),
+        "actions": sum(count.actions for count in counts),
+        "stale": sum(count.stale for count in counts),
+        "waited_s": round(sum(count.waited for count in counts) * tick, 6),
+    }
 
 
 def _lost(lost: LostJobError) -> TrialResult:
@@ -80,6 +127,8 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
         ),
         "ended": dict(Counter(result.ended.value for result in results)),
         "policy_s": spread(calls),
+        "chunks": _chunks(results, tick),
+        "by_instance": by_instance(evaluation),
         "slower_than_real_time": sum(seconds > tick for seconds in calls) / len(calls) if calls else None,
     }
     return {
@@ -88,7 +137,8 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
         **what_ran(config),
         "tick_s": tick,
         "seconds": evaluation.seconds,
-        "trials": [_trial(result, tick) for result in results],
+        "ticks_per_second": sum(result.ticks for result in results) / evaluation.seconds,
+        "trials": [_trial(result, tick) | {"instance": evaluation.instances[k]} for k, result in enumerate(results)],
     }
 
 
@@ -141,12 +191,19 @@ class PolicyFilmer(TrialFilmer):
 
 
 def film(
-    evaluation: Evaluation, limit: int, films: TrialFilms, session: Session, progress: Progress
+    evaluation: Evaluation,
+    limit: int,
+    films: TrialFilms,
+    session: Session,
+    progress: Progress,
+    *,
+    successes: bool = False,
 ) -> list[FilmedTrial]:
     """Film trials, failures alone unless there are none; those in which nothing acted cannot be shown.
 
     Args:
         limit: of how many at most.
+        successes: film these as well, in the order of the trials.
 
     Raises:
         InterruptedJobError: stopped by the user; finished films stay.
@@ -155,7 +212,8 @@ def film(
     config = session.config
     tick = config.task.timing.tick
     acted = [result for result in evaluation.results if result.actions is not None]
-    chosen = ([result for result in acted if not result.outcome.success] or acted)[:limit]
+    failed = [result for result in acted if not result.outcome.success]
+    chosen = (acted if successes else failed or acted)[:limit]
     jobs = [_FilmJob(result.attempt, result.actions) for result in chosen if result.actions is not None]
     if not jobs:
         return []

@@ -19,12 +19,8 @@ from ..types import Attempt
 Render = Callable[[Array, str], Image]
 
 
-def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
-    """Key in a policy's observation -> camera, of the images that it asks for.
-
-    Raises:
-        UsageError: there is no such camera on this rig, in this task.
-    """
+def offered_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
+    """What a policy may ask to see -> key in an observation -> camera."""
     if len(config.rig.arms) == 1:
         there = {WRIST: {"wrist_rgb": config.rig.arms[0].wrist_camera_name}}
     else:
@@ -33,6 +29,16 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
     there[SCENE] = {"scene_rgb": SCENE_CAMERA}
     if config.rig.cameras:
         there |= {name: {f"{name}_rgb": name} for name in config.recorded_cameras}
+    return there
+
+
+def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
+    """Key in a policy's observation -> camera, of the images that it asks for.
+
+    Raises:
+        UsageError: there is no such camera on this rig, in this task.
+    """
+    there = offered_cameras(config)
     cameras: dict[str, str] = {}
     for name in images:
         if name not in there:
@@ -136,6 +142,11 @@ class Observer:
         """How many arms there are, and how many drives each has."""
         arms, drives = self._simulator.scene.drives.shape
         return arms, drives
+
+    def joints(self, loop: ClosedLoop) -> Array:
+        """Each arm's joints in rad and its finger's opening in m now, (arms, drives)."""
+        self._simulator.replica.show(loop.data.qpos)
+        return self._simulator.replica.joints()
 
     def observe(self, loop: ClosedLoop, attempt: Attempt, pictures: Pictures) -> LazyObservation:
         """What the policy is told of a scene's state now."""

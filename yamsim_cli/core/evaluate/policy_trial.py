@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from pathlib import Path
 
 from ..attempt.physics import repeat
 from ..attempt.pictures import render
@@ -17,7 +16,8 @@ from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord
 from ..geometry.se3 import Array
 from ..images.image import Image
-from ..policies.base import Action, InvalidActionError, Observation, read_action
+from ..policies.base import InvalidActionError, Observation, read_chunk
+from ..policies.chunks import ChunkCount, ChunkPlayer
 from ..policies.loading import reset_policy, wanted_images, wanted_state
 from ..policies.policy_faults import Fault
 from ..session import Session
@@ -27,6 +27,7 @@ from ..tasks.kinds import kind_of
 from ..types import Actions, Attempt, EpisodeJob, Outcome
 from .asking import Asker, PolicyFailedError, TooSlowError, talking_on_stderr
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
+from .choice import PolicyChoice
 from .observation import Observer, Pictures, policy_cameras
 
 
@@ -50,22 +51,6 @@ _NO_FAULT = Fault("")
 
 
 @dataclass(frozen=True)
-class PolicyChoice:
-    """Which policy, and how much time it has.
-
-    Attributes:
-        name, folder: see `make_policy`.
-        call_seconds: for one answer, or a reset, of real time.
-        time_limit: for a trial, of simulated time, s; None for twice what a plan takes.
-    """
-
-    name: str
-    folder: Path
-    call_seconds: float = 30.0
-    time_limit: float | None = None
-
-
-@dataclass(frozen=True)
 class TrialResult:
     """How a trial went.
 
@@ -77,6 +62,7 @@ class TrialResult:
         ticks: control ticks that passed.
         seconds: how long each of the policy's answers took.
         actions: what acted; None if nothing did.
+        count: what became of the actions that it answered with.
     """
 
     attempt: Attempt
@@ -87,6 +73,7 @@ class TrialResult:
     ticks: int = 0
     seconds: tuple[float, ...] = ()
     actions: Actions | None = field(default=None, repr=False)
+    count: ChunkCount = field(default_factory=ChunkCount)
 
 
 def trial_ticks(config: RecordConfig, choice: PolicyChoice) -> int:
@@ -107,7 +94,7 @@ class TrialRunner(Closing):
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
         with talking_on_stderr(), forks_end_here():
-            self._policy = make_policy(choice.name, choice.folder, choice.call_seconds)
+            self._policy = make_policy(choice, session)
         self._asker = Asker(choice.call_seconds, choice.folder)
         self._simulators = Simulators(session)
         self._wanted = wanted_images(self._policy), wanted_state(self._policy)
@@ -126,7 +113,7 @@ class TrialRunner(Closing):
         if start is not None:
             attempt = replace(attempt, start=start)
         seconds: list[float] = []
-        loop, ended, fault = self._drive(simulator, attempt, seconds)
+        loop, ended, fault, count = self._drive(simulator, attempt, seconds)
         outcome, actions = Outcome(False), loop.actions if loop.ticks else None
         if actions is not None:
             outcome = repeat(simulator, attempt, actions, planned=scripted).outcome
@@ -139,9 +126,11 @@ class TrialRunner(Closing):
         if ended in FAULTS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
         told = (fault.text, fault.traceback, loop.ticks, tuple(seconds))
-        return TrialResult(attempt, record, ended, *told, actions)
+        return TrialResult(attempt, record, ended, *told, actions, count)
 
-    def _drive(self, simulator: Simulator, attempt: Attempt, seconds: list[float]) -> tuple[ClosedLoop, Ended, Fault]:
+    def _drive(
+        self, simulator: Simulator, attempt: Attempt, seconds: list[float]
+    ) -> tuple[ClosedLoop, Ended, Fault, ChunkCount]:
         """Let the policy act until it is done, fails or has no time left."""
         config = self._config
         assert attempt.start is not None  # it has a layout
@@ -149,41 +138,44 @@ class TrialRunner(Closing):
         loop = ClosedLoop(simulator.varied(attempt), attempt.start, carried, config.task.timing)
         pictures = Pictures(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = Observer(simulator, *self._wanted)
+        hold = int(getattr(self._policy, "ticks", 1))
+        player = ChunkPlayer(self._choice.chunking, config.task.timing.tick, hold, observer.joints(loop))
         try:
-            ended, fault = self._ask_on(loop, observer, attempt, pictures, seconds)
+            ended, fault = self._play(player, loop, observer, attempt, pictures, seconds)
         finally:
             pictures.end()
-        return loop, ended, fault
+        return loop, ended, fault, player.count
 
-    def _ask_on(
-        self, loop: ClosedLoop, observer: Observer, attempt: Attempt, pictures: Pictures, seconds: list[float]
+    def _play(
+        self,
+        player: ChunkPlayer,
+        loop: ClosedLoop,
+        observer: Observer,
+        attempt: Attempt,
+        pictures: Pictures,
+        seconds: list[float],
     ) -> tuple[Ended, Fault]:
         limit = trial_ticks(self._config, self._choice)
-        hold = int(getattr(self._policy, "ticks", 1))
-        action: Action | None = None
-        ended = Ended.TIME_LIMIT
         try:
             self._asker.ask(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
-            while loop.ticks < limit:
-                answer = self._ask(observer.observe(loop, attempt, pictures), pictures)
-                seconds.append(self._asker.seconds)
-                action = read_action(answer, *observer.drives)
-                for _ in range(min(hold, limit - loop.ticks)):
-                    loop.step(action.ctrl, action.magnet)
-                if action.done:
-                    ended = Ended.DONE
-                    break
+            while loop.ticks < limit and not player.is_over(loop.ticks):
+                if player.is_due(loop.ticks):
+                    answer = self._ask(observer.observe(loop, attempt, pictures), pictures)
+                    seconds.append(self._asker.seconds)
+                    player.take(read_chunk(answer, *observer.drives), loop.ticks, self._asker.seconds)
+                ctrl, magnet = player.act(loop.ticks)
+                loop.step(ctrl, magnet)
         except InvalidActionError as error:
             return Ended.INVALID, Fault(str(error))
         except TooSlowError:
             return Ended.SLOW, Fault(f"no answer within {self._choice.call_seconds:g} s, after {loop.ticks} ticks")
         except PolicyFailedError as error:
             return Ended.RAISED, Fault(f"{error}, after {loop.ticks} ticks", error.fault.traceback)
-        if loop.holds and action is not None:
+        if loop.holds:
             # What is still held was not put down: it is let go, and has the time to fall that a plan's object has.
             for _ in range(self._config.task.timing.settle_ticks):
-                loop.step(action.ctrl, [False] * len(action.ctrl))
-        return ended, _NO_FAULT
+                loop.step(ctrl, [False] * len(ctrl))
+        return Ended.DONE if player.has_ended else Ended.TIME_LIMIT, _NO_FAULT
 
     def _ask(self, observation: Observation, pictures: Pictures) -> object:
         """The policy's answer to an observation."""

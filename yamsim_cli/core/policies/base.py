@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from ..geometry.se3 import Array
+from ..types import Holds
 
 # What a policy may ask to see. "wrist" is every wrist camera that there is.
 SCENE, WRIST = "scene", "wrist"
@@ -17,6 +18,10 @@ IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 # Further numbers that a policy may ask for: the objects' poses, which only a simulation knows, and joint velocities.
 OBJECTS, VELOCITIES = "objects", "velocities"
 STATE = (OBJECTS, VELOCITIES)
+
+# Actions of the longest answer, and how long one of them may last, s.
+MOST_ACTIONS = 1000
+SHORTEST, LONGEST = 1e-3, 10.0
 
 # As a policy sees it. Of two arms, numbers are the left one's and then the right one's.
 # - `scene_rgb` (height, width, 3) of uint8; `wrist_rgb`, or of two arms `left_wrist_rgb` and `right_wrist_rgb`; each is
@@ -42,14 +47,16 @@ class Policy(Protocol):
     `reset` gets the trial's seed if it has a parameter `seed`.
     """
 
-    def reset(self) -> None:
-        """Forget the previous trial."""
+    @property
+    def reset(self) -> Callable[..., None]:
+        """Forget the previous trial: a method with or without a parameter `seed`."""
         ...
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
         """Answer an observation: `ctrl` (drives,), rad and m; `magnet` and `done`, False unless given.
 
-        For two arms, `ctrl` and `magnet` (2,) have the left one's first.
+        For two arms, `ctrl` and `magnet` (2,) have the left one's first. `ctrl` (n, drives), and `magnet` (n,) or
+        (n, 2), are a chunk of n actions; `period` is how long each action lasts, s, where it is not `ticks`.
         """
         ...
 
@@ -60,25 +67,27 @@ def of_arms(poses: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Action:
-    """A policy's answer, after it was checked.
+class Chunk:
+    """A policy's answer, after it was checked: actions to come one after the other.
 
     Attributes:
-        ctrl: what each arm's drives are told (arms, drives), rad and m.
-        magnet: whether each arm's weld is to hold.
-        done: whether the policy is finished after this action.
+        ctrl: what each arm's drives are told (actions, arms, drives), rad and m.
+        magnet: whether each arm's weld is to hold (actions, arms).
+        done: whether the policy is finished after these actions.
+        period: how long each of them lasts, s; None for the policy's `ticks`.
     """
 
     ctrl: Array
-    magnet: tuple[bool, ...]
+    magnet: Holds
     done: bool
+    period: float | None = None
 
 
 class InvalidActionError(ValueError):
     """A policy's answer that is no valid action; the text says what is wrong with it."""
 
 
-def read_action(answer: object, arms: int, each: int) -> Action:
+def read_chunk(answer: object, arms: int, each: int) -> Chunk:
     """Check a policy's answer.
 
     Args:
@@ -86,30 +95,56 @@ def read_action(answer: object, arms: int, each: int) -> Action:
 
     Raises:
         InvalidActionError: it is no mapping with `ctrl` of a finite number for each drive, or has anything but truth
-            values else.
+            values, or a period, else.
     """
     if not isinstance(answer, Mapping):
         raise InvalidActionError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
-    if unknown := sorted(map(str, answer.keys() - {"ctrl", "magnet", "done"})):
-        raise InvalidActionError(f"an action holds ctrl, magnet and done, and not {', '.join(unknown)}")
-    drives = arms * each
+    if unknown := sorted(map(str, answer.keys() - {"ctrl", "magnet", "done", "period"})):
+        raise InvalidActionError(f"an action holds ctrl, magnet, done and period, and not {', '.join(unknown)}")
+    ctrl = _ctrl(answer, arms * each)
+    count = len(ctrl) if ctrl.ndim > 1 else 1
+    magnet = _magnet(answer["magnet"], ctrl.ndim > 1, count, arms) if "magnet" in answer else [(False,) * arms] * count
+    period = answer.get("period")
+    if period is not None and not (isinstance(period, int | float) and SHORTEST <= period <= LONGEST):
+        raise InvalidActionError(f"period is {period!r}, not {SHORTEST:g} to {LONGEST:g} s")
+    (done,) = _truths(answer.get("done", False), "done", 1)
+    return Chunk(ctrl.reshape(count, arms, each), np.array(magnet), done, period)
+
+
+def _magnet(value: Any, is_chunk: bool, count: int, arms: int) -> list[tuple[bool, ...]]:
+    """Of each action, whether each arm's weld is to hold."""
+    rows = _values(value, "magnet")
+    if is_chunk and rows.size == count * arms:
+        return [_truths(row, "magnet", arms) for row in rows.reshape(count, arms)]
+    return [_truths(value, "magnet", arms)] * count
+
+
+def _ctrl(answer: Mapping[str, Any], drives: int) -> Array:
     if "ctrl" not in answer:
         raise InvalidActionError(f"an action needs ctrl, {drives} numbers")
     try:
         ctrl = np.asarray(answer["ctrl"], dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidActionError(f"ctrl is no array of numbers: {error}") from error
-    if ctrl.shape != (drives,):
-        raise InvalidActionError(f"ctrl has the shape {ctrl.shape}, not ({drives},)")
+    if ctrl.shape != (drives,) and (ctrl.ndim != 2 or ctrl.shape[1] != drives or not 1 <= len(ctrl) <= MOST_ACTIONS):
+        raise InvalidActionError(
+            f"ctrl has the shape {ctrl.shape}, not ({drives},), or (1 to {MOST_ACTIONS} actions, {drives})"
+        )
     if not np.isfinite(ctrl).all():
-        raise InvalidActionError(f"ctrl is not finite: {np.array2string(ctrl, precision=3)}")
-    magnet = _truths(answer, "magnet", arms) if "magnet" in answer else (False,) * arms
-    return Action(ctrl.reshape(arms, each), magnet, _truths(answer, "done", 1)[0])
+        raise InvalidActionError(f"ctrl is not finite: {np.array2string(ctrl, precision=3, threshold=20)}")
+    return ctrl
 
 
-def _truths(answer: Mapping[str, Any], key: str, count: int) -> tuple[bool, ...]:
-    values = np.asarray(answer.get(key, False)).ravel()
+def _truths(value: object, key: str, count: int) -> tuple[bool, ...]:
+    values = _values(value, key).ravel()
     if values.size != count or values.dtype.kind not in "bif" or not np.isin(values, (0, 1)).all():
         wanted = "true or false" if count == 1 else f"{count} times true or false, the left arm's first"
-        raise InvalidActionError(f"{key} is {answer[key]!r}, not {wanted}")
+        raise InvalidActionError(f"{key} is {value!r}, not {wanted}")
     return tuple(map(bool, values))
+
+
+def _values(value: object, key: str) -> np.ndarray:
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InvalidActionError(f"{key} is no array of truth values: {error}") from error

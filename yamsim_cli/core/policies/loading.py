@@ -6,16 +6,20 @@ import importlib
 import importlib.util
 import inspect
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from ..documents.document import number_or_text
 from ..errors import UsageError, suggest
 from .base import IMAGES, SCENE, STATE, WRIST, Policy
 from .policy_faults import fault_of
 
 _OWN = "module:Class or file.py:Class"
-FORMS = f"give scripted, hold_still, replay:DATASET, http://HOST:PORT, {_OWN}"
+# Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and checkpoints.
+ELSEWHERE = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
+FORMS = f"give scripted, hold_still, replay:DATASET, {', '.join(ELSEWHERE)}, http://HOST:PORT, {_OWN}"
 
 # Of those, the ones for which nothing has to be rendered.
 _BLIND = ("scripted", "hold_still", "replay")
@@ -26,13 +30,16 @@ def sees_images(name: str) -> bool:
     return name.partition(":")[0] not in _BLIND
 
 
-def load_policy(name: str, folder: Path, forms: str = f"give {_OWN}") -> Policy:
+def load_policy(
+    name: str, folder: Path, forms: str = f"give {_OWN}", arguments: Mapping[str, Any] | None = None
+) -> Policy:
     """A policy of the user's.
 
     Args:
         name: `module:Class`, `file.py:Class`, or `file.py` if it has a single class that can be called.
         folder: where modules and files are searched first.
         forms: the forms of a name that the caller accepts, for the error message.
+        arguments: keywords that the class is made with.
 
     Raises:
         UsageError: there is no such policy, or it cannot be loaded or made.
@@ -43,13 +50,30 @@ def load_policy(name: str, folder: Path, forms: str = f"give {_OWN}") -> Policy:
         raise UsageError(f"--policy {name!r} is not valid: {forms}")
     try:
         module = _load_file(folder / place) if is_file else _load_module(place, folder)
-        made = _find(module, attribute, name)()
+        made = _find(module, attribute, name)(**(arguments or {}))
     except UsageError:
         raise
     # The user's code may raise anything, which the message names.
     except Exception as error:
         raise UsageError(f"--policy {name}: it cannot be loaded: {fault_of(error, folder).text}") from error
     return check_policy(made, name)
+
+
+def read_arguments(given: Sequence[str]) -> dict[str, int | float | str]:
+    """Keywords for a policy's class, of `KEY=VALUE` each; numbers are numbers.
+
+    Raises:
+        UsageError: one is not of that form, or is given twice.
+    """
+    arguments: dict[str, int | float | str] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key.isidentifier():
+            raise UsageError(f"--policy-arg {text!r} is not valid: give KEY=VALUE")
+        if key in arguments:
+            raise UsageError(f"--policy-arg {text!r}: {key} is given twice")
+        arguments[key] = number_or_text(value)
+    return arguments
 
 
 def _load_module(name: str, folder: Path) -> ModuleType:

@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from ..errors import ResourceError, UsageError
 from .base import InvalidActionError, Observation
+from .bounds import LARGEST
 from .policy_faults import Fault
 from .wire import PROTOCOL, WireError, pack, require_msgpack, unpack
 
@@ -87,13 +88,15 @@ class RemotePolicy:
         try:
             self._connection.request("POST", f"/{what}", pack(message), {"Content-Type": "application/msgpack"})
             response = self._connection.getresponse()
-            data = response.read()
-        except TimeoutError:
+            data = response.read(LARGEST + 1)
+            if len(data) > LARGEST:
+                raise http.client.HTTPException(f"its answer is longer than {LARGEST} bytes")
+        except BaseException as error:
+            # Whatever comes later on this connection would be taken for another question's answer.
             self._connection.close()
+            if isinstance(error, OSError | http.client.HTTPException) and not isinstance(error, TimeoutError):
+                raise RemoteError(f"{self._url} is gone: {str(error) or type(error).__name__}") from error
             raise
-        except (OSError, http.client.HTTPException) as error:
-            self._connection.close()
-            raise RemoteError(f"{self._url} is gone: {str(error) or type(error).__name__}") from error
         try:
             answer = unpack(data)
         except WireError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from ..dataset.survey import Survey
 from ..errors import ResourceError
 from ..files import write_file
 from ..images.jpeg import thumbnail
+from ..report.leaderboard_page import leaderboard_page
 from ..report.page import Strip, page
 from ..report.trials_page import trials_page
 
@@ -34,6 +35,11 @@ def write_report(survey: Survey, summary: Mapping[str, Any], path: Path) -> None
 def write_trials_page(report: Mapping[str, Any], sampling: Sampling, path: Path) -> None:
     """Write a batch's page, replacing what is there. Raises as `write_report`."""
     _write(trials_page(report, (sampling.x, sampling.y), _made()), path)
+
+
+def write_leaderboard(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write a leaderboard's page, replacing what is there. Raises as `write_report`."""
+    _write(leaderboard_page(reports, pairs, _made()), path)
 
 
 def _made() -> str:

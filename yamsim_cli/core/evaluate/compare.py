@@ -1,0 +1,88 @@
+"""Two policies on the same starts: which trials only one of them can do, and whether that is more than chance."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from ..errors import UsageError
+
+# What has to be the same in two reports for their trials to be pairs.
+_SAME = ("task", "rig", "grasp", "arms", "seed")
+_MOST_BYTES = 500_000_000
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """The exact two-sided p-value of McNemar's test: so often a fair coin is at least as uneven on the trials in which
+    exactly one of two policies succeeded. 1 where there is no such trial.
+    """
+    n, fewer = only_first + only_second, min(only_first, only_second)
+    # Floats would overflow from a thousand trials on.
+    as_uneven: int = 2 * sum(math.comb(n, k) for k in range(fewer + 1))
+    return min(1.0, float(Fraction(as_uneven, 1 << n)))
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """A report that `yamsim eval --out` wrote.
+
+    Raises:
+        UsageError: it cannot be read, or is none.
+    """
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise UsageError(f"--compare {path}: {path.stat().st_size} bytes are no report of yamsim eval")
+        report = json.loads(path.read_bytes())
+        for trial in report["trials"]:
+            if not isinstance(trial["outcome"]["success"], bool) or not isinstance(trial["layout"], dict):
+                raise TypeError("a trial without its outcome")
+        missing = [key for key in ("policy", *_SAME) if key not in report]
+        missing += [key for key in ("success_rate", "policy_s", "chunks", "by_instance") if key not in report["stats"]]
+    except OSError as error:
+        raise UsageError(f"--compare {path}: cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise UsageError(f"--compare {path}: is no report of yamsim eval --out") from error
+    if missing:
+        raise UsageError(f"--compare {path}: is no report of yamsim eval --out: it has no {missing[0]!r}")
+    found: dict[str, Any] = report
+    return found
+
+
+def compare(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    """How two reports differ, JSON-ready: policy and success_rate of the second, n pairs, both, only_first,
+    only_second, neither, p_value (McNemar's exact test).
+
+    Raises:
+        UsageError: they are not of the same trials.
+    """
+    name = second["policy"]
+    for key in _SAME:
+        if first[key] != second[key]:
+            raise UsageError(f"--compare {name}: its {key} is {second[key]}, and not {first[key]}: no pairs of trials")
+    one, other = ({(trial["seed"], trial["trial"]): trial for trial in report["trials"]} for report in (first, second))
+    if one.keys() != other.keys():
+        raise UsageError(f"--compare {name}: it has {len(other)} trials, not the same {len(one)}: give the same --n")
+    counts = {"both": 0, "only_first": 0, "only_second": 0, "neither": 0}
+    for job, trial in one.items():
+        if not _same_start(trial["layout"], other[job]["layout"]):
+            raise UsageError(f"--compare {name}: trial {job[1]} starts elsewhere: another version or other settings")
+        good = trial["outcome"]["success"], other[job]["outcome"]["success"]
+        which = {(True, True): "both", (True, False): "only_first", (False, True): "only_second"}.get(good, "neither")
+        counts[which] += 1
+    return {
+        "policy": name,
+        "success_rate": second["stats"]["success_rate"],
+        "n": len(one),
+        **counts,
+        "p_value": mcnemar(counts["only_first"], counts["only_second"]),
+    }
+
+
+def _same_start(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    # A trial whose worker was lost knows no layout.
+    if not one or not other:
+        return True
+    return one.keys() == other.keys() and all(list(one[name]) == list(other[name]) for name in one)

@@ -1,0 +1,93 @@
+"""A checkpoint of LeRobot's, with its processors, in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..config.policy import PolicyConfig
+from ..errors import ResourceError, UsageError
+from ..images.fit import fitted
+
+SCHEME = "lerobot"
+
+_INSTALL = (
+    "LeRobot is not here: pip install lerobot (0.4 or newer) into this environment; or serve the checkpoint from an "
+    "environment of its own, by yamsim serve-policy"
+)
+
+
+class LeRobotClient:
+    """Asks a policy that was trained by LeRobot.
+
+    A policy that looks at one observation answers with all of its chunk; one that looks back answers action by action.
+
+    Attributes:
+        pictures: keys of the pictures that it asks for.
+
+    Args:
+        checkpoint: a folder with `config.json`, weights and processors, or a repository on the hub.
+        mapping: by which it is asked; its key of actions is that of the answer.
+
+    Raises:
+        ResourceError: LeRobot is not installed.
+        UsageError: there is no such checkpoint, or it cannot be read.
+    """
+
+    def __init__(self, checkpoint: str, mapping: PolicyConfig) -> None:
+        self._key = mapping.actions.key
+        try:
+            import torch
+            from lerobot.configs.policies import PreTrainedConfig
+            from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] not in ("lerobot", "torch"):
+                raise
+            raise ResourceError(f"--policy {SCHEME}:{checkpoint}: {_INSTALL}") from error
+        self._torch = torch
+        try:
+            config = PreTrainedConfig.from_pretrained(checkpoint)
+            if not torch.cuda.is_available():
+                config.device = "cpu"
+            self._policy = get_policy_class(config.type).from_pretrained(checkpoint, config=config)
+            device = {"device_processor": {"device": str(config.device)}}
+            self._before, self._after = make_pre_post_processors(
+                config, pretrained_path=checkpoint, preprocessor_overrides=device
+            )
+        # Reading it runs LeRobot's code for its kind of policy, which may raise anything.
+        except Exception as error:
+            text = " ".join(str(error).split())[:300]
+            raise UsageError(f"--policy {SCHEME}:{checkpoint}: it cannot be loaded: {text}") from error
+        self._policy.eval()
+        shapes = {key: tuple(feature.shape) for key, feature in config.image_features.items()}
+        self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
+        self.pictures = tuple(shapes)
+        self._looks_back = getattr(config, "n_obs_steps", 1) > 1
+
+    def begin(self, seed: int) -> None:
+        """Forget the previous trial, and draw from the new one's seed."""
+        self._torch.manual_seed(seed)
+        self._policy.reset()
+
+    def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The policy's actions for an observation, as its own processor gives them."""
+        torch = self._torch
+        batch: dict[str, Any] = {}
+        for key, value in message.items():
+            if key in self._sizes:
+                image = fitted(value, self._sizes[key], pad=False).transpose(2, 0, 1)
+                batch[key] = torch.from_numpy(image.astype(np.float32) / 255)[None]
+            else:
+                batch[key] = torch.from_numpy(value)[None] if isinstance(value, np.ndarray) else value
+        with torch.inference_mode():
+            ready = self._before(batch)
+            ask = self._policy.select_action if self._looks_back else self._policy.predict_action_chunk
+            actions = self._after(ask(ready))
+        rows = actions.to("cpu", torch.float64).numpy()
+        # A chunk is (1, actions, numbers), an action (1, numbers): the first axis is that of the only observation.
+        return {self._key: rows[0]}
+
+    def close(self) -> None:
+        """Nothing is open."""
