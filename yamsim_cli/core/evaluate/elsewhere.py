@@ -8,7 +8,6 @@ from ..config.loader import load_config
 from ..config.policy import PolicyConfig
 from ..config.recording import RecordConfig
 from ..policies import act, lerobot, openpi
-from ..policies.base import WRIST
 from ..policies.loading import ELSEWHERE
 from ..policies.mapped import Client, MappedPolicy, Station
 from ..session import Session
@@ -43,8 +42,6 @@ def station(config: RecordConfig) -> Station:
     """What a policy finds on the rig, in the task."""
     arms = [config.rig.arms[k] for k in config.rig.recorded]
     cameras = {name: next(iter(keys)) for name, keys in offered_cameras(config).items() if len(keys) == 1}
-    if len(arms) == 1:
-        cameras = {f"{arms[0].side}_wrist": cameras[WRIST]} | cameras
     return Station(
         config.rig.name,
         tuple(arm.side for arm in arms),

@@ -22,7 +22,9 @@ Render = Callable[[Array, str], Image]
 def offered_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
     """What a policy may ask to see -> key in an observation -> camera."""
     if len(config.rig.arms) == 1:
-        there = {WRIST: {"wrist_rgb": config.rig.arms[0].wrist_camera_name}}
+        arm = config.rig.arms[0]
+        side = f"{arm.side}_wrist"
+        there = {WRIST: {"wrist_rgb": arm.wrist_camera_name}, side: {f"{side}_rgb": arm.wrist_camera_name}}
     else:
         sides = {f"{arm.side}_wrist": {f"{arm.side}_wrist_rgb": arm.wrist_camera_name} for arm in config.wrist_arms}
         there = sides | {WRIST: {key: camera for one in sides.values() for key, camera in one.items()}}
