@@ -66,6 +66,18 @@ ROWS: dict[str, Row] = {
         "KitchenBench's rigid tasks on our station: conforms, all 25 scenes at rest; our expert stacks two cups",
         Environment("inspect", beside=True),
     ),
+    "act": Row(
+        "inspect-robots-yam, json-numpy",
+        "inspect-robots-yam",
+        "`eval --policy act://`: a server with json_numpy gives the expert's trials; we send what its client sends",
+        Environment("act"),
+    ),
+    "openpi": Row(
+        "openpi-client",
+        "openpi-client",
+        "`eval --policy ws://`: a server with its packer gives the expert's trials",
+        Environment("openpi"),
+    ),
     "av-15": Row("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
     "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True)),
     "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True)),

@@ -1,0 +1,150 @@
+"""Servers of policies with the real packages on their side, and what the real client sends."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.clients.environments import SCRIPTS, Interpreter
+from tests.core.evaluate.test_elsewhere import expert_plans
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.policy import PolicyConfig
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.evaluate.choice import PolicyChoice
+from yamsim_cli.core.evaluate.evaluation import Evaluation
+from yamsim_cli.core.evaluate.policy_trial import Ended, TrialRunner
+from yamsim_cli.core.policies.chunks import Chunking
+from yamsim_cli.core.policies.json_arrays import dump_json, load_json
+from yamsim_cli.core.policies.mapped import MappedPolicy, Station
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
+
+pytestmark = [pytest.mark.client, pytest.mark.render]
+pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
+
+HERE = Path(__file__).parent
+TRIALS = 3
+# What the served expert is told besides, and at which rate its plan is: one action a control tick.
+TELLS_ALL = "time: time\nseed: seed\n"
+MAPPINGS = {"act": ("molmoact2_yam", "hz: 30"), "ws": ("openpi_aloha", "hz: 50")}
+
+
+@pytest.fixture(scope="module")
+def experts(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> tuple[RecordConfig, Evaluation, Mapping[int, np.ndarray]]:
+    """Of a task for a station's two arms that hold by friction: what the scripted policy does."""
+    config = make_config(
+        {
+            ("rig",): "yam_station_linear_4310_d405",
+            ("task",): "handover",
+            ("grasp",): "contact",
+            ("episodes",): TRIALS,
+            ("workers",): 1,
+            ("wrist",): True,
+            ("image", "size_px"): [64, 48],
+            ("render",): "fast",
+        }
+    )
+    local, plans = expert_plans(config, locations)
+    # These protocols know no weld.
+    return config, local, {seed: rows[:, :14] for seed, rows in plans.items()}
+
+
+@contextmanager
+def serving(interpreter: Interpreter, script: str, *arguments: object) -> Iterator[int]:
+    """The port of a server that runs in a client's environment."""
+    command = [str(interpreter.python), str(SCRIPTS / script), *map(str, arguments)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        try:
+            yield json.loads(process.stdout.readline())["port"]
+        finally:
+            process.stdin.close()
+            process.wait(20)
+
+
+@pytest.mark.parametrize(("row", "scheme"), [("act", "act"), ("openpi", "ws")])
+def test_an_expert_that_is_served_does_what_it_does_here(
+    row: str,
+    scheme: str,
+    client: Callable[[str], Interpreter],
+    experts: tuple[RecordConfig, Evaluation, Mapping[int, np.ndarray]],
+    locations: Locations,
+    tmp_path: Path,
+) -> None:
+    """Trial by trial, command by command, through their own package."""
+    config, local, plans = experts
+    np.savez(tmp_path / "plans.npz", **{str(seed): rows for seed, rows in plans.items()})
+    name, rate = MAPPINGS[scheme]
+    text = locations.config_file("policies", name).read_text()
+    assert rate in text
+    (tmp_path / "mapping.yaml").write_text(text.replace(rate, "hz: 31.25") + TELLS_ALL)
+    with serving(client(row), f"serve_{row}.py", tmp_path / "plans.npz") as port:
+        choice = PolicyChoice(
+            f"{scheme}://127.0.0.1:{port}",
+            HERE,
+            mapping=str(tmp_path / "mapping.yaml"),
+            chunking=Chunking(execute=12),
+        )
+        with TrialRunner(Session(config, locations), choice) as runner:
+            for own in local.results:
+                served = runner.run(own.attempt.job)
+                assert (served.ended, served.error) == (Ended.TIME_LIMIT, "")
+                assert served.outcome.success == own.outcome.success
+                assert own.actions is not None
+                assert served.actions is not None
+                np.testing.assert_allclose(served.actions.ctrl[: own.ticks], own.actions.ctrl, rtol=0, atol=1e-12)
+    assert sum(result.outcome.success for result in local.results) > 0
+
+
+def test_act_is_told_byte_for_byte_what_its_own_client_tells_it(
+    client: Callable[[str], Interpreter], locations: Locations, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(0)
+    pictures = {name: rng.integers(0, 255, (224, 224, 3), dtype=np.uint8) for name in ("top", "left", "right")}
+    state = rng.uniform(0, 1, 14)
+    np.savez(
+        tmp_path / "observed.npz",
+        prompt="hand it over",
+        state=state,
+        **{f"{key}_cam": value for key, value in pictures.items()},
+    )
+    told = client("act").run("act_sends.py", tmp_path / "observed.npz", tmp_path / "sent.json")
+    assert told["actions"] == 30
+    theirs = load_json((tmp_path / "sent.json").read_bytes())
+
+    cameras = {"top": "top_rgb", "left_wrist": "left_rgb", "right_wrist": "right_rgb"}
+    station = Station("station", ("left", "right"), 7, (0.0475, 0.0475), cameras)
+    config = load_config(PolicyConfig, "policies", "molmoact2_yam", locations)
+    joints = state.copy()
+    joints[[6, 13]] *= 0.0475
+    observed = {"joints": joints, "prompt": "hand it over", "time": 0.0}
+    observed |= {f"{name}_rgb": picture for name, picture in pictures.items()}
+    message = MappedPolicy(_Nobody(), config, station).message(observed)
+    ours = load_json(dump_json(message))
+    assert ours.keys() == theirs.keys()
+    for key, value in theirs.items():
+        if isinstance(value, np.ndarray):
+            assert (ours[key].dtype, ours[key].shape) == (value.dtype, value.shape), key
+            np.testing.assert_array_equal(ours[key], value)
+        else:
+            assert ours[key] == value
+
+
+class _Nobody:
+    def begin(self, seed: int) -> None:
+        pass
+
+    def ask(self, message: object) -> Mapping[str, object]:
+        return {}
+
+    def close(self) -> None:
+        pass
