@@ -87,6 +87,8 @@ def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: in
         (("--policy", "http://127.0.0.1:9"), 4, "no policy answers there"),
         (("--policy", "replay:nowhere"), 2, "there are no episodes"),
         (("--policy", "scripted", "--min-success", "90"), 2, "'--min-success'"),
+        (("--policy", f"{SAMPLES}:Chunked", "--policy-arg", "speed=1"), 2, "unexpected keyword argument 'speed'"),
+        (("--policy", "hold_still", "--compare", "nowhere.json"), 2, "--compare nowhere.json: cannot be read"),
     ],
 )
 def test_what_cannot_be_run_is_one_line(flags: tuple[str, ...], code: int, told: str) -> None:
@@ -132,3 +134,22 @@ def test_a_policy_is_served_until_a_signal_and_ends_with_0() -> None:
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
     assert (process.returncode, err) == (0, "")
+
+
+@pytest.mark.slow
+def test_policies_are_compared_on_the_same_starts_and_ranked(tmp_path: Path) -> None:
+    common = ("--n", "3", "--workers", "2", "--time-limit", "2")
+    old = yamsim("eval", "--policy", "hold_still", *common, "--out", tmp_path / "old.json", "--json")
+    assert old.code == 0, old.err
+    chunked = f"{SAMPLES}:Chunked"
+    run = yamsim(
+        "eval", "--policy", chunked, "--policy-arg", "actions=8", "--policy-arg", "step=0.02", "--execute", "4",
+        "--latency", "80ms", "--compare", tmp_path / "old.json", "--compare", f"{SAMPLES}:Still",
+        "--html", tmp_path / "page.html", *common, "--json",
+    )  # fmt: skip
+    assert run.code == 0, run.err
+    assert [pair["policy"] for pair in run.json["compared"]] == ["hold_still", f"{SAMPLES}:Still"]
+    assert {(pair["n"], pair["neither"], pair["p_value"]) for pair in run.json["compared"]} == {(3, 3, 1.0)}
+    assert run.json["stats"]["chunks"]["stale"] > 0
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("hold_still") >= 2 and "Leaderboard" in page

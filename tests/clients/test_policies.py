@@ -29,7 +29,7 @@ pytestmark = [pytest.mark.client, pytest.mark.render]
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 
 HERE = Path(__file__).parent
-TRIALS = 3
+TRIALS = 2
 # What the served expert is told besides, and at which rate its plan is: one action a control tick.
 TELLS_ALL = "time: time\nseed: seed\n"
 MAPPINGS = {"act": ("molmoact2_yam", "hz: 30"), "ws": ("openpi_aloha", "hz: 50")}
@@ -91,6 +91,7 @@ def test_an_expert_that_is_served_does_what_it_does_here(
         choice = PolicyChoice(
             f"{scheme}://127.0.0.1:{port}",
             HERE,
+            time_limit=0.032 * max(result.ticks for result in local.results),
             mapping=str(tmp_path / "mapping.yaml"),
             chunking=Chunking(execute=12),
         )

@@ -15,6 +15,7 @@ from yamsim_cli.core.config.loader import load_config, validate_file
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+from yamsim_cli.core.evaluate.builtin_policies import make_policy
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.elsewhere import make_elsewhere, station
 from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, summary
@@ -165,6 +166,21 @@ def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locat
 def test_lerobot_that_is_not_installed_is_told(config: RecordConfig, locations: Locations) -> None:
     with pytest.raises(ResourceError, match=r"--policy lerobot:\S+: LeRobot is not here: pip install lerobot"):
         make_elsewhere(PolicyChoice("lerobot:nowhere", HERE), Session(config, locations))
+
+
+@pytest.mark.parametrize(
+    ("choice", "told"),
+    [
+        (PolicyChoice("scripted", HERE, arguments={"a": 1}), "--policy-arg is for a policy of your own"),
+        (PolicyChoice("act://127.0.0.1:9", HERE, arguments={"a": 1}), "--policy-arg is for a policy of your own"),
+        (PolicyChoice("hold_still", HERE, mapping="openpi_aloha"), "--policy-config is for policies of other programs"),
+    ],
+)
+def test_what_is_for_other_policies_is_refused(
+    choice: PolicyChoice, told: str, config: RecordConfig, locations: Locations
+) -> None:
+    with pytest.raises(UsageError, match=told):
+        make_policy(choice, Session(config, locations))
 
 
 @pytest.mark.parametrize("rig", ["single", "single_linear", "russet", "yam_station_linear_4310_d405"])

@@ -10,7 +10,7 @@ import pytest
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.policies.base import InvalidActionError, read_chunk
-from yamsim_cli.core.policies.loading import load_policy, reset_policy, wanted_images, wanted_state
+from yamsim_cli.core.policies.loading import load_policy, read_arguments, reset_policy, wanted_images, wanted_state
 from yamsim_cli.core.policies.policy_faults import fault_of
 from yamsim_cli.core.policies.wire import WireError, pack, unpack
 
@@ -175,3 +175,20 @@ def test_objects_are_neither_sent_nor_made() -> None:
     for kind, shape in (("|O", [1]), ("<f8", [1 << 40]), ("|S4", [2])):
         with pytest.raises(WireError):
             unpack(msgpack.packb(msgpack.ExtType(1, msgpack.packb([kind, shape, b"12345678"]))))
+
+
+def test_arguments_are_keywords_and_numbers_are_numbers() -> None:
+    assert read_arguments(["a=1", "b=0.5", "c=x=y", "d="]) == {"a": 1, "b": 0.5, "c": "x=y", "d": ""}
+    assert (
+        load_policy("sample_policies.py:Chunked", HERE, arguments={"actions": 3})({"joints": [0.0]})["ctrl"].shape[0]
+        == 3
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [(["a"], "'a' is not valid: give KEY=VALUE"), (["1=2"], "give KEY=VALUE"), (["a=1", "a=2"], "a is given twice")],
+)
+def test_what_is_no_argument_is_told(given: list[str], told: str) -> None:
+    with pytest.raises(UsageError, match=f"--policy-arg .*{told}"):
+        read_arguments(given)
