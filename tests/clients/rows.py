@@ -84,7 +84,8 @@ ROWS: dict[str, Row] = {
     "lerobot": Row(
         "LeRobot 0.6",
         "lerobot",
-        f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`",
+        f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`; `eval --policy lerobot:` "
+        "gives the same actions as its own inference of a tiny ACT policy",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.clients.environments import REPOSITORY, Interpreter
+from tests.clients.environments import Interpreter, yamsim_beside
 from tests.core.export.conftest import jpeg
 from tests.core.export.lerobot_files import Frames, check_numbers, jpegs, recorded
 from tests.core.unrendered import write_dataset
@@ -206,15 +206,7 @@ def test_yamsim_is_installed_beside_it(
 ) -> None:
     """pip adds yamsim with its extras to what LeRobot needs and replaces nothing; both run in one environment."""
     alone = client("lerobot")
-    folder = tmp_path / "both"
-    assert alone.call(["-m", "venv", str(folder)]).returncode == 0
-    both = Interpreter(folder / "bin" / "python", {})
-    packages = "import sysconfig; print(sysconfig.get_path('purelib'))"
-    place = Path(both.call(["-c", packages]).stdout.strip())
-    (place / "lerobot.pth").write_text(alone.call(["-c", packages]).stdout)
-    wanted = [f"lerobot[training]=={alone.version('lerobot')}", f"{REPOSITORY}[lerobot,video]"]
-    done = both.call(["-m", "pip", "install", "-q", *wanted], timeout_s=PATIENCE)
-    assert done.returncode == 0, done.stderr
+    both, place = yamsim_beside(alone, tmp_path / "both")
     checked = both.call(["-m", "pip", "check"])
     assert checked.returncode == 0, checked.stdout
     for package in ("av", "numpy", "opencv-python-headless", "pyarrow", "torch"):

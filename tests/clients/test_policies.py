@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.clients.environments import SCRIPTS, Interpreter
+from tests.clients.environments import SCRIPTS, Interpreter, yamsim_beside
 from tests.core.evaluate.test_elsewhere import expert_plans
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
@@ -25,7 +25,7 @@ from yamsim_cli.core.policies.mapped import MappedPolicy, Station
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 
-pytestmark = [pytest.mark.client, pytest.mark.render]
+pytestmark = pytest.mark.render
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 
 HERE = Path(__file__).parent
@@ -71,6 +71,7 @@ def serving(interpreter: Interpreter, script: str, *arguments: object) -> Iterat
             process.wait(20)
 
 
+@pytest.mark.client
 @pytest.mark.parametrize(("row", "scheme"), [("act", "act"), ("openpi", "ws")])
 def test_an_expert_that_is_served_does_what_it_does_here(
     row: str,
@@ -106,6 +107,7 @@ def test_an_expert_that_is_served_does_what_it_does_here(
     assert sum(result.outcome.success for result in local.results) > 0
 
 
+@pytest.mark.client
 def test_act_is_told_byte_for_byte_what_its_own_client_tells_it(
     client: Callable[[str], Interpreter], locations: Locations, tmp_path: Path
 ) -> None:
@@ -149,3 +151,32 @@ class _Nobody:
 
     def close(self) -> None:
         pass
+
+
+@pytest.mark.client_heavy
+def test_a_checkpoint_of_lerobots_answers_as_in_lerobot(
+    client: Callable[[str], Interpreter], locations: Locations, tmp_path: Path
+) -> None:
+    """The same numbers as its own inference gives, and trials that run to their end."""
+    rng = np.random.default_rng(0)
+    state, scene = rng.uniform(-1, 1, 7).astype(np.float32), rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    np.savez(tmp_path / "observed.npz", state=state, scene=scene)
+    alone = client("lerobot")
+    given = tmp_path / "act", tmp_path / "observed.npz"
+    alone.run("make_act.py", *given, tmp_path / "theirs.npy")
+    both, _ = yamsim_beside(alone, tmp_path / "both")
+    told = both.run("ask_act.py", *given, tmp_path / "ours.npy")
+    assert told == {"pictures": ["observation.images.scene_camera"], "execute": 4}
+    theirs, ours = np.load(tmp_path / "theirs.npy"), np.load(tmp_path / "ours.npy")
+    assert (theirs.shape, ours.shape) == ((4, 8), (8, 8))
+    np.testing.assert_array_equal(ours[:4], theirs)
+
+    words = ["eval", "--policy", f"lerobot:{tmp_path / 'act'}", "--n", "2", "--workers", "1", "--time-limit", "1.6"]
+    done = both.call(
+        ["-m", "yamsim_cli", *words, "--size", "64x48", "--quality", "fast", "--json"], timeout_s=600, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["stats"]["ended"] == {"time_limit": 2}
+    # Fifty ticks: four actions of two ticks between two questions.
+    assert report["stats"]["chunks"] == {"chunks": 14, "actions": 112, "stale": 0, "waited_s": 0.0}

@@ -98,6 +98,8 @@ class TrialRunner(Closing):
         self._asker = Asker(choice.call_seconds, choice.folder)
         self._simulators = Simulators(session)
         self._wanted = wanted_images(self._policy), wanted_state(self._policy)
+        execute = choice.chunking.execute or getattr(self._policy, "execute", None)
+        self._chunking = replace(choice.chunking, execute=execute)
         policy_cameras(session.config, self._wanted[0])
 
     def run(self, job: EpisodeJob) -> TrialResult:
@@ -139,7 +141,7 @@ class TrialRunner(Closing):
         pictures = Pictures(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = Observer(simulator, *self._wanted)
         hold = int(getattr(self._policy, "ticks", 1))
-        player = ChunkPlayer(self._choice.chunking, config.task.timing.tick, hold, observer.joints(loop))
+        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, observer.joints(loop))
         try:
             ended, fault = self._play(player, loop, observer, attempt, pictures, seconds)
         finally:

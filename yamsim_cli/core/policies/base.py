@@ -43,6 +43,7 @@ class Policy(Protocol):
     - `images`: which of `IMAGES` it asks for; "scene" and "wrist" unless given.
     - `wants`: which of `STATE` it asks for; nothing unless given.
     - `ticks`: how many control ticks of 32 ms an action lasts; 1 unless given. 2 is the rate of datasets.
+    - `execute`: after how many actions of a chunk it is asked again; all of them unless given.
 
     `reset` gets the trial's seed if it has a parameter `seed`.
     """

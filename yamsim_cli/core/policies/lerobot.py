@@ -13,10 +13,7 @@ from ..images.fit import fitted
 
 SCHEME = "lerobot"
 
-_INSTALL = (
-    "LeRobot is not here: pip install lerobot (0.4 or newer) into this environment; or serve the checkpoint from an "
-    "environment of its own, by yamsim serve-policy"
-)
+_INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsim, into an environment with Python 3.12"
 
 
 class LeRobotClient:
@@ -26,6 +23,7 @@ class LeRobotClient:
 
     Attributes:
         pictures: keys of the pictures that it asks for.
+        execute: after how many actions of a chunk it is meant to be asked again; None for all.
 
     Args:
         checkpoint: a folder with `config.json`, weights and processors, or a repository on the hub.
@@ -64,7 +62,10 @@ class LeRobotClient:
         shapes = {key: tuple(feature.shape) for key, feature in config.image_features.items()}
         self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
         self.pictures = tuple(shapes)
-        self._looks_back = getattr(config, "n_obs_steps", 1) > 1
+        # Of such a policy, only select_action notes what was seen.
+        kept = set(getattr(self._policy, "_queues", ())) - {"action"}
+        self._looks_back = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
+        self.execute: int | None = None if self._looks_back else getattr(config, "n_action_steps", None)
 
     def begin(self, seed: int) -> None:
         """Forget the previous trial, and draw from the new one's seed."""

@@ -56,6 +56,7 @@ class MappedPolicy:
 
     Attributes:
         images: the cameras that it is shown.
+        execute: after how many actions of a chunk it is asked again, where nobody says otherwise; None for all.
 
     Args:
         wanted: keys of the pictures that the client asks for, of those in the config; None for all.
@@ -68,6 +69,7 @@ class MappedPolicy:
         self, client: Client, config: PolicyConfig, station: Station, wanted: Sequence[str] | None = None
     ) -> None:
         self._client, self._config, self._station = client, config, station
+        self.execute: int | None = getattr(client, "execute", None)
         sides = station.sides if config.arms == "all" else config.arms
         if missing := [side for side in sides if side not in station.sides]:
             raise self._unfit("arms", f"there is no {missing[0]} arm; there is {' and '.join(station.sides)}")

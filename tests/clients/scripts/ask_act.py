@@ -1,0 +1,20 @@
+"""What yamsim's client makes of a checkpoint and an observation: folder, observed.npz, actions.npy."""
+
+import json
+import os
+import sys
+
+import numpy as np
+
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.policy import PolicyConfig
+from yamsim_cli.core.policies.lerobot import LeRobotClient
+from yamsim_cli.core.resources import Locations
+
+folder, observed, out = sys.argv[1:]
+told = np.load(observed)
+client = LeRobotClient(folder, load_config(PolicyConfig, "policies", "lerobot_export", Locations.find(os.environ)))
+client.begin(0)
+message = {"observation.state": told["state"], "observation.images.scene_camera": told["scene"], "task": "a task"}
+np.save(out, client.ask(message)["action"])
+print(json.dumps({"pictures": client.pictures, "execute": client.execute}))
