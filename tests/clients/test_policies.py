@@ -17,8 +17,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.evaluate.choice import PolicyChoice
-from yamsim_cli.core.evaluate.evaluation import Evaluation
-from yamsim_cli.core.evaluate.policy_trial import Ended, TrialRunner
+from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
 from yamsim_cli.core.policies.chunks import Chunking
 from yamsim_cli.core.policies.json_arrays import dump_json, load_json
 from yamsim_cli.core.policies.mapped import MappedPolicy, Station
@@ -38,7 +37,7 @@ MAPPINGS = {"act": ("molmoact2_yam", "hz: 30"), "ws": ("openpi_aloha", "hz: 50")
 @pytest.fixture(scope="module")
 def experts(
     make_config: Callable[..., RecordConfig], locations: Locations
-) -> tuple[RecordConfig, Evaluation, Mapping[int, np.ndarray]]:
+) -> tuple[RecordConfig, list[TrialResult], Mapping[int, np.ndarray]]:
     """Of a task for a station's two arms that hold by friction: what the scripted policy does."""
     config = make_config(
         {
@@ -77,7 +76,7 @@ def test_an_expert_that_is_served_does_what_it_does_here(
     row: str,
     scheme: str,
     client: Callable[[str], Interpreter],
-    experts: tuple[RecordConfig, Evaluation, Mapping[int, np.ndarray]],
+    experts: tuple[RecordConfig, list[TrialResult], Mapping[int, np.ndarray]],
     locations: Locations,
     tmp_path: Path,
 ) -> None:
@@ -92,19 +91,19 @@ def test_an_expert_that_is_served_does_what_it_does_here(
         choice = PolicyChoice(
             f"{scheme}://127.0.0.1:{port}",
             HERE,
-            time_limit=0.032 * max(result.ticks for result in local.results),
+            time_limit=0.032 * max(result.ticks for result in local),
             mapping=str(tmp_path / "mapping.yaml"),
             chunking=Chunking(execute=12),
         )
         with TrialRunner(Session(config, locations), choice) as runner:
-            for own in local.results:
+            for own in local:
                 served = runner.run(own.attempt.job)
                 assert (served.ended, served.error) == (Ended.TIME_LIMIT, "")
                 assert served.outcome.success == own.outcome.success
                 assert own.actions is not None
                 assert served.actions is not None
                 np.testing.assert_allclose(served.actions.ctrl[: own.ticks], own.actions.ctrl, rtol=0, atol=1e-12)
-    assert sum(result.outcome.success for result in local.results) > 0
+    assert sum(result.outcome.success for result in local) > 0
 
 
 @pytest.mark.client

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.core.policies.servers import act_server, openpi_server
+from tests.core.policies.servers import act_server, openpi_server, raw_server
 from yamsim_cli.core.config.loader import load_config, validate_file
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
@@ -18,8 +19,8 @@ from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.evaluate.builtin_policies import make_policy
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.elsewhere import make_elsewhere, station
-from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, summary
-from yamsim_cli.core.evaluate.policy_trial import Ended, TrialRunner
+from yamsim_cli.core.evaluate.evaluation import Evaluation, instance_of, summary
+from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
 from yamsim_cli.core.policies.chunks import Chunking
 from yamsim_cli.core.policies.mapped import MappedPolicy, Station
 from yamsim_cli.core.policies.openpi import pack_openpi, unpack_openpi
@@ -199,20 +200,19 @@ def test_every_picture_of_an_export_is_known(
 # Trials.
 
 
-def expert_plans(config: RecordConfig, locations: Locations) -> tuple[Evaluation, dict[int, np.ndarray]]:
-    """The scripted policy's evaluation, and its actions by the trial's seed, grippers as shares, the welds last."""
-    local = evaluate(Session(config, locations), PolicyChoice("scripted", HERE), lambda *_: None)
-    where, plans = station(config), {}
+def expert_plans(config: RecordConfig, locations: Locations) -> tuple[list[TrialResult], dict[int, np.ndarray]]:
+    """The scripted policy's trials, and its actions by the trial's seed, grippers as shares, the welds last."""
+    where, results, plans = station(config), [], {}
     with TrialRunner(Session(config, locations), PolicyChoice("scripted", HERE)) as runner:
-        for result in local.results:
-            job = result.attempt.job
-            drives = runner._simulators.of(job).scene.drives
+        for attempt in range(config.episodes):
+            job = EpisodeJob(config.seed, attempt)
+            results.append(result := runner.run(job))
             assert result.actions is not None
-            told = result.actions.ctrl[:, drives].copy()
+            told = result.actions.ctrl[:, runner._simulators.of(job).scene.drives].copy()
             told[:, :, -1] /= np.array(where.openings)
             rows = np.concatenate([told.reshape(len(told), -1), result.actions.magnet], axis=1)
             plans[(job.seed * 1_000_003 + job.attempt) % 2**32] = rows
-    return local, plans
+    return results, plans
 
 
 def serve_plans(plans: Mapping[int, np.ndarray], actions: int) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
@@ -228,8 +228,8 @@ def serve_plans(plans: Mapping[int, np.ndarray], actions: int) -> Callable[[Mapp
 @pytest.fixture(scope="module")
 def experts(
     make_config: Callable[..., RecordConfig], locations: Locations
-) -> tuple[RecordConfig, Evaluation, dict[int, np.ndarray]]:
-    config = make_config({("episodes",): 2, ("seed",): 2, ("workers",): 1})
+) -> tuple[RecordConfig, list[TrialResult], dict[int, np.ndarray]]:
+    config = make_config({("episodes",): 2, ("seed",): 2})
     return config, *expert_plans(config, locations)
 
 
@@ -247,9 +247,15 @@ def mapping(tmp_path: Path) -> str:
     return str(tmp_path / "one.yaml")
 
 
-@pytest.mark.parametrize("chunking", [Chunking(execute=8), Chunking(execute=10, latency=0.1, ensemble=0.01)])
+@pytest.mark.parametrize(
+    "chunking",
+    [
+        Chunking(execute=8),
+        pytest.param(Chunking(execute=10, latency=0.1, ensemble=0.01), marks=pytest.mark.slow),
+    ],
+)
 def test_the_served_expert_does_what_the_local_one_does(
-    experts: tuple[RecordConfig, Evaluation, dict[int, np.ndarray]],
+    experts: tuple[RecordConfig, list[TrialResult], dict[int, np.ndarray]],
     serve: Callable[..., Any],
     mapping: str,
     chunking: Chunking,
@@ -260,7 +266,7 @@ def test_the_served_expert_does_what_the_local_one_does(
     with serve(serve_plans(plans, 16)) as url:
         choice = PolicyChoice(url, HERE, mapping=mapping, chunking=chunking)
         with TrialRunner(Session(config, locations), choice) as runner:
-            for own in local.results:
+            for own in local:
                 served = runner.run(own.attempt.job)
                 assert (served.ended, served.error) == (Ended.TIME_LIMIT, "")
                 assert served.outcome.success == own.outcome.success is True
@@ -287,7 +293,7 @@ def answers(attempt: int, calls: int) -> Any:
     if attempt == 3:
         return {"actions": np.zeros((100_000, 8))}
     if attempt == 4:
-        time.sleep(1.0)
+        time.sleep(3.0)
     if attempt == 5:
         return {"none": 1}
     if attempt == 6:
@@ -312,7 +318,7 @@ def test_a_server_that_lies_costs_a_trial_each_time_and_never_the_run(
     hostile: str, mapping: str, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     config = make_config({("episodes",): 8, ("workers",): 1})
-    choice = PolicyChoice(hostile, HERE, call_seconds=0.3, time_limit=1.2, mapping=mapping)
+    choice = PolicyChoice(hostile, HERE, call_seconds=1.5, time_limit=1.2, mapping=mapping)
     with TrialRunner(Session(config, locations), choice) as runner:
         results = [runner.run(EpisodeJob(0, attempt)) for attempt in range(8)]
     told = [result.ended for result in results]
@@ -348,13 +354,32 @@ def test_a_server_that_is_gone_costs_the_trials_that_it_misses(
         assert "is gone" in result.error
 
 
-def test_a_chunks_fate_is_reported(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
-    config = make_config({("episodes",): 2, ("workers",): 1})
+def test_a_server_that_trickles_is_too_slow(mapping: str, config: RecordConfig, locations: Locations) -> None:
+    """However often it says something: what is limited is the whole answer."""
+
+    def trickle(connection: socket.socket) -> None:
+        connection.recv(65536)
+        for _ in range(100):
+            connection.sendall(b"H")
+            time.sleep(0.05)
+
+    with raw_server(trickle) as port:
+        choice = PolicyChoice(f"act://127.0.0.1:{port}", HERE, call_seconds=0.4, mapping=mapping)
+        with TrialRunner(Session(config, locations), choice) as runner:
+            result = runner.run(EpisodeJob(0, 0))
+    assert (result.ended, result.ticks) == (Ended.SLOW, 0)
+
+
+def test_a_chunks_fate_is_reported(config: RecordConfig, locations: Locations) -> None:
     choice = PolicyChoice(
         "sample_policies.py:Chunked", HERE.parent / "policies", time_limit=1.28, arguments={"actions": 5},
         chunking=Chunking(execute=4, latency=0.09),
     )  # fmt: skip
-    report = summary(evaluate(Session(config, locations), choice, lambda *_: None), config, ())
+    session = Session(config, locations)
+    with TrialRunner(session, choice) as runner:
+        results = tuple(runner.run(EpisodeJob(0, attempt)) for attempt in range(2))
+    names = tuple(instance_of(session, result.attempt.job) for result in results)
+    report = summary(Evaluation(choice, results, 2.0, names), config, ())
     # Asked every eight ticks, in forty. Three ticks later one of the five actions, each of two ticks, has passed, and
     # the chunk before ran out a tick ago; the first time, there was none before.
     chunks = report["stats"]["chunks"]
@@ -363,4 +388,4 @@ def test_a_chunks_fate_is_reported(make_config: Callable[..., RecordConfig], loc
     (one,) = report["stats"]["by_instance"]
     assert (one["instance"], one["n"], one["n_success"]) == ("banana to plate", 2, 0)
     assert {trial["instance"] for trial in report["trials"]} == {"banana to plate"}
-    assert report["ticks_per_second"] > 0
+    assert report["ticks_per_second"] == 40
