@@ -19,13 +19,13 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import OutcomeRecord
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.evaluate.choice import PolicyChoice
-from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_run, summary
+from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_run, shown, summary
 from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.closed_loop import ClosedLoop
 from yamsim_cli.core.trials.batch import run_batch
-from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, Outcome
+from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob, Outcome
 
 SAMPLES = Path(__file__).parents[1] / "policies"
 N = 12
@@ -205,6 +205,18 @@ def test_trials_that_did_not_run_measure_nothing(ended: tuple[Ended, ...], ran: 
     report = summary(Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0, ("banana", "pear")), config, ())
     with contextlib.nullcontext() if ran else pytest.raises(PartialJobError, match=r"no trial of mine.py .*no free"):
         require_run(report)
+
+
+def test_failures_are_shown_and_successes_on_request() -> None:
+    acting = Actions(np.zeros((1, 7)), np.zeros((1, 1), bool), np.zeros((1, 1, 7)))
+    results = [
+        TrialResult(Attempt(EpisodeJob(0, k)), OutcomeRecord.of(Outcome(good)), Ended.DONE, actions=actions)
+        for k, (good, actions) in enumerate([(True, acting), (False, None), (False, acting), (True, acting)])
+    ]
+    assert shown(results, 9, successes=False) == [results[2]]
+    assert shown(results, 9, successes=True) == [results[0], *results[2:]]
+    assert shown(results, 2, successes=True) == [results[0], results[2]]
+    assert shown([results[0]], 9, successes=False) == [results[0]]
 
 
 def test_a_policy_that_cannot_be_loaded_stops_the_job(

@@ -289,6 +289,42 @@ def test_noise_is_refused_or_read_and_nothing_else(seed: int) -> None:
                 load(bytes(spoilt))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [ActClient, OpenpiClient])
+def test_ten_thousand_spoilt_answers_are_refused_or_read_and_memory_stays(make: Callable[..., Any]) -> None:
+    """Over the wire: bytes changed anywhere in good answers, the protocol's own heads included, or cut short."""
+    rng = np.random.default_rng(0)
+    good = {"actions": np.zeros((30, 14)), "dt_ms": 20.0}
+    whole = http_answer(dump_json(good)) if make is ActClient else frame(pack_openpi(good))
+
+    def answer(connection: socket.socket) -> None:
+        if make is OpenpiClient:
+            handshake(connection)
+        connection.recv(65536)
+        spoilt = bytearray(whole)
+        for place in rng.integers(0, len(spoilt) if rng.random() < 0.5 else 60, 3):
+            spoilt[place] = rng.integers(0, 256)
+        connection.sendall(spoilt if rng.random() < 0.8 else spoilt[: rng.integers(0, len(spoilt))])
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+    with raw_server(answer) as port:
+        client = make(f"{'act' if make is ActClient else 'ws'}://127.0.0.1:{port}", 5.0)
+        counts, before = {"read": 0, "refused": 0}, 0
+        for number in range(10_000):
+            if number == 1000:
+                before = resident()
+            try:
+                client.ask({"state": [1.0]})
+                counts["read"] += 1
+            except RemoteError:
+                counts["refused"] += 1
+            client.close()
+    assert min(counts.values()) > 100, counts
+    assert resident() - before < 20_000_000
+
+
 def test_an_array_is_no_larger_than_its_bytes() -> None:
     assert array_of(b"\0" * 8, b"<f8", [1]).shape == (1,)
     with pytest.raises(DamagedError, match="no array of float64"):

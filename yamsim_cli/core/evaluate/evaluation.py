@@ -190,6 +190,13 @@ class PolicyFilmer(TrialFilmer):
         return self._film(simulator, repeat(simulator, film.attempt, film.actions, planned=False))
 
 
+def shown(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:
+    """The trials that are filmed, see `film`."""
+    acted = [result for result in results if result.actions is not None]
+    failed = [result for result in acted if not result.outcome.success]
+    return (acted if successes else failed or acted)[:limit]
+
+
 def film(
     evaluation: Evaluation,
     limit: int,
@@ -211,9 +218,7 @@ def film(
     """
     config = session.config
     tick = config.task.timing.tick
-    acted = [result for result in evaluation.results if result.actions is not None]
-    failed = [result for result in acted if not result.outcome.success]
-    chosen = (acted if successes else failed or acted)[:limit]
+    chosen = shown(evaluation.results, limit, successes=successes)
     jobs = [_FilmJob(result.attempt, result.actions) for result in chosen if result.actions is not None]
     if not jobs:
         return []
