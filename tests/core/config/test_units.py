@@ -146,7 +146,7 @@ PLAIN = {
     "sky", "axis", "approach",
     "floor_rgba", "friction", "intensity", "tint", "tilt_deg", "rotation_deg", "hue_deg", "saturation", "value",
     "contrast",
-    "salt_pepper", "textures", "mass", "K", "distortion", "focal_sigma", "supersampling",
+    "salt_pepper", "textures", "mass", "K", "distortion", "focal_sigma", "supersampling", "constants",
 }  # fmt: skip
 
 

@@ -132,6 +132,7 @@ def test_arms_come_in_the_order_of_the_config(locations: Locations, tmp_path: Pa
         ("hz: 10", "mine.yaml:3: actions.hz"),
         ("arms: [right, left]", "mine.yaml:2: arms"),
         ("key: top_cam", "mine.yaml:4: images.a"),
+        ("prompt: p", "mine.yaml:5: prompt: 'a' is also the key of images.a"),
     ],
 )
 def test_a_mapping_that_is_wrong_is_told_with_its_line(
@@ -142,9 +143,11 @@ def test_a_mapping_that_is_wrong_is_told_with_its_line(
         "hz: 10": "hz: 0",
         "arms: [right, left]": "arms: [right, right]",
         "key: top_cam": "size_px: [4, 4]",
+        "prompt: p": "prompt: a",
     }
     text = (
         "gripper: metres\narms: [right, left]\nactions: {key: a, hz: 10}\nimages: {a: {cameras: [top], key: top_cam}}\n"
+        "prompt: p\n"
     ).replace("key: top_cam", "size_px: [64, 64]" if change != "key: top_cam" else wrong[change])
     (tmp_path / "mine.yaml").write_text(text.replace(change, wrong[change]))
     with pytest.raises(ConfigError) as caught:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
-from ..documents.base import Config, Name
+from ..documents.base import Config, ConflictError, Name
 from ..documents.units import Within
 
 # The key of a part of a message, as somebody else's program has it: `observation.images.top`.
@@ -91,6 +91,26 @@ class PolicyConfig(Config):
     seed: Key | None = None
     constants: dict[Key, Constant] = Field(default={}, max_length=32)
     actions: ActionsMapping
+
+    @model_validator(mode="after")
+    def _each_key_once(self) -> PolicyConfig:
+        pictures = [] if self.images_under else [(key, ("images", key)) for key in self.images]
+        places: list[tuple[str | None, tuple[str, ...]]] = [
+            (self.state.key if self.state else None, ("state", "key")),
+            *pictures,
+            (self.images_under, ("images_under",)),
+            (self.prompt, ("prompt",)),
+            (self.time, ("time",)),
+            (self.seed, ("seed",)),
+            *((key, ("constants", key)) for key in self.constants),
+        ]
+        seen: dict[str, tuple[str, ...]] = {}
+        for key, path in places:
+            if key in seen:
+                raise ConflictError(f"{key!r} is also the key of {'.'.join(seen[key])}", path, seen[key])
+            if key is not None:
+                seen[key] = path
+        return self
 
     @field_validator("arms", mode="after")
     @classmethod
