@@ -112,6 +112,7 @@ CONFINED = {
     "pyarrow": {"core.export"},
     "rerun": {"core.export.rrd"},
     "msgpack": {"core.policies.openpi", "core.policies.wire"},
+    "websockets": {"core.policies.websocket"},
     "lerobot": {"core.policies.lerobot"},
     "torch": {"core.policies.lerobot"},
     "gymnasium": {"gym_env"},

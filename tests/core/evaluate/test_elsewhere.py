@@ -29,7 +29,7 @@ from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
 
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
-pytest.importorskip("websockets", reason="yamsim[view] is not installed")
+pytest.importorskip("websockets", reason="yamsim[remote] is not installed")
 
 HERE = Path(__file__).parent
 

@@ -33,7 +33,9 @@ class OpenpiClient:
     def __init__(self, url: str, timeout: float) -> None:
         require_msgpack()
         self._url, self._timeout = url, timeout
-        self._address = address_of(url, SCHEME, 8000)
+        host, port = address_of(url, SCHEME, 8000)
+        host = f"[{host}]" if ":" in host else host
+        self._address = f"{SCHEME}://{host}:{port}{urlsplit(url).path or '/'}"
         self._socket: WebSocket | None = None
         try:
             self._connection()
@@ -63,7 +65,7 @@ class OpenpiClient:
         if self._socket is not None:
             return self._socket
         try:
-            made = self._socket = WebSocket(*self._address, urlsplit(self._url).path or "/", self._timeout, LARGEST)
+            made = self._socket = WebSocket(self._address, self._timeout, LARGEST)
         except TimeoutError:
             raise
         except OSError as error:
