@@ -1,0 +1,98 @@
+"""`yamsim serve-robot`: the simulated arms behind what the real ones are reached by."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from .can_run import Folder, bus_folder
+from .console import note, print_json, print_line
+from .session import Json, Revision, opener
+from .settings import ConfigOption, Object, Rig, Seed, Target, Task
+from .signals import stoppable
+
+# What both motors and adapter take between two frames of a request and its answer: two frames of 130 bits at 1 Mbit/s,
+# and the adapter's way through USB. With seven motors it makes the SDK's loop run at about 250 Hz.
+_TURNAROUND_US = 350
+
+
+def serve_robot(
+    rig: Rig = None,
+    revision: Revision = None,
+    task: Task = None,
+    item: Object = None,
+    target: Target = None,
+    seed: Seed = None,
+    channel: Annotated[
+        list[str] | None,
+        typer.Option(help="Name of an arm's bus, the left one's first.  [default: can0, or can_left and can_right]"),
+    ] = None,
+    start: Annotated[
+        str, typer.Option(metavar="rest|home|task", help="Where the arms stand at first, without power.")
+    ] = "rest",
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FAULT", help="lost:motor=3,at=5,for=2; hot:motor=2; drop:share=0.1; or stuck."),
+    ] = None,
+    turnaround: Annotated[
+        float, typer.Option(metavar="US", min=0, max=100_000, help="From a frame's arrival to its answer's.")
+    ] = _TURNAROUND_US,
+    kernel: Annotated[
+        bool, typer.Option("--kernel", help="On CAN interfaces of the kernel's, such as vcan, instead of sockets.")
+    ] = False,
+    folder: Folder = None,
+    seconds: Annotated[float | None, typer.Option(min=0.1, max=1e6, help="End by itself after so long.")] = None,
+    config: ConfigOption = "default",
+    json: Json = False,
+) -> None:
+    """Simulate arms in real time, with motors on CAN buses that the maker's own SDK drives. Ctrl-C ends it.
+
+    Example: yamsim serve-robot --rig yam_v1+linear_4310
+    """
+    from yamsim_cli.core.config.pairs import require_pair
+    from yamsim_cli.core.errors import UsageError
+    from yamsim_cli.core.motors.faults import parse_fault
+
+    faults = [parse_fault(text) for text in fault or ()]
+    session = opener.open(
+        config,
+        renders=False,
+        rig=rig or "yam_v1+linear_4310",
+        revision=revision,
+        task=task,
+        object=item,
+        target=target,
+        seed=seed,
+    )
+    require_pair(session.config, "serve-robot")
+
+    from yamsim_cli.core.serve.arms import STARTS, serve_arms
+    from yamsim_cli.core.serve.loop import ServeLoop
+    from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
+
+    if start not in STARTS:
+        raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(STARTS)}")
+    served = serve_arms(session, channel or (), faults, start, turnaround * 1e-6)
+    with ExitStack() as stack, stoppable("Ending.") as stop:
+        sockets = []
+        for side, bus in zip(served.sides, served.plant.buses, strict=True):
+            one = KernelBus(bus.channel) if kernel else UnixBus(bus_folder(folder), bus.channel)
+            stack.callback(one.close)
+            sockets.append(one)
+            note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
+        note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
+        sys.stderr.flush()
+        loop = ServeLoop(served.plant, sockets)
+        loop.run(lambda: stop.asked, float("inf") if seconds is None else seconds)
+    pace = loop.pace
+    if json:
+        print_json({"channels": [bus.channel for bus in served.plant.buses], **asdict(pace)})
+        return
+    print_line(
+        f"{pace.steps} steps in {pace.seconds:.1f} s, the latest {pace.late_ms:.2f} ms late, {pace.late_steps} by more than "
+        f"a step, {pace.lost_ms:.0f} ms lost; {pace.frames} frames"
+    )
