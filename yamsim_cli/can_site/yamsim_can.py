@@ -62,9 +62,12 @@ class Bus(can.BusABC):
         if self._kept:
             return self._kept.pop(0), False
         if len(self._buffer) < _FRAME.size:
-            if not select.select([self._socket], [], [], timeout)[0]:
-                return None, False
-            data = self._socket.recv(256 * _FRAME.size)
+            try:
+                if not select.select([self._socket], [], [], timeout)[0]:
+                    return None, False
+                data = self._socket.recv(256 * _FRAME.size)
+            except (OSError, ValueError) as error:
+                raise can.CanOperationError(f"{self.channel} was closed: {error}") from error
             if not data:
                 raise can.CanOperationError(f"{self.channel} is gone: its server has ended")
             self._buffer += data

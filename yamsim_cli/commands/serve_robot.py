@@ -15,9 +15,9 @@ from .session import Json, Revision, opener
 from .settings import ConfigOption, Object, Rig, Seed, Target, Task
 from .signals import stoppable
 
-# What both motors and adapter take between two frames of a request and its answer: two frames of 130 bits at 1 Mbit/s,
-# and the adapter's way through USB. With seven motors it makes the SDK's loop run at about 250 Hz.
-_TURNAROUND_US = 350
+# Frames of 130 bits at 1 Mbit/s and the adapter's way through USB: with seven motors and its pause of half a millisecond, the
+# maker's SDK turns at the 250 Hz that it is made for.
+_GAP_US = 500
 
 
 def serve_robot(
@@ -38,9 +38,9 @@ def serve_robot(
         list[str] | None,
         typer.Option(metavar="FAULT", help="lost:motor=3,at=5,for=2; hot:motor=2; drop:share=0.1; or stuck."),
     ] = None,
-    turnaround: Annotated[
-        float, typer.Option(metavar="US", min=0, max=100_000, help="From a frame's arrival to its answer's.")
-    ] = _TURNAROUND_US,
+    gap: Annotated[
+        float, typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time from one answer to the next.")
+    ] = _GAP_US,
     kernel: Annotated[
         bool, typer.Option("--kernel", help="On CAN interfaces of the kernel's, such as vcan, instead of sockets.")
     ] = False,
@@ -76,7 +76,7 @@ def serve_robot(
 
     if start not in STARTS:
         raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(STARTS)}")
-    served = serve_arms(session, channel or (), faults, start, turnaround * 1e-6)
+    served = serve_arms(session, channel or (), faults, start)
     with ExitStack() as stack, stoppable("Ending.") as stop:
         sockets = []
         for side, bus in zip(served.sides, served.plant.buses, strict=True):
@@ -86,7 +86,7 @@ def serve_robot(
             note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
         note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
         sys.stderr.flush()
-        loop = ServeLoop(served.plant, sockets)
+        loop = ServeLoop(served.plant, sockets, gap * 1e-6)
         loop.run(lambda: stop.asked, float("inf") if seconds is None else seconds)
     pace = loop.pace
     if json:

@@ -1,4 +1,4 @@
-"""A CAN bus with motors on it: who hears what, when answers come, and what gets lost."""
+"""A CAN bus with motors on it: who hears what, and what gets lost."""
 
 from __future__ import annotations
 
@@ -23,39 +23,26 @@ class Bus:
         heard, dropped: frames that came, and that got lost in either direction.
 
     Args:
-        turnaround: from a frame's arrival to its answer's, s: what both take on the wire, and the adapter's time.
         seed: from which follows which frames get lost.
     """
 
-    def __init__(
-        self,
-        channel: str,
-        motors: Sequence[Motor],
-        faults: Sequence[Fault] = (),
-        turnaround: float = 0.0,
-        seed: int = 0,
-    ) -> None:
+    def __init__(self, channel: str, motors: Sequence[Motor], faults: Sequence[Fault] = (), seed: int = 0) -> None:
         self.channel = channel
         self.motors = tuple(motors)
         self.stuck = False
         self.heard = self.dropped = 0
         self._faults = [fault for fault in faults if fault.channel in ("", channel)]
-        self._turnaround = turnaround
         self._random = random.Random(f"{seed} {channel}")
         self._looked = 0.0
         self._drop_share = 0.0
 
-    def send(self, frame: Frame, now: float) -> list[tuple[float, Frame]]:
-        """Put a frame onto the bus.
-
-        Returns:
-            Answers, each with the time from now on (s) at which it is there.
-        """
+    def send(self, frame: Frame, now: float) -> list[Frame]:
+        """Put a frame onto the bus; what is answered."""
         self.heard += 1
         if self._loses():
             return []
         answers = [answer for motor in self.motors if (answer := motor.hear(frame, now)) is not None]
-        return [(self._turnaround, answer) for answer in answers if not self._loses()]
+        return [answer for answer in answers if not self._loses()]
 
     def passes(self, now: float) -> None:
         """Let it be so late, s: motors warm up and lose patience, and faults come and go."""

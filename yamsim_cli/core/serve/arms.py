@@ -63,14 +63,12 @@ def serve_arms(
     channels: Sequence[str] = (),
     faults: Sequence[Fault] = (),
     start: str = "rest",
-    turnaround: float = 0.0,
 ) -> Served:
     """The arms of a session's rig, with the task's things around them, before anything has moved.
 
     Args:
         channels: names of their buses, see `channel_names`.
         start: one of STARTS.
-        turnaround: of each bus, see `Bus`.
 
     Raises:
         ConfigError: an arm's or a gripper's motors are not known.
@@ -92,7 +90,7 @@ def serve_arms(
         motors = [Motor(row.id, KINDS[row.kind]) for row in wiring.arm.motors]
         if wiring.gripper is not None:
             motors.append(Motor(wiring.gripper.id, KINDS[wiring.gripper.kind]))
-        buses.append(Bus(name, motors, faults, turnaround, config.seed))
+        buses.append(Bus(name, motors, faults, config.seed))
     _check(faults, buses)
     with Simulator(session.without_meshes()) as simulator:
         return Served(Plant(simulator.scene, _start(simulator, config, start), wirings, buses), sides, wirings)

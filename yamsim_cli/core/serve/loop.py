@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import select
+import socket
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from .sockets import KernelBus, UnixBus
 
 # Behind by more, the simulation goes on from where it is instead of racing, s.
 _LONGEST_CATCH_UP = 0.1
+# A program that was late may have so many of its answers sooner, to be back at its rate.
+_EARLY_ANSWERS = 7
 
 
 @dataclass(frozen=True)
@@ -45,13 +48,20 @@ class ServeLoop:
 
     Args:
         sockets: of the plant's buses, in their order.
+        gap: time between two answers on a bus, s, as long as a program is not late.
         tick: called before every physics step.
     """
 
     def __init__(
-        self, plant: Plant, sockets: Sequence[UnixBus | KernelBus], tick: Callable[[], None] = lambda: None
+        self,
+        plant: Plant,
+        sockets: Sequence[UnixBus | KernelBus],
+        gap: float = 0.0,
+        tick: Callable[[], None] = lambda: None,
     ) -> None:
-        self._plant, self._sockets, self._tick = plant, tuple(sockets), tick
+        self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
+        # When the next answer may come, of each bus.
+        self._free = [0.0] * len(self._sockets)
         # When an answer is due, the order in which they were given, the bus, and the answer.
         self._answers: list[tuple[float, int, int, Frame]] = []
         self._count = itertools.count()
@@ -114,9 +124,11 @@ class ServeLoop:
             if time.monotonic() >= until:
                 return
 
-    def _receive(self, ready: set) -> None:
+    def _receive(self, ready: set[socket.socket]) -> None:
         for k, one in enumerate(self._sockets):
             for frame in one.receive(ready):
-                now = time.monotonic()
-                for delay, answer in self._plant.buses[k].send(frame, self._plant.now):
-                    heapq.heappush(self._answers, (now + delay, next(self._count), k, answer))
+                for answer in self._plant.buses[k].send(frame, self._plant.now):
+                    now = time.monotonic()
+                    due = max(now, self._free[k])
+                    self._free[k] = max(self._free[k], now - _EARLY_ANSWERS * self._gap) + self._gap
+                    heapq.heappush(self._answers, (due, next(self._count), k, answer))

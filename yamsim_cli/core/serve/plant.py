@@ -75,7 +75,6 @@ class Plant:
             for shaft in _shafts(k, arm, wiring, bus)
         ]
         for arm, wiring in zip(scene.arms, wirings, strict=True):
-            _weigh(model, arm)
             if arm.fingers is not None and wiring.gripper is not None:
                 _wear_gripper(model, arm.fingers, wiring.gripper)
         self._friction = model.dof_frictionloss.copy()
@@ -92,6 +91,8 @@ class Plant:
         self._stuck = [False] * len(self.buses)
         self._follow_laws()
         scene.reset(self.data, _within_stops(model, start))
+        for arm in scene.arms:
+            _lift_the_rest(model, self.data, arm)
         self._sense()
 
     @property
@@ -111,7 +112,7 @@ class Plant:
             SimulationError: physics broke down.
         """
         self._follow_laws()
-        # MuJoCo makes up for the arms' weight, and this takes it back, times the load of each joint. The forces are
+        # MuJoCo makes up for the links' weight, and this takes it back, times the load of each joint. The forces are
         # those of the step before, which began 2 ms ago.
         data = self.data
         data.qfrc_applied[:] = -self._weights * data.qfrc_gravcomp
@@ -169,10 +170,14 @@ def _shafts(number: int, arm: SceneArm, wiring: Wiring, bus: Bus) -> list[_Shaft
     return found
 
 
-def _weigh(model: mujoco.MjModel, arm: SceneArm) -> None:
-    """Let MuJoCo make up for the weight of a whole arm, camera and fingers included."""
+def _lift_the_rest(model: mujoco.MjModel, data: mujoco.MjData, arm: SceneArm) -> None:
+    """Take the weight off what hangs on an arm and is not in the maker's model of it, such as a camera.
+
+    What it weighs is part of the loads: they say how much more there is to hold than the maker's model knows.
+    """
     root = model.body_rootid[model.body(arm.flange).id]
-    model.body_gravcomp[model.body_rootid == root] = 1.0
+    for body in np.flatnonzero((model.body_rootid == root) & (model.body_gravcomp == 0)):
+        data.xfrc_applied[body, :3] = -model.opt.gravity * model.body_mass[body]
 
 
 def _weights(model: mujoco.MjModel, shafts: Sequence[_Shaft]) -> Array:
