@@ -9,6 +9,7 @@ import select
 import socket
 import struct
 import time
+from pathlib import Path
 
 import can
 from can.interfaces.socketcan import SocketcanBus
@@ -18,12 +19,16 @@ _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
 _FOLDER = "YAMSIM_CAN_FOLDER"
 
 
+def _place(channel):
+    return Path(os.environ[_FOLDER]) / str(channel)
+
+
 class Bus(can.BusABC):
     """A connection to a simulated bus; of another channel, python-can's own `SocketcanBus`."""
 
     def __new__(cls, channel, **kwargs):
         """The bus of a channel."""
-        if not os.path.exists(os.path.join(os.environ.get(_FOLDER, ""), str(channel))):
+        if not _place(channel).is_socket():
             return SocketcanBus(channel, **kwargs)
         return super().__new__(cls)
 
@@ -35,7 +40,7 @@ class Bus(can.BusABC):
         self._buffer = b""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._socket.connect(os.path.join(os.environ[_FOLDER], str(channel)))
+            self._socket.connect(str(_place(channel)))
         except OSError as error:
             self._socket.close()
             raise can.CanInitializationError(f"{channel} is not served any more: {error.strerror}") from error

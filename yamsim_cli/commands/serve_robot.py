@@ -15,8 +15,8 @@ from .session import Json, Revision, opener
 from .settings import ConfigOption, Object, Rig, Seed, Target, Task
 from .signals import stoppable
 
-# Frames of 130 bits at 1 Mbit/s and the adapter's way through USB: with seven motors and its pause of half a millisecond, the
-# maker's SDK turns at the 250 Hz that it is made for.
+# Frames of 130 bits at 1 Mbit/s and the adapter's way through USB: with seven motors and its pause of half a
+# millisecond, the maker's SDK turns at the 250 Hz that it is made for.
 _GAP_US = 500
 
 
@@ -45,6 +45,15 @@ def serve_robot(
         bool, typer.Option("--kernel", help="On CAN interfaces of the kernel's, such as vcan, instead of sockets.")
     ] = False,
     folder: Folder = None,
+    portal: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=65534, help="Also answer calls of portal's on this port, as 11333; the second arm on the next."
+        ),
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="Address of --portal. Beyond 127.0.0.1, anybody who reaches it can drive the arm.")
+    ] = "127.0.0.1",
     seconds: Annotated[float | None, typer.Option(min=0.1, max=1e6, help="End by itself after so long.")] = None,
     config: ConfigOption = "default",
     json: Json = False,
@@ -72,6 +81,7 @@ def serve_robot(
 
     from yamsim_cli.core.serve.arms import STARTS, serve_arms
     from yamsim_cli.core.serve.loop import ServeLoop
+    from yamsim_cli.core.serve.portal import PortalServer
     from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
 
     if start not in STARTS:
@@ -84,15 +94,26 @@ def serve_robot(
             stack.callback(one.close)
             sockets.append(one)
             note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
+        portals = []
+        for k, follower in enumerate(served.followers if portal is not None else ()):
+            server = PortalServer(follower, host, portal + k if portal else 0)
+            stack.callback(server.close)
+            portals.append(server)
+            note(f"{host}:{server.port}: calls of portal's for the {served.sides[k]} arm")
         note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
         sys.stderr.flush()
-        loop = ServeLoop(served.plant, sockets, gap * 1e-6)
+
+        def drive() -> None:
+            for follower in served.followers if portals else ():
+                follower.tick()
+
+        loop = ServeLoop(served.plant, sockets, gap * 1e-6, portals, drive)
         loop.run(lambda: stop.asked, float("inf") if seconds is None else seconds)
     pace = loop.pace
     if json:
         print_json({"channels": [bus.channel for bus in served.plant.buses], **asdict(pace)})
         return
     print_line(
-        f"{pace.steps} steps in {pace.seconds:.1f} s, the latest {pace.late_ms:.2f} ms late, {pace.late_steps} by more than "
-        f"a step, {pace.lost_ms:.0f} ms lost; {pace.frames} frames"
+        f"{pace.steps} steps in {pace.seconds:.1f} s, the latest {pace.late_ms:.2f} ms late, {pace.late_steps} by more "
+        f"than a step, {pace.lost_ms:.0f} ms lost; {pace.frames} frames"
     )

@@ -45,7 +45,7 @@ class Mit(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """The largest position (rad), velocity (rad/s) and torque (N m) that frames of a motor can say; PMAX, VMAX, TMAX."""
+    """The largest position (rad), velocity (rad/s) and torque (N m) in a motor's frames: its PMAX, VMAX and TMAX."""
 
     position: float
     velocity: float

@@ -103,8 +103,19 @@ class Motor:
         self.law_changed = True
         return self._answer()
 
+    def drive(self, told: Mit, now: float) -> None:
+        """Do what a MIT frame would make it do that comes now, enabling it first; an error stays."""
+        if self.lost:
+            return
+        if self.status is Status.DISABLED:
+            self.status = Status.ENABLED
+        if self.status is Status.ENABLED:
+            self._command = told._replace(position=told.position - self._zero)
+        self._heard = now
+        self.law_changed = True
+
     def passes(self, now: float, seconds: float) -> None:
-        """Let time pass: it warms up by what it gives, and looks whether it is too hot or has heard nothing for long."""
+        """Let time pass: it warms up by what it gives, and fails when it is too hot or has heard nothing for long."""
         rise = self.kind.heating * self.torque**2
         self.celsius += (AMBIENT + rise - self.celsius) * min(1.0, seconds / _THERMAL_SECONDS)
         if self.status is not Status.ENABLED:

@@ -1,4 +1,4 @@
-"""Which motors an arm and a gripper have, and how they turn the joints: `can.yaml` beside `model.yaml`, `gripper.yaml`."""
+"""Which motors an arm and a gripper have, and how they turn the joints: what `can.yaml` in their folders says."""
 
 from __future__ import annotations
 
@@ -55,6 +55,7 @@ class GripperWiring(Config):
         stroke: how far one finger goes between the two, m.
         armature: of its rotor at the shaft, kg m2.
         friction: at the shaft, N m.
+        kp, kd: gains that it is held with, N m/rad and N m s/rad.
     """
 
     id: Number
@@ -64,6 +65,8 @@ class GripperWiring(Config):
     stroke: Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
     armature: Annotated[FiniteFloat, Field(gt=0, lt=1)]
     friction: Annotated[FiniteFloat, Field(ge=0, lt=10)]
+    kp: Annotated[FiniteFloat, Field(gt=0, le=500)]
+    kd: Annotated[FiniteFloat, Field(ge=0, le=5)]
 
     @property
     def ratio(self) -> float:

@@ -16,9 +16,10 @@ from ..motors.bus import Bus
 from ..motors.faults import Fault
 from ..motors.kinds import KINDS
 from ..motors.motor import Motor
-from ..motors.wiring import Wiring, find_wiring
+from ..motors.wiring import find_wiring
 from ..session import Session
 from ..types import EpisodeJob, Stand
+from .follower import Follower
 from .plant import Plant
 
 # Where the arms stand at first: folded up, where they lie still without power; the model's home; the task's start.
@@ -32,12 +33,12 @@ class Served:
     Attributes:
         plant: them and what stands around them.
         sides: of the arms, "left" or "right", in the order of `plant.buses`.
-        wirings: of the arms, in the same order.
+        followers: what drives each of them by its joints, in the same order.
     """
 
     plant: Plant
     sides: tuple[str, ...]
-    wirings: tuple[Wiring, ...]
+    followers: tuple[Follower, ...]
 
 
 def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
@@ -50,7 +51,8 @@ def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]
         return ("can0",) if len(sides) == 1 else tuple(f"can_{side}" for side in sides)
     if len(given) != len(sides) or len(set(given)) < len(given):
         raise UsageError(
-            f"--channel {' '.join(given)} is not valid: give {len(sides)} different names, for the arms {' and '.join(sides)}"
+            f"--channel {' '.join(given)} is not valid: give {len(sides)} different names, one for each arm: "
+            f"{', '.join(sides)}"
         )
     for name in given:
         if not name.isascii() or not name.replace("_", "").replace("-", "").isalnum() or len(name) > 15:
@@ -80,9 +82,7 @@ def serve_arms(
     sides = tuple(arm.side for arm in arms)
     names = channel_names(sides, channels)
     wirings = tuple(
-        find_wiring(
-            arm.robot.model, arm.robot.gripper if arm.robot.fingers else None, arm.robot.dof, session.locations
-        )
+        find_wiring(arm.robot.model, arm.robot.gripper if arm.robot.fingers else None, arm.robot.dof, session.locations)
         for arm in arms
     )
     buses = []
@@ -93,7 +93,10 @@ def serve_arms(
         buses.append(Bus(name, motors, faults, config.seed))
     _check(faults, buses)
     with Simulator(session.without_meshes()) as simulator:
-        return Served(Plant(simulator.scene, _start(simulator, config, start), wirings, buses), sides, wirings)
+        scene = simulator.scene
+        plant = Plant(scene, _start(simulator, config, start), wirings, buses)
+    rows = enumerate(zip(scene.arms, wirings, strict=True))
+    return Served(plant, sides, tuple(Follower(plant, k, arm, wiring) for k, (arm, wiring) in rows))
 
 
 def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from ..motors.frames import Frame
 from .plant import Plant
+from .portal import PortalServer
 from .sockets import KernelBus, UnixBus
 
 # Behind by more, the simulation goes on from where it is instead of racing, s.
@@ -49,6 +50,7 @@ class ServeLoop:
     Args:
         sockets: of the plant's buses, in their order.
         gap: time between two answers on a bus, s, as long as a program is not late.
+        portals: that answer calls beside them.
         tick: called before every physics step.
     """
 
@@ -57,9 +59,11 @@ class ServeLoop:
         plant: Plant,
         sockets: Sequence[UnixBus | KernelBus],
         gap: float = 0.0,
+        portals: Sequence[PortalServer] = (),
         tick: Callable[[], None] = lambda: None,
     ) -> None:
         self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
+        self._portals = tuple(portals)
         # When the next answer may come, of each bus.
         self._free = [0.0] * len(self._sockets)
         # When an answer is due, the order in which they were given, the bus, and the answer.
@@ -108,21 +112,24 @@ class ServeLoop:
 
     def _exchange(self, until: float) -> None:
         """Answer what comes, at least once, until a time of the clock's."""
-        readers = [reader for one in self._sockets for reader in one.readers]
+        readers = self._readers()
         while True:
             now = time.monotonic()
             while self._answers and self._answers[0][0] <= now:
                 _, _, k, frame = heapq.heappop(self._answers)
                 self._sockets[k].send(frame)
-            for one in self._sockets:
+            for one in (*self._sockets, *self._portals):
                 one.flush()
             wake = min(until, self._answers[0][0]) if self._answers else until
             ready = set(select.select(readers, [], [], max(0.0, wake - time.monotonic()))[0])
             if ready:
                 self._receive(ready)
-                readers = [reader for one in self._sockets for reader in one.readers]
+                readers = self._readers()
             if time.monotonic() >= until:
                 return
+
+    def _readers(self) -> list[socket.socket]:
+        return [reader for one in (*self._sockets, *self._portals) for reader in one.readers]
 
     def _receive(self, ready: set[socket.socket]) -> None:
         for k, one in enumerate(self._sockets):
@@ -132,3 +139,5 @@ class ServeLoop:
                     due = max(now, self._free[k])
                     self._free[k] = max(self._free[k], now - _EARLY_ANSWERS * self._gap) + self._gap
                     heapq.heappush(self._answers, (due, next(self._count), k, answer))
+        for portal in self._portals:
+            portal.handle(ready)

@@ -1,4 +1,4 @@
-"""Simulated arms whose joints are turned by emulated motors: physics at its own step, each motor by the law it was told."""
+"""Simulated arms whose joints emulated motors turn: at every physics step, each by the law that it was told."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ..motors.wiring import GripperWiring, Wiring
 from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
 
-# Of fingers that are stuck, N: more than any motor gives there.
-_STUCK_FRICTION = 1e5
+# Of fingers that are stuck, kg: what no motor moves.
+_STUCK_MASS = 1e9
 # How much stiffer contacts are along a surface than across it, as where friction alone has to hold things.
 _IMPRATIO = 10.0
 # How often it is looked whether physics broke down, in steps.
@@ -77,7 +77,7 @@ class Plant:
         for arm, wiring in zip(scene.arms, wirings, strict=True):
             if arm.fingers is not None and wiring.gripper is not None:
                 _wear_gripper(model, arm.fingers, wiring.gripper)
-        self._friction = model.dof_frictionloss.copy()
+        self._armature = model.dof_armature.copy()
         self._qpos, self._dof, self._drive = (
             np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("qpos", "dof", "drive")
         )
@@ -151,8 +151,8 @@ class Plant:
     def _jam(self, arm: int, stuck: bool) -> None:
         self._stuck[arm] = stuck
         if (fingers := self._fingers[arm]) is not None:
-            dofs = fingers.dof
-            self._model.dof_frictionloss[dofs] = _STUCK_FRICTION if stuck else self._friction[dofs]
+            self._model.dof_armature[fingers.dof] = _STUCK_MASS if stuck else self._armature[fingers.dof]
+            self.data.qvel[fingers.dof] = 0.0
 
 
 def _shafts(number: int, arm: SceneArm, wiring: Wiring, bus: Bus) -> list[_Shaft]:

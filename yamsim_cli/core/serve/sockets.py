@@ -161,8 +161,9 @@ class KernelBus:
             self._socket.bind((channel,))
         except (AttributeError, OSError) as error:
             raise ResourceError(
-                f"CAN interface {channel}: cannot be opened: {getattr(error, 'strerror', error)}. Make it with `ip link add "
-                f"{channel} type vcan` and `ip link set {channel} up`, or leave out --kernel and use `yamsim can-run`"
+                f"CAN interface {channel}: cannot be opened: {getattr(error, 'strerror', error)}. Make it with "
+                f"`ip link add {channel} type vcan` and `ip link set {channel} up`, or leave out --kernel and "
+                "use `yamsim can-run`"
             ) from error
         self._socket.setblocking(False)
 
