@@ -20,7 +20,7 @@ def test_every_arm_says_what_its_motors_are(name: str, locations: Locations) -> 
 
 
 def test_a_gripper_without_wiring_is_told_which_have_one(locations: Locations) -> None:
-    with pytest.raises(ConfigError, match="linear_3507 has no can.yaml.*crank, crank_4310, finray"):
+    with pytest.raises(ConfigError, match=r"linear_3507 has no can.yaml.*crank, crank_4310, finray"):
         find_wiring("yam_v1", "linear_3507", 6, locations)
 
 
