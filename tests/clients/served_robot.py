@@ -58,9 +58,7 @@ class ServedRobot:
 def served_robot(folder: Path, *flags: str) -> Iterator[ServedRobot]:
     """`yamsim serve-robot` with flags, once its buses are there."""
     command = [sys.executable, "-m", "yamsim_cli", "serve-robot", "--folder", str(folder), "--json", *flags]
-    with subprocess.Popen(
-        command, env=_ENVIRON, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with subprocess.Popen(command, env=_ENVIRON, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         served = ServedRobot(folder)
         assert process.stderr and process.stdout
         for line in process.stderr:

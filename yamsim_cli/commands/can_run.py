@@ -11,6 +11,8 @@ import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 
+from .console import print_json
+
 Folder = Annotated[
     Path | None, typer.Option(metavar="DIRECTORY", help="Where the buses' sockets lie.  [default: one of yours]")
 ]
@@ -27,6 +29,9 @@ def bus_folder(given: Path | None) -> Path:
 def can_run(
     program: Annotated[list[str], typer.Argument(metavar="PROGRAM...", help="The program, and what it is told.")],
     folder: Folder = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Run nothing; print the variables that the program would get, as JSON.")
+    ] = False,
 ) -> None:
     """Run a program of python-can's with the buses of `yamsim serve-robot` in place of the machine's own.
 
@@ -35,9 +40,12 @@ def can_run(
     from yamsim_cli.core.serve.program import program_environment
 
     where = bus_folder(folder)
-    environ = program_environment(os.environ, where)
+    added = program_environment(os.environ, where)
+    if json:
+        print_json({"program": program, "environ": added})
+        return
     try:
-        os.execvpe(program[0], program, environ)
+        os.execvpe(program[0], program, {**os.environ, **added})
     except OSError as error:
         kind = UsageError if isinstance(error, FileNotFoundError) else ResourceError
         raise kind(f"{program[0]}: cannot be run: {error.strerror}") from error

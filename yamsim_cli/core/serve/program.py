@@ -13,7 +13,7 @@ _SITE = Path(__file__).resolve().parents[2] / "can_site"
 
 
 def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, str]:
-    """The environment of a program that is to find the buses whose sockets lie in a folder.
+    """The variables, with their values, by which a program finds the buses whose sockets lie in a folder.
 
     Raises:
         ResourceError: nothing is served there.
@@ -24,4 +24,4 @@ def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, s
             f"{folder}: nothing is served there; start `yamsim serve-robot --rig yam_v1+linear_4310` first"
         )
     path = os.pathsep.join(filter(None, (str(_SITE), environ.get("PYTHONPATH"))))
-    return {**environ, "PYTHONPATH": path, "YAMSIM_CAN_FOLDER": str(folder.resolve())}
+    return {"PYTHONPATH": path, "YAMSIM_CAN_FOLDER": str(folder.resolve())}
