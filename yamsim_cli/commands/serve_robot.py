@@ -15,9 +15,9 @@ from .session import Json, Revision, opener
 from .settings import ConfigOption, Object, Rig, Seed, Target, Task
 from .signals import stoppable
 
-# Frames of 130 bits at 1 Mbit/s and the adapter's way through USB: with seven motors and its pause of half a
-# millisecond, the maker's SDK turns at the 250 Hz that it is made for.
-_GAP_US = 500
+# What two frames of 130 bits at 1 Mbit/s and the adapter's way through USB take: with seven motors 4 ms, the
+# 250 Hz that the maker's SDK is made for.
+_GAP_US = 571.0
 
 
 def serve_robot(
