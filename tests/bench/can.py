@@ -1,4 +1,4 @@
-"""The maker's SDK on the simulated arm: how steadily it turns, and how far the arm drifts on gravity compensation alone.
+"""The maker's SDK on the simulated arm: how steadily it turns, and how far the arm drifts that nothing but it holds.
 
     python -m tests.bench.can [--hold 60] [--float 10] [--rig RIG] [--channel CHANNEL]
 

@@ -50,6 +50,26 @@ def test_the_sdks_tools_find_motors_registers_and_faults(client: Callable[[str],
         assert arm.returncode and "motor 3 (DM4340)" in arm.stderr
 
 
+@pytest.mark.parametrize(
+    ("fault", "seconds", "running", "says"),
+    [
+        pytest.param("hot:motor=2,at=15", 40, False, "motor id: 2, error: motor over temperature", id="hot"),
+        pytest.param("lost:motor=5,at=15", 40, False, "fail to communicate with the motor 5", id="lost"),
+        pytest.param("drop:share=0.01", 5, True, "", id="dropped"),
+    ],
+)
+def test_the_sdk_meets_faults(
+    client: Callable[[str], Interpreter], tmp_path: Path, fault: str, seconds: float, running: bool, says: str
+) -> None:
+    """It stops at a motor that fails, and says which; lost frames it asks for again."""
+    interpreter = client("i2rt")
+    with served_robot(tmp_path / "buses", "--fault", fault) as served:
+        told = served.run(interpreter, "i2rt_faults.py", "can0", seconds)
+    assert told["running"] is running
+    assert says in told["said"]
+    assert (served.report["dropped"] > 0) is running
+
+
 def test_portals_client_drives_the_arm(client: Callable[[str], Interpreter], tmp_path: Path) -> None:
     interpreter = client("portal")
     with served_robot(tmp_path / "buses", "--portal", "0") as served:
