@@ -36,8 +36,9 @@ class Follower:
         self._kp, self._kd = np.array(arm.kp), np.array(arm.kv)
         self._low, self._high = arm.joint_range[:, 0] - _BEYOND, arm.joint_range[:, 1] + _BEYOND
         self._grip_torque = 0.0
-        if hand is not None:
-            self._ratio = np.append(self._ratio, hand.opened - hand.closed)
+        if hand is not None and arm.fingers is not None:
+            # Wide open is where their stop is, as the maker's SDK finds it.
+            self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.stops))
             self._offset = np.append(self._offset, hand.closed)
             self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)
             self._low, self._high = np.append(self._low, 0.0), np.append(self._high, 1.0)

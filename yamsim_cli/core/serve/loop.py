@@ -19,6 +19,8 @@ from .sockets import KernelBus, UnixBus
 _LONGEST_CATCH_UP = 0.1
 # A program that was late may have so many of its answers sooner, to be back at its rate.
 _EARLY_ANSWERS = 7
+# Answers that wait on a bus at a time; what is asked beyond gets lost, as where an adapter's buffer is full.
+_MOST_WAITING = 64
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Pace:
         late_steps: how many began more than a step after they were due.
         lost_ms: time that the clock ran on without the simulation, when it was too far behind to catch up.
         frames: that the motors heard.
-        dropped: that got lost, by a fault.
+        dropped: that got lost, by a fault or because a bus was full.
     """
 
     seconds: float
@@ -66,6 +68,8 @@ class ServeLoop:
         self._portals = tuple(portals)
         # When the next answer may come, of each bus.
         self._free = [0.0] * len(self._sockets)
+        self._waiting = [0] * len(self._sockets)
+        self._lost_frames = 0
         # When an answer is due, the order in which they were given, the bus, and the answer.
         self._answers: list[tuple[float, int, int, Frame]] = []
         self._count = itertools.count()
@@ -84,7 +88,7 @@ class ServeLoop:
             late_steps=self._late_steps,
             lost_ms=1000 * self._lost,
             frames=sum(bus.heard for bus in buses),
-            dropped=sum(bus.dropped for bus in buses),
+            dropped=sum(bus.dropped for bus in buses) + self._lost_frames,
         )
 
     def run(self, stop: Callable[[], bool], seconds: float = float("inf")) -> None:
@@ -117,6 +121,7 @@ class ServeLoop:
             now = time.monotonic()
             while self._answers and self._answers[0][0] <= now:
                 _, _, k, frame = heapq.heappop(self._answers)
+                self._waiting[k] -= 1
                 self._sockets[k].send(frame)
             for one in (*self._sockets, *self._portals):
                 one.flush()
@@ -134,7 +139,11 @@ class ServeLoop:
     def _receive(self, ready: set[socket.socket]) -> None:
         for k, one in enumerate(self._sockets):
             for frame in one.receive(ready):
+                if self._waiting[k] >= _MOST_WAITING:
+                    self._lost_frames += 1
+                    continue
                 for answer in self._plant.buses[k].send(frame, self._plant.now):
+                    self._waiting[k] += 1
                     now = time.monotonic()
                     due = max(now, self._free[k])
                     self._free[k] = max(self._free[k], now - _EARLY_ANSWERS * self._gap) + self._gap

@@ -190,12 +190,14 @@ def _weights(model: mujoco.MjModel, shafts: Sequence[_Shaft]) -> Array:
 
 
 def _wear_gripper(model: mujoco.MjModel, fingers: SceneFingers, wiring: GripperWiring) -> None:
-    """Give fingers the armature and friction of their motor, shared evenly, and a stop where they meet."""
+    """Give fingers the armature and friction of their motor, shared evenly, and stops, one of them where they meet."""
     model.dof_armature[fingers.dof] = wiring.armature * wiring.ratio**2 / 2
     model.dof_frictionloss[fingers.dof] = wiring.friction * abs(wiring.ratio) / 2
     for dof, sign in zip(fingers.dof, fingers.sign, strict=True):
-        ends = model.jnt_range[model.dof_jntid[dof]] * sign
-        model.jnt_range[model.dof_jntid[dof]] = sorted((0.0, float(sign * max(ends))))
+        joint = model.dof_jntid[dof]
+        model.jnt_range[joint] = sorted((0.0, float(sign * max(model.jnt_range[joint] * sign))))
+        # As stiff as physics allows at its step, since the rotor runs into it.
+        model.jnt_solref[joint] = 2 * model.opt.timestep, 1.0
 
 
 def _within_stops(model: mujoco.MjModel, qpos: Array) -> Array:
