@@ -116,7 +116,6 @@ class ServeLoop:
 
     def _exchange(self, until: float) -> None:
         """Answer what comes, at least once, until a time of the clock's."""
-        readers = self._readers()
         while True:
             now = time.monotonic()
             while self._answers and self._answers[0][0] <= now:
@@ -126,10 +125,10 @@ class ServeLoop:
             for one in (*self._sockets, *self._portals):
                 one.flush()
             wake = min(until, self._answers[0][0]) if self._answers else until
-            ready = set(select.select(readers, [], [], max(0.0, wake - time.monotonic()))[0])
+            # Asked for anew: a program may have been hung up on meanwhile.
+            ready = set(select.select(self._readers(), [], [], max(0.0, wake - time.monotonic()))[0])
             if ready:
                 self._receive(ready)
-                readers = self._readers()
             if time.monotonic() >= until:
                 return
 

@@ -76,7 +76,9 @@ class UnixBus:
         if self._listener in ready:
             self._accept()
         for client in ready & self._clients.keys():
-            yield from self._read(client)
+            # One that reads nothing may be gone by what another one says.
+            if client in self._clients:
+                yield from self._read(client)
 
     def send(self, frame: Frame, but: socket.socket | None = None) -> None:
         """Put a frame before all programs, but for one."""
