@@ -25,11 +25,13 @@ class ServedRobot:
 
     Attributes:
         folder: of its buses.
+        process: its number.
         ports: of portal.
         report: what it printed at its end; filled by then.
     """
 
     folder: Path
+    process: int
     ports: list[int] = field(default_factory=list)
     report: dict[str, Any] = field(default_factory=dict)
 
@@ -59,7 +61,7 @@ def served_robot(folder: Path, *flags: str) -> Iterator[ServedRobot]:
     """`yamsim serve-robot` with flags, once its buses are there."""
     command = [sys.executable, "-m", "yamsim_cli", "serve-robot", "--folder", str(folder), "--json", *flags]
     with subprocess.Popen(command, env=_ENVIRON, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        served = ServedRobot(folder)
+        served = ServedRobot(folder, process.pid)
         assert process.stderr and process.stdout
         for line in process.stderr:
             if found := re.match(r"127\.0\.0\.1:(\d+): calls", line):
