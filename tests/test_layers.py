@@ -37,6 +37,7 @@ FLOORS: dict[str, int] = {
     "core.session": 4,
     "core.boards": 4,
     "core.policies": 4,
+    "core.motors": 3,
     "core.tasks": 4,
     "core.dataset": 5,
     "core.scene": 5,
@@ -65,6 +66,8 @@ FLOORS: dict[str, int] = {
     "core.show": 10,
     "core.export": 11,
     "core.teleop": 11,
+    "core.serve": 9,
+    "can_site": 0,
     "policy_server": 11,
     "kinematics": 11,
     "kitchenbench": 14,
@@ -100,6 +103,7 @@ CONFINED = {
         "core.overlay",
         "core.task_proof",
         "core.teleop",
+        "core.serve.plant",
         "kitchenbench.motion",
     },
     "inspect_robots": {"kitchenbench"},
@@ -111,11 +115,12 @@ CONFINED = {
     "av": {"core.images.video"},
     "pyarrow": {"core.export"},
     "rerun": {"core.export.rrd"},
-    "msgpack": {"core.policies.openpi", "core.policies.wire"},
+    "msgpack": {"core.policies.openpi", "core.policies.wire", "core.serve.portal_wire"},
     "websockets": {"core.policies.websocket"},
     "lerobot": {"core.policies.lerobot"},
     "torch": {"core.policies.lerobot"},
     "gymnasium": {"gym_env"},
+    "can": {"can_site"},
 }
 
 

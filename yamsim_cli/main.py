@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 from . import __version__
 from .commands import assets, config, export, pickplace, robots, tasks
 from .commands.boards import boards
+from .commands.can_run import can_run
 from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
 from .commands.evaluate import evaluate
@@ -24,6 +25,7 @@ from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
 from .commands.serve_policy import serve_policy
+from .commands.serve_robot import serve_robot
 from .commands.signals import raise_signals
 from .commands.summarize import summarize
 from .commands.teleop import teleop
@@ -44,6 +46,8 @@ app.command()(verify)
 app.command()(replay)
 app.command("eval")(evaluate)
 app.command("serve-policy")(serve_policy)
+app.command("serve-robot")(serve_robot)
+app.command("can-run")(can_run)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)

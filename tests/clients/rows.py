@@ -78,6 +78,18 @@ ROWS: dict[str, Row] = {
         "`eval --policy ws://`: a server with its packer gives the expert's trials",
         Environment("openpi"),
     ),
+    "i2rt": Row(
+        "the maker's SDK, Dreamscale's build",
+        "dreamscale-i2rt",
+        "`serve-robot`, `can-run`: checks its motors, calibrates the gripper, moves, holds and floats; its tools",
+        Environment("i2rt"),
+    ),
+    "portal": Row(
+        "portal",
+        "portal",
+        "`serve-robot --portal`: drives the arm by the calls of the maker's follower",
+        Environment("i2rt"),
+    ),
     "av-15": Row("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
     "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True)),
     "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True)),

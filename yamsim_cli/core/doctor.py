@@ -33,7 +33,7 @@ EXTRAS = {
     "lerobot": ("pyarrow", "export lerobot"),
     "rerun": ("rerun-sdk", "export rerun"),
     "gym": ("gymnasium", "the gymnasium environment"),
-    "remote": ("msgpack", "policies in another process"),
+    "remote": ("msgpack", "policies in another process, serve-robot --portal"),
     "ray": ("ray", "record --executor ray"),
     "import": ("coacd", "assets import of glTF, SDFormat and other files"),
     "inspect": ("kitchenbench", "KitchenBench's rigid tasks on the station"),

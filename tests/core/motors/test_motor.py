@@ -1,0 +1,206 @@
+"""A motor by its bytes: what it answers to which frame."""
+
+from __future__ import annotations
+
+import random
+import struct
+
+import pytest
+
+from yamsim_cli.core.motors import frames
+from yamsim_cli.core.motors.bus import Bus
+from yamsim_cli.core.motors.faults import Fault
+from yamsim_cli.core.motors.frames import Frame, Mit, Scale
+from yamsim_cli.core.motors.kinds import KINDS
+from yamsim_cli.core.motors.motor import Motor, Status
+
+ENABLE, DISABLE, ZERO, CLEAR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0xFE, 0xFB))
+
+
+@pytest.fixture
+def motor() -> Motor:
+    return Motor(4, KINDS["DM4310"])
+
+
+def say(motor: Motor, data: bytes, now: float = 0.0, to: int = 4) -> Frame | None:
+    return motor.hear(Frame(to, data), now)
+
+
+def status(answer: Frame | None) -> int:
+    assert answer is not None
+    return answer.data[0] >> 4
+
+
+def register(what: int, number: int, value: bytes = bytes(4), motor: int = 4) -> bytes:
+    return bytes([motor, 0, what, number]) + value
+
+
+def mit(position: float, velocity: float, kp: float, kd: float, torque: float, scale: Scale) -> bytes:
+    """A frame as the maker's driver packs it."""
+    most = (*scale[:2], 250.0, 2.5, scale.torque)
+    shifted = (position, velocity, kp - 250.0, kd - 2.5, torque)
+    p, v, kp_bits, kd_bits, t = (
+        frames.quantize(value, limit, bits)
+        for value, limit, bits in zip(shifted, most, (16, 12, 12, 12, 12), strict=True)
+    )
+    return (p << 48 | v << 36 | kp_bits << 24 | kd_bits << 12 | t).to_bytes(8, "big")
+
+
+def test_a_mit_frame_by_hand() -> None:
+    """Full scale, nothing, and the middle of each field, byte by byte."""
+    scale = Scale(12.5, 30.0, 10.0)
+    assert frames.read_mit(bytes.fromhex("fffffff000000fff"), scale) == Mit(12.5, 30.0, 0.0, 0.0, 10.0)
+    assert frames.read_mit(bytes.fromhex("0000000ffffff000"), scale) == Mit(-12.5, -30.0, 500.0, 5.0, -10.0)
+    got = frames.read_mit(bytes.fromhex("7fff7ff14719a7ff"), scale)
+    assert got == pytest.approx(Mit(0, 0, 327 * 500 / 4095, 410 * 5 / 4095, 0), abs=0.01)
+
+
+def test_feedback_by_hand() -> None:
+    """Identifier and status in the first byte, then position, velocity and torque, driver's and rotor's temperature."""
+    data = frames.feedback(0x17, 1, 12.5, -30.0, 0.0, (33.9, 300.0), Scale(12.5, 30.0, 10.0))
+    assert data == bytes.fromhex("17ffff0007ff21ff")
+
+
+def test_it_acts_only_once_it_is_enabled(motor: Motor) -> None:
+    told = mit(1.0, 0.0, 20.0, 0.5, 0.0, motor.kind.scale)
+    assert status(say(motor, told)) == Status.DISABLED
+    assert motor.law() == (0, 0, 0)
+    assert status(say(motor, ENABLE)) == Status.ENABLED
+    assert motor.law() == (0, 0, 0)
+    answer = say(motor, told)
+    assert answer is not None and answer.id == 0x14
+    kp, kd, constant = motor.law()
+    assert (kp, kd, constant) == pytest.approx((20.0, 0.5, 20.0), abs=0.15)
+    assert status(say(motor, DISABLE)) == Status.DISABLED
+    assert motor.law() == (0, 0, 0)
+
+
+def test_it_fails_when_it_hears_nothing_for_400_ms(motor: Motor) -> None:
+    say(motor, ENABLE, now=1.0)
+    motor.passes(1.39, 0.39)
+    assert motor.status is Status.ENABLED
+    motor.passes(1.41, 0.02)
+    assert motor.status is Status.LOST_COMMUNICATION
+    # Enabling does not clear an error, and nothing that it is told acts.
+    assert status(say(motor, ENABLE, 2.0)) == Status.LOST_COMMUNICATION
+    assert status(say(motor, CLEAR, 2.0)) == Status.DISABLED
+    assert status(say(motor, ENABLE, 2.0)) == Status.ENABLED
+    # 0 is no patience at all.
+    say(motor, register(frames.WRITE, 9), to=frames.TO_ALL)
+    motor.passes(1e6, 0.01)
+    assert motor.status is Status.ENABLED
+
+
+def test_it_warms_up_by_what_it_gives_and_fails_when_too_hot(motor: Motor) -> None:
+    say(motor, register(frames.WRITE, 9), to=frames.TO_ALL)
+    say(motor, ENABLE)
+    motor.torque = motor.kind.rated
+    for k in range(3000):
+        motor.passes(k, 1.0)
+    assert motor.status is Status.ENABLED and motor.celsius == pytest.approx(80, abs=0.1)
+    motor.torque = 2 * motor.kind.rated
+    for k in range(300):
+        motor.passes(3000 + k, 1.0)
+    assert motor.status is Status.ROTOR_TOO_HOT
+
+
+def test_zero_is_where_it_is_told_to_be(motor: Motor) -> None:
+    motor.position = 2.0
+    answer = say(motor, ZERO)
+    assert answer is not None and int.from_bytes(answer.data[1:3], "big") == 0x7FFF
+    say(motor, ENABLE)
+    say(motor, mit(1.0, 0.0, 10.0, 0.0, 0.0, motor.kind.scale))
+    kp, _, constant = motor.law()
+    # It pulls towards 1 rad from there.
+    assert constant / kp == pytest.approx(3.0, abs=0.001)
+
+
+def test_registers_are_read_written_and_kept(motor: Motor) -> None:
+    gear = say(motor, register(frames.READ, 20), to=frames.TO_ALL)
+    assert gear == Frame(0x14, register(frames.READ, 20, struct.pack("<f", 10.0)))
+    written = register(frames.WRITE, 9, struct.pack("<I", 1234))
+    assert say(motor, written, to=frames.TO_ALL) == Frame(0x14, written)
+    motor.unplug()
+    assert say(motor, register(frames.READ, 9), to=frames.TO_ALL) is None
+    motor.plug_in()
+    assert motor.registers[9] == 8000
+    say(motor, written, to=frames.TO_ALL)
+    short = say(motor, register(frames.SAVE, 9), to=frames.TO_ALL)
+    assert short is not None and len(short.data) < 8
+    motor.unplug()
+    motor.plug_in()
+    assert motor.registers[9] == 1234
+
+
+@pytest.mark.parametrize(
+    ("number", "value"),
+    [
+        pytest.param(20, struct.pack("<f", 40.0), id="read-only"),
+        pytest.param(21, struct.pack("<f", float("nan")), id="not-a-number"),
+        pytest.param(23, struct.pack("<f", 0.0), id="no-range"),
+        pytest.param(8, struct.pack("<I", 0x7FF), id="the-identifier-of-all"),
+    ],
+)
+def test_what_a_register_cannot_take_changes_nothing(motor: Motor, number: int, value: bytes) -> None:
+    before = motor.registers[number]
+    say(motor, register(frames.WRITE, number, value), to=frames.TO_ALL)
+    assert motor.registers[number] == before
+    assert status(say(motor, ENABLE)) == Status.ENABLED
+
+
+def test_a_new_identifier_counts_at_once(motor: Motor) -> None:
+    say(motor, register(frames.WRITE, 8, struct.pack("<I", 9)), to=frames.TO_ALL)
+    assert say(motor, ENABLE) is None
+    assert status(say(motor, ENABLE, to=9)) == Status.ENABLED
+
+
+def test_another_mode_than_mit_answers_no_command(motor: Motor) -> None:
+    say(motor, ENABLE)
+    say(motor, register(frames.WRITE, 10, struct.pack("<I", 3)), to=frames.TO_ALL)
+    assert say(motor, bytes(8)) is None
+    assert status(say(motor, ENABLE)) == Status.ENABLED
+
+
+def test_random_frames_do_no_harm() -> None:
+    """What comes back is always a frame, and the law always finite."""
+    draw = random.Random(3)
+    motors = [Motor(k, KINDS["DM4340"]) for k in range(1, 8)]
+    bus = Bus("can0", motors)
+    for k in range(10_000):
+        to = draw.choice([frames.TO_ALL, draw.randrange(8), draw.randrange(0x800)])
+        data = bytes(draw.randrange(9)) if k % 7 == 0 else draw.randbytes(draw.randrange(9))
+        if to == frames.TO_ALL and len(data) == 8 and k % 2:
+            data = bytes([draw.randrange(1, 8), 0, draw.choice([0x33, 0x55, 0xAA, 0xCC])]) + data[3:]
+        for answer in bus.send(Frame(to, data), k * 1e-3):
+            assert 0 <= answer.id < 0x800 and len(answer.data) <= 8
+        bus.passes(k * 1e-3)
+    assert all(abs(value) < 1e9 for motor in motors for value in motor.law())
+
+
+def test_a_lost_motor_is_silent_and_comes_back_disabled() -> None:
+    bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [Fault("lost", motor=1, at=1.0, seconds=1.0)])
+    assert bus.send(Frame(1, ENABLE), 0.5)
+    bus.passes(1.0)
+    assert bus.send(Frame(1, ENABLE), 1.1) == []
+    bus.passes(2.0)
+    assert bus.motors[0].status is Status.DISABLED
+    assert bus.send(Frame(1, ENABLE), 2.1)
+
+
+def test_a_hot_motor_fails() -> None:
+    bus = Bus("can_left", [Motor(1, KINDS["DM4340"])], [Fault("hot", channel="can_left", motor=1)])
+    bus.send(Frame(1, ENABLE), 0.0)
+    bus.passes(0.02)
+    assert status(bus.send(Frame(1, ENABLE), 0.02)[0]) == Status.ROTOR_TOO_HOT
+
+
+def test_as_many_frames_get_lost_as_the_fault_says() -> None:
+    """In each direction; and from the same seed the same ones."""
+
+    def answered(seed: int) -> list[bool]:
+        bus = Bus("can0", [Motor(1, KINDS["DM4340"])], [Fault("drop", share=0.2)], seed)
+        bus.passes(0.01)
+        return [bool(bus.send(Frame(1, ENABLE), 0.01)) for _ in range(2000)]
+
+    assert sum(answered(0)) / 2000 == pytest.approx(0.64, abs=0.03)
+    assert answered(0) == answered(0) != answered(1)

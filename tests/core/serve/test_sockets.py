@@ -1,0 +1,129 @@
+"""Programs on a simulated bus: what they say gets there, and nothing that they say does harm."""
+
+from __future__ import annotations
+
+import random
+import resource
+import select
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.motors import frames
+from yamsim_cli.core.motors.bus import Bus
+from yamsim_cli.core.motors.frames import Frame
+from yamsim_cli.core.motors.kinds import KINDS
+from yamsim_cli.core.motors.motor import Motor
+from yamsim_cli.core.serve.program import program_environment
+from yamsim_cli.core.serve.sockets import UnixBus
+
+ENABLE = struct.pack("=IB3x8s", 1, 8, b"\xff" * 7 + b"\xfc")
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[UnixBus]:
+    bus = UnixBus(tmp_path / "buses", "can0")
+    yield bus
+    bus.close()
+
+
+def join(bus: UnixBus) -> socket.socket:
+    one = socket.socket(socket.AF_UNIX)
+    one.settimeout(5)
+    one.connect(str(bus.path))
+    heard(bus)
+    return one
+
+
+def heard(bus: UnixBus) -> list[Frame]:
+    """What the bus hears until nobody says more."""
+    found = []
+    while ready := select.select(bus.readers, [], [], 0.02)[0]:
+        found += bus.receive(set(ready))
+    return found
+
+
+def test_a_frame_gets_there_whole_however_it_is_cut(served: UnixBus) -> None:
+    one = join(served)
+    one.sendall(ENABLE[:5])
+    assert heard(served) == []
+    one.sendall(ENABLE[5:] + ENABLE)
+    assert heard(served) == [Frame(1, b"\xff" * 7 + b"\xfc")] * 2
+    served.send(Frame(0x11, b"abc"))
+    assert one.recv(16) == struct.pack("=IB3x8s", 0x11, 3, b"abc")
+
+
+def test_programs_on_a_bus_hear_each_other(served: UnixBus) -> None:
+    one, other = join(served), join(served)
+    one.sendall(ENABLE)
+    assert len(heard(served)) == 1
+    assert other.recv(16) == ENABLE
+    one.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        one.recv(16)
+
+
+def test_random_bytes_do_no_harm_and_fill_no_memory(served: UnixBus) -> None:
+    """A program that sends 10,000 messages of noise and never reads; another one is answered all the same."""
+    motors = Bus("can0", [Motor(1, KINDS["DM4340"])])
+    noisy, other = join(served), join(served)
+    draw = random.Random(5)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for k in range(10_000):
+        noisy.sendall(draw.randbytes(draw.randrange(1, 64)) if k % 3 else ENABLE)
+        if k % 20 == 0:
+            other.setblocking(False)
+            while select.select([other], [], [], 0)[0]:
+                other.recv(65_536)
+            ready = select.select(served.readers, [], [], 0)[0]
+            for frame in served.receive(set(ready)):
+                for answer in motors.send(frame, 0.0):
+                    served.send(answer)
+    assert served.clients == 2
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000
+    noisy.close()
+    heard(served)
+    assert served.clients == 1
+
+
+def test_no_more_programs_than_there_is_room_for(served: UnixBus) -> None:
+    joined = [join(served) for _ in range(20)]
+    assert served.clients == 16
+    assert joined[-1].recv(16) == b""
+
+
+def test_a_killed_servers_socket_is_in_nobodys_way(tmp_path: Path) -> None:
+    left = UnixBus(tmp_path / "buses", "can0")
+    with pytest.raises(ResourceError, match="another program serves this channel"):
+        UnixBus(tmp_path / "buses", "can0")
+    left._listener.close()
+    UnixBus(tmp_path / "buses", "can0").close()
+
+
+def test_a_folder_that_others_can_reach_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o755)
+    with pytest.raises(ResourceError, match="is not a folder that is yours alone"):
+        UnixBus(tmp_path / "open", "can0")
+
+
+def test_a_program_finds_the_buses_first(served: UnixBus, tmp_path: Path) -> None:
+    environ = program_environment({"PYTHONPATH": "/own", "HOME": "/home"}, served.path.parent)
+    site, own = environ["PYTHONPATH"].split(":")
+    entry = next(Path(site).glob("*.dist-info/entry_points.txt")).read_text()
+    assert "socketcan = yamsim_can:Bus" in entry and Path(site, "yamsim_can.py").exists()
+    assert own == "/own" and environ.keys() == {"PYTHONPATH", "YAMSIM_CAN_FOLDER"}
+    with pytest.raises(ResourceError, match="nothing is served there"):
+        program_environment({}, tmp_path)
+
+
+def test_frames_of_other_kinds_are_nobodys() -> None:
+    for flag in (0x80000000, 0x40000000, 0x20000000):
+        assert frames.parse(struct.pack("=IB3x8s", 1 | flag, 8, bytes(8))) is None
+    assert frames.parse(struct.pack("=IB3x8s", 0x800, 8, bytes(8))) is None
+    assert frames.parse(struct.pack("=IB3x8s", 1, 9, bytes(8))) is None
+    assert frames.parse(struct.pack("=IB3x8s", 1, 2, b"abcdefgh")) == Frame(1, b"ab")

@@ -1,0 +1,110 @@
+"""A bus of python-can's that `yamsim serve-robot` serves, for the one program that `yamsim can-run` starts.
+
+python-can finds it as it finds any other of its plugins, by the entry point beside this file, under the name that its
+own bus for Linux has. It needs nothing of yamsim. A channel that is not served is the machine's own.
+"""
+
+import os
+import select
+import socket
+import struct
+import time
+from pathlib import Path
+
+import can
+from can.interfaces.socketcan import SocketcanBus
+
+_FRAME = struct.Struct("=IB3x8s")
+_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
+_FOLDER = "YAMSIM_CAN_FOLDER"
+
+
+def _place(channel):
+    return Path(os.environ[_FOLDER]) / str(channel)
+
+
+class Bus(can.BusABC):
+    """A connection to a simulated bus; of another channel, python-can's own `SocketcanBus`."""
+
+    def __new__(cls, channel, **kwargs):
+        """The bus of a channel."""
+        if not _place(channel).is_socket():
+            return SocketcanBus(channel, **kwargs)
+        return super().__new__(cls)
+
+    def __init__(self, channel, can_filters=None, receive_own_messages=False, **kwargs):
+        self.channel = channel
+        self.channel_info = f"yamsim channel '{channel}'"
+        self._own = receive_own_messages
+        self._kept = []
+        self._buffer = b""
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.connect(str(_place(channel)))
+        except OSError as error:
+            self._socket.close()
+            raise can.CanInitializationError(f"{channel} is not served any more: {error.strerror}") from error
+        self._socket.setblocking(False)
+        super().__init__(channel=channel, can_filters=can_filters, **kwargs)
+
+    def send(self, msg, timeout=None):
+        """Put a message onto the bus."""
+        flags = _EXTENDED * msg.is_extended_id | _REMOTE * msg.is_remote_frame | _ERROR * msg.is_error_frame
+        data = bytes(msg.data)
+        wire = _FRAME.pack(msg.arbitration_id | flags, msg.dlc, data)
+        while wire:
+            try:
+                wire = wire[self._socket.send(wire) :]
+            except BlockingIOError:
+                if not select.select([], [self._socket], [], timeout)[1]:
+                    raise can.CanOperationError("the bus takes no more messages") from None
+            except OSError as error:
+                raise can.CanOperationError(f"{self.channel} is gone: {error.strerror}") from error
+        if self._own:
+            self._kept.append(self._message(_FRAME.pack(msg.arbitration_id | flags, msg.dlc, data)))
+
+    def _recv_internal(self, timeout):
+        if self._kept:
+            return self._kept.pop(0), False
+        if len(self._buffer) < _FRAME.size:
+            try:
+                if not select.select([self._socket], [], [], timeout)[0]:
+                    return None, False
+                data = self._socket.recv(256 * _FRAME.size)
+            except (OSError, ValueError) as error:
+                raise can.CanOperationError(f"{self.channel} was closed: {error}") from error
+            if not data:
+                raise can.CanOperationError(f"{self.channel} is gone: its server has ended")
+            self._buffer += data
+            if len(self._buffer) < _FRAME.size:
+                return None, False
+        wire, self._buffer = self._buffer[: _FRAME.size], self._buffer[_FRAME.size :]
+        return self._message(wire), False
+
+    def _message(self, wire):
+        identifier, length, data = _FRAME.unpack(wire)
+        extended = bool(identifier & _EXTENDED)
+        return can.Message(
+            timestamp=time.time(),
+            arbitration_id=identifier & (0x1FFFFFFF if extended else 0x7FF),
+            is_extended_id=extended,
+            is_remote_frame=bool(identifier & _REMOTE),
+            is_error_frame=bool(identifier & _ERROR),
+            dlc=length,
+            data=data[:length],
+            channel=self.channel,
+        )
+
+    @property
+    def state(self):
+        """Always active."""
+        return can.BusState.ACTIVE
+
+    def fileno(self):
+        """What to wait for until there may be a message."""
+        return self._socket.fileno()
+
+    def shutdown(self):
+        """Leave the bus."""
+        super().shutdown()
+        self._socket.close()

@@ -1,0 +1,113 @@
+"""CAN frames of DAMIAO motors: the bytes, and nothing of what a motor does with them."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+# Linux' `struct can_frame`: identifier with flags, length, three bytes of padding, data. Sockets of ours carry it too.
+_CAN_FRAME = struct.Struct("=IB3x8s")
+FRAME_BYTES = _CAN_FRAME.size
+# Extended, remote and error frames; motors take none of them.
+_FLAGS = 0xE0000000
+_LONGEST = 8
+
+# To all motors; who is meant stands in the data.
+TO_ALL = 0x7FF
+# Last byte of a frame whose other seven are 0xFF. Source: DAMIAO's manual of the DM-J43 series, "MIT mode".
+CLEAR_ERROR, ENABLE, DISABLE, SET_ZERO = 0xFB, 0xFC, 0xFD, 0xFE
+# Third byte of a frame to all. Source: the same manual.
+READ, WRITE, SAVE, REFRESH = 0x33, 0x55, 0xAA, 0xCC
+# Ranges of gains in a MIT frame, the same in all of these motors. Source: the same manual.
+KP_MAX, KD_MAX = 500.0, 5.0
+
+
+class Frame(NamedTuple):
+    """A CAN frame with an identifier of 11 bits.
+
+    Attributes:
+        id: 0..0x7FF.
+        data: up to 8 bytes.
+    """
+
+    id: int
+    data: bytes
+
+
+class Mit(NamedTuple):
+    """What a MIT frame asks for, in the motor's own frame: torque `kp (position - p) + kd (velocity - v) + torque`."""
+
+    position: float
+    velocity: float
+    kp: float
+    kd: float
+    torque: float
+
+
+class Scale(NamedTuple):
+    """The largest position (rad), velocity (rad/s) and torque (N m) in a motor's frames: its PMAX, VMAX and TMAX."""
+
+    position: float
+    velocity: float
+    torque: float
+
+
+def parse(wire: bytes) -> Frame | None:
+    """The frame in 16 bytes of a socket; None for one that is no motor's: other kinds of frames, or a wrong length."""
+    identifier, length, data = _CAN_FRAME.unpack(wire)
+    if identifier & _FLAGS or identifier > TO_ALL or length > _LONGEST:
+        return None
+    return Frame(identifier, data[:length])
+
+
+def to_wire(frame: Frame) -> bytes:
+    """A frame's 16 bytes on a socket."""
+    return _CAN_FRAME.pack(frame.id, len(frame.data), frame.data)
+
+
+def special(data: bytes) -> int | None:
+    """Which of ENABLE, DISABLE, SET_ZERO and CLEAR_ERROR is asked for; None if the frame is none of them."""
+    if len(data) == _LONGEST and data[:7] == b"\xff" * 7 and CLEAR_ERROR <= data[7] <= SET_ZERO:
+        return data[7]
+    return None
+
+
+def quantize(value: float, most: float, bits: int) -> int:
+    """A value of -most..most as an unsigned number of so many bits; beyond the range counts as its end."""
+    return int((min(max(value, -most), most) + most) * ((1 << bits) - 1) / (2 * most))
+
+
+def restore(number: int, most: float, bits: int) -> float:
+    """The value that `quantize` made a number of, to within a step."""
+    return number * 2 * most / ((1 << bits) - 1) - most
+
+
+def read_mit(data: bytes, scale: Scale) -> Mit:
+    """What the 8 bytes of a MIT frame ask for."""
+    bits = int.from_bytes(data, "big")
+    return Mit(
+        position=restore(bits >> 48, scale.position, 16),
+        velocity=restore(bits >> 36 & 0xFFF, scale.velocity, 12),
+        kp=(bits >> 24 & 0xFFF) * KP_MAX / 0xFFF,
+        kd=(bits >> 12 & 0xFFF) * KD_MAX / 0xFFF,
+        torque=restore(bits & 0xFFF, scale.torque, 12),
+    )
+
+
+def feedback(
+    motor: int, status: int, position: float, velocity: float, torque: float, celsius: tuple[float, float], scale: Scale
+) -> bytes:
+    """The 8 bytes of an answer.
+
+    Args:
+        motor: its identifier, of which the lowest four bits are told.
+        status: 0 disabled, 1 enabled, from 8 on an error.
+        celsius: temperatures of the driver and of the rotor.
+    """
+    bits = (status & 0xF) << 4 | motor & 0xF
+    bits = bits << 16 | quantize(position, scale.position, 16)
+    bits = bits << 12 | quantize(velocity, scale.velocity, 12)
+    bits = bits << 12 | quantize(torque, scale.torque, 12)
+    for degrees in celsius:
+        bits = bits << 8 | min(max(int(degrees), 0), 255)
+    return bits.to_bytes(8, "big")

@@ -1,0 +1,124 @@
+"""The arms of a session on their buses, ready to be driven as the real ones are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..attempt.sampling import sample
+from ..attempt.simulator import Simulator
+from ..config.recording import RecordConfig
+from ..errors import SimulationError, UsageError
+from ..geometry.se3 import Array
+from ..motors.bus import Bus
+from ..motors.faults import Fault
+from ..motors.kinds import KINDS
+from ..motors.motor import Motor
+from ..motors.wiring import find_wiring
+from ..session import Session
+from ..types import EpisodeJob, Stand
+from .follower import Follower
+from .plant import Plant
+
+# Where the arms stand at first: folded up, where they lie still without power; the model's home; the task's start.
+STARTS = ("rest", "home", "task")
+
+
+@dataclass(frozen=True)
+class Served:
+    """Arms that are driven from outside.
+
+    Attributes:
+        plant: them and what stands around them.
+        sides: of the arms, "left" or "right", in the order of `plant.buses`.
+        followers: what drives each of them by its joints, in the same order.
+    """
+
+    plant: Plant
+    sides: tuple[str, ...]
+    followers: tuple[Follower, ...]
+
+
+def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
+    """The names of the arms' buses: those given, in the arms' order, or `can0`, or `can_left` and `can_right`.
+
+    Raises:
+        UsageError: not one for each arm, or two alike.
+    """
+    if not given:
+        return ("can0",) if len(sides) == 1 else tuple(f"can_{side}" for side in sides)
+    if len(given) != len(sides) or len(set(given)) < len(given):
+        raise UsageError(
+            f"--channel {' '.join(given)} is not valid: give {len(sides)} different names, one for each arm: "
+            f"{', '.join(sides)}"
+        )
+    for name in given:
+        if not name.isascii() or not name.replace("_", "").replace("-", "").isalnum() or len(name) > 15:
+            raise UsageError(f"--channel {name!r} is not valid: up to 15 letters, digits, - and _, such as can0")
+    return tuple(given)
+
+
+def serve_arms(
+    session: Session,
+    channels: Sequence[str] = (),
+    faults: Sequence[Fault] = (),
+    start: str = "rest",
+) -> Served:
+    """The arms of a session's rig, with the task's things around them, before anything has moved.
+
+    Args:
+        channels: names of their buses, see `channel_names`.
+        start: one of STARTS.
+
+    Raises:
+        ConfigError: an arm's or a gripper's motors are not known.
+        UsageError: a channel or a fault names what is not there.
+        SimulationError: the scene cannot be compiled, or the task's things have no room.
+    """
+    config = session.config
+    arms = [config.rig.arms[number] for number in config.rig.recorded]
+    sides = tuple(arm.side for arm in arms)
+    names = channel_names(sides, channels)
+    wirings = tuple(
+        find_wiring(arm.robot.model, arm.robot.gripper if arm.robot.fingers else None, arm.robot.dof, session.locations)
+        for arm in arms
+    )
+    buses = []
+    for name, wiring in zip(names, wirings, strict=True):
+        motors = [Motor(row.id, KINDS[row.kind]) for row in wiring.arm.motors]
+        if wiring.gripper is not None:
+            motors.append(Motor(wiring.gripper.id, KINDS[wiring.gripper.kind]))
+        buses.append(Bus(name, motors, faults, config.seed))
+    _check(faults, buses)
+    with Simulator(session.without_meshes()) as simulator:
+        scene = simulator.scene
+        plant = Plant(scene, _start(simulator, config, start), wirings, buses)
+    rows = enumerate(zip(scene.arms, wirings, strict=True))
+    return Served(plant, sides, tuple(Follower(plant, k, arm, wiring) for k, (arm, wiring) in rows))
+
+
+def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
+    scene = simulator.scene
+    layout = sample(simulator, EpisodeJob(config.seed, 0)).layout
+    if layout is None:
+        raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for its things")
+    stands = []
+    for arm in scene.arms:
+        robot = config.rig.arms[arm.number].robot
+        joints = {"rest": np.zeros(arm.dof), "home": robot.home, "task": robot.start}[start]
+        stands.append(Stand(np.array(joints), 0.0))
+    return scene.start_qpos(layout, stands)
+
+
+def _check(faults: Sequence[Fault], buses: Sequence[Bus]) -> None:
+    """Raise a UsageError for a fault that names a channel or a motor that is not there."""
+    for fault in faults:
+        meant = [bus for bus in buses if fault.channel in ("", bus.channel)]
+        if not meant:
+            there = ", ".join(bus.channel for bus in buses)
+            raise UsageError(f"--fault {fault.kind}: no channel {fault.channel!r}; there: {there}")
+        numbers = sorted({motor.number for bus in meant for motor in bus.motors})
+        if fault.motor and fault.motor not in numbers:
+            raise UsageError(f"--fault {fault.kind}: no motor {fault.motor}; there: {', '.join(map(str, numbers))}")

@@ -1,0 +1,208 @@
+"""Simulated arms whose joints emulated motors turn: at every physics step, each by the law that it was told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ..errors import SimulationError
+from ..geometry.se3 import Array
+from ..motors.bus import Bus
+from ..motors.motor import Motor
+from ..motors.wiring import GripperWiring, Wiring
+from ..scene.breakdown import breakdown
+from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
+
+# Of fingers that are stuck, kg: what no motor moves.
+_STUCK_MASS = 1e9
+# How much stiffer contacts are along a surface than across it, as where friction alone has to hold things.
+_IMPRATIO = 10.0
+# How often it is looked whether physics broke down, in steps.
+_LOOK_STEPS = 50
+
+
+@dataclass(frozen=True)
+class _Shaft:
+    """How a motor's shaft goes with a joint: `angle = ratio * joint + offset`.
+
+    Attributes:
+        arm: number of the arm.
+        motor: whose.
+        drive: its place among MuJoCo's actuators.
+        qpos, dof: of the joint; of a gripper, the left finger's.
+        load: how many times its weight the motor has to hold; 0 of a gripper, whose fingers balance each other.
+    """
+
+    arm: int
+    motor: Motor
+    drive: int
+    qpos: int
+    dof: int
+    ratio: float
+    offset: float
+    load: float
+
+
+class Plant:
+    """A scene in motion, with a bus of motors for each arm.
+
+    Attributes:
+        data: MuJoCo's present state.
+        buses: one for each of the scene's arms, in their order.
+        steps: how many physics steps have passed.
+
+    Args:
+        scene: its model is changed: drives follow the motors, and arms weigh what they weigh.
+        start: MuJoCo's positions (nq,) at the beginning, at rest; what lies beyond a stop begins at it.
+        wirings: of each arm, in the scene's order.
+        buses: of each arm, with the motors that its wiring names in the same order.
+    """
+
+    def __init__(self, scene: CompiledScene, start: Array, wirings: Sequence[Wiring], buses: Sequence[Bus]) -> None:
+        self._model = model = scene.model
+        self.data = mujoco.MjData(model)
+        self.buses = tuple(buses)
+        self.steps = 0
+        self.timestep = float(model.opt.timestep)
+        model.opt.impratio = _IMPRATIO
+        self._fingers = [arm.fingers for arm in scene.arms]
+        self._shafts = [
+            shaft
+            for k, (arm, wiring, bus) in enumerate(zip(scene.arms, wirings, buses, strict=True))
+            for shaft in _shafts(k, arm, wiring, bus)
+        ]
+        for arm, wiring in zip(scene.arms, wirings, strict=True):
+            if arm.fingers is not None and wiring.gripper is not None:
+                _wear_gripper(model, arm.fingers, wiring.gripper)
+        self._armature = model.dof_armature.copy()
+        self._qpos, self._dof, self._drive = (
+            np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("qpos", "dof", "drive")
+        )
+        self._ratio, self._offset, self._load = (
+            np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("ratio", "offset", "load")
+        )
+        self._weights = _weights(model, self._shafts)
+        model.actuator_gainprm[self._drive] = 0.0
+        # Armatures are others now, and with them how stiff contacts and stops are.
+        mujoco.mj_setConst(model, self.data)
+        self._stuck = [False] * len(self.buses)
+        self._follow_laws()
+        scene.reset(self.data, _within_stops(model, start))
+        for arm in scene.arms:
+            _lift_the_rest(model, self.data, arm)
+        self._sense()
+
+    @property
+    def now(self) -> float:
+        """Time that has passed in the simulation, s."""
+        return self.steps * self.timestep
+
+    def held(self, arm: int) -> list[float]:
+        """The torques at an arm's motors that hold it where it is against its weight, N m."""
+        torques = self._load * self.data.qfrc_gravcomp[self._dof] / self._ratio
+        return [float(torque) for torque, shaft in zip(torques, self._shafts, strict=True) if shaft.arm == arm]
+
+    def step(self) -> None:
+        """One step of physics.
+
+        Raises:
+            SimulationError: physics broke down.
+        """
+        self._follow_laws()
+        # MuJoCo makes up for the links' weight, and this takes it back, times the load of each joint. The forces are
+        # those of the step before, which began 2 ms ago.
+        data = self.data
+        data.qfrc_applied[:] = -self._weights * data.qfrc_gravcomp
+        mujoco.mj_step(self._model, data)
+        self.steps += 1
+        now = self.now
+        for k, bus in enumerate(self.buses):
+            bus.passes(now)
+            if bus.stuck is not self._stuck[k]:
+                self._jam(k, bus.stuck)
+        self._sense()
+        if self.steps % _LOOK_STEPS == 0 and (text := breakdown(data)):
+            raise SimulationError(f"physics broke down within {now:.3f} s: {text}")
+
+    def _follow_laws(self) -> None:
+        for shaft in self._shafts:
+            if not shaft.motor.law_changed:
+                continue
+            shaft.motor.law_changed = False
+            kp, kd, constant = shaft.motor.law()
+            ratio, most = shaft.ratio, shaft.motor.most_torque * abs(shaft.ratio)
+            # An affine function of the joint's position and velocity: so MuJoCo integrates the damping implicitly.
+            law = ratio * (constant - kp * shaft.offset), -kp * ratio**2, -kd * ratio**2
+            self._model.actuator_biasprm[shaft.drive, :3] = law
+            self._model.actuator_forcerange[shaft.drive] = -most, most
+
+    def _sense(self) -> None:
+        data = self.data
+        positions = (data.qpos[self._qpos] * self._ratio + self._offset).tolist()
+        velocities = (data.qvel[self._dof] * self._ratio).tolist()
+        torques = (data.actuator_force[self._drive] / self._ratio).tolist()
+        for shaft, position, velocity, torque in zip(self._shafts, positions, velocities, torques, strict=True):
+            motor = shaft.motor
+            motor.position, motor.velocity, motor.torque = position, velocity, torque
+
+    def _jam(self, arm: int, stuck: bool) -> None:
+        self._stuck[arm] = stuck
+        if (fingers := self._fingers[arm]) is not None:
+            self._model.dof_armature[fingers.dof] = _STUCK_MASS if stuck else self._armature[fingers.dof]
+            self.data.qvel[fingers.dof] = 0.0
+
+
+def _shafts(number: int, arm: SceneArm, wiring: Wiring, bus: Bus) -> list[_Shaft]:
+    motors = bus.motors
+    found = [
+        _Shaft(number, motor, int(drive), int(qpos), int(dof), float(row.direction), 0.0, row.load)
+        for row, motor, drive, qpos, dof in zip(
+            wiring.arm.motors, motors[: arm.dof], arm.arm_ctrl, arm.joint_qpos, arm.joint_dof, strict=True
+        )
+    ]
+    if arm.fingers is not None and wiring.gripper is not None:
+        left = int(arm.fingers.qpos[0]), int(arm.fingers.dof[0])
+        turns = wiring.gripper.ratio * float(arm.fingers.sign[0])
+        found.append(_Shaft(number, motors[-1], arm.fingers.ctrl, *left, turns, wiring.gripper.closed, 0.0))
+    return found
+
+
+def _lift_the_rest(model: mujoco.MjModel, data: mujoco.MjData, arm: SceneArm) -> None:
+    """Take the weight off what hangs on an arm and is not in the maker's model of it, such as a camera.
+
+    What it weighs is part of the loads: they say how much more there is to hold than the maker's model knows.
+    """
+    root = model.body_rootid[model.body(arm.flange).id]
+    for body in np.flatnonzero((model.body_rootid == root) & (model.body_gravcomp == 0)):
+        data.xfrc_applied[body, :3] = -model.opt.gravity * model.body_mass[body]
+
+
+def _weights(model: mujoco.MjModel, shafts: Sequence[_Shaft]) -> Array:
+    """How many times its weight acts on each degree of freedom (nv,)."""
+    weights = np.ones(model.nv)
+    for shaft in shafts:
+        if shaft.load:
+            weights[shaft.dof] = shaft.load
+    return weights
+
+
+def _wear_gripper(model: mujoco.MjModel, fingers: SceneFingers, wiring: GripperWiring) -> None:
+    """Give fingers the armature and friction of their motor, shared evenly, and stops, one of them where they meet."""
+    model.dof_armature[fingers.dof] = wiring.armature * wiring.ratio**2 / 2
+    model.dof_frictionloss[fingers.dof] = wiring.friction * abs(wiring.ratio) / 2
+    for dof, sign in zip(fingers.dof, fingers.sign, strict=True):
+        joint = model.dof_jntid[dof]
+        model.jnt_range[joint] = sorted((0.0, float(sign * max(model.jnt_range[joint] * sign))))
+        # As stiff as physics allows at its step, since the rotor runs into it.
+        model.jnt_solref[joint] = 2 * model.opt.timestep, 1.0
+
+
+def _within_stops(model: mujoco.MjModel, qpos: Array) -> Array:
+    inside = qpos.copy()
+    for joint in np.flatnonzero(model.jnt_limited):
+        address = model.jnt_qposadr[joint]
+        inside[address] = np.clip(inside[address], *model.jnt_range[joint])
+    return inside

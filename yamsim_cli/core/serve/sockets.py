@@ -1,0 +1,212 @@
+"""Where programs reach the buses: a Unix socket for each, or a CAN interface of the kernel's.
+
+Either way a message is 16 bytes, Linux' `struct can_frame`. On a Unix socket every program has a connection of its own,
+and hears what the motors say and what other programs send, as on a bus.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import ResourceError
+from ..motors import frames
+from ..motors.frames import Frame
+
+# Programs on one bus at a time.
+_MOST_CLIENTS = 16
+# Bytes that are read at once, and that wait for a program which does not read: more is thrown away, as a full buffer of
+# an adapter is.
+_READ_BYTES = 256 * frames.FRAME_BYTES
+_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES
+
+
+def open_folder(folder: Path) -> Path:
+    """A folder of the user's own in which sockets may lie; made if it is not there.
+
+    Raises:
+        ResourceError: it cannot be made, or somebody else could get at what lies there.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        raise ResourceError(f"{folder}: cannot be made: {error.strerror}; name another one with --folder") from error
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise ResourceError(f"{folder}: is not a folder that is yours alone; name another one with --folder")
+    return folder
+
+
+class UnixBus:
+    """A bus on a Unix socket, `<folder>/<channel>`; close it.
+
+    Raises:
+        ResourceError: somebody else serves that channel there, or the socket cannot be made.
+    """
+
+    def __init__(self, folder: Path, channel: str) -> None:
+        self.path = open_folder(folder) / channel
+        self._clients: dict[socket.socket, bytearray] = {}
+        self._waiting: dict[socket.socket, bytearray] = {}
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.setblocking(False)
+        try:
+            _drop_stale(self.path)
+            self._listener.bind(str(self.path))
+        except OSError as error:
+            self._listener.close()
+            raise ResourceError(f"{self.path}: cannot be listened on: {error.strerror or error}") from error
+        self._listener.listen(_MOST_CLIENTS)
+
+    @property
+    def readers(self) -> list[socket.socket]:
+        """What to wait for until there may be something to read."""
+        return [self._listener, *self._clients]
+
+    @property
+    def clients(self) -> int:
+        """How many programs are on the bus."""
+        return len(self._clients)
+
+    def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
+        """The frames that have come on sockets where there is something to read."""
+        if self._listener in ready:
+            self._accept()
+        for client in ready & self._clients.keys():
+            # One that reads nothing may be gone by what another one says.
+            if client in self._clients:
+                yield from self._read(client)
+
+    def send(self, frame: Frame, but: socket.socket | None = None) -> None:
+        """Put a frame before all programs, but for one."""
+        wire = frames.to_wire(frame)
+        for client in [one for one in self._clients if one is not but]:
+            waiting = self._waiting[client]
+            if len(waiting) + len(wire) <= _BACKLOG_BYTES:
+                waiting += wire
+            self._flush(client)
+
+    def flush(self) -> None:
+        """Send on what programs could not take before."""
+        for client in [one for one, waiting in self._waiting.items() if waiting]:
+            self._flush(client)
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._listener.close()
+        self.path.unlink(missing_ok=True)
+
+    def _accept(self) -> None:
+        try:
+            client, _ = self._listener.accept()
+        except OSError:
+            return
+        if len(self._clients) >= _MOST_CLIENTS:
+            client.close()
+            return
+        client.setblocking(False)
+        self._clients[client], self._waiting[client] = bytearray(), bytearray()
+
+    def _read(self, client: socket.socket) -> Iterator[Frame]:
+        try:
+            data = client.recv(_READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+            return
+        buffer = self._clients[client]
+        buffer += data
+        whole = len(buffer) - len(buffer) % frames.FRAME_BYTES
+        wires, self._clients[client] = bytes(buffer[:whole]), buffer[whole:]
+        for start in range(0, whole, frames.FRAME_BYTES):
+            frame = frames.parse(wires[start : start + frames.FRAME_BYTES])
+            if frame is not None:
+                if len(self._clients) > 1:
+                    self.send(frame, but=client)
+                yield frame
+
+    def _flush(self, client: socket.socket) -> None:
+        waiting = self._waiting[client]
+        try:
+            del waiting[: client.send(waiting)]
+        except BlockingIOError:
+            return
+        except OSError:
+            self._drop(client)
+
+    def _drop(self, client: socket.socket) -> None:
+        client.close()
+        self._clients.pop(client, None)
+        self._waiting.pop(client, None)
+
+
+class KernelBus:
+    """A bus on a CAN interface of the kernel's, such as one that `ip link add can0 type vcan` made; close it.
+
+    Raises:
+        ResourceError: this system has no CAN, or no interface of that name that is up.
+    """
+
+    clients = 0
+
+    def __init__(self, channel: str) -> None:
+        try:
+            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+            self._socket.bind((channel,))
+        except (AttributeError, OSError) as error:
+            raise ResourceError(
+                f"CAN interface {channel}: cannot be opened: {getattr(error, 'strerror', error)}. Make it with "
+                f"`ip link add {channel} type vcan` and `ip link set {channel} up`, or leave out --kernel and "
+                "use `yamsim can-run`"
+            ) from error
+        self._socket.setblocking(False)
+
+    @property
+    def readers(self) -> list[socket.socket]:
+        """What to wait for until there may be something to read."""
+        return [self._socket]
+
+    def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
+        """The frames that have come."""
+        while self._socket in ready:
+            try:
+                frame = frames.parse(self._socket.recv(frames.FRAME_BYTES))
+            except OSError:
+                return
+            if frame is not None:
+                yield frame
+
+    def send(self, frame: Frame) -> None:
+        """Put a frame onto the bus; one that its buffer has no room for is lost."""
+        try:
+            self._socket.send(frames.to_wire(frame))
+        except OSError:
+            return
+
+    def flush(self) -> None:
+        """There is nothing that waits."""
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def _drop_stale(path: Path) -> None:
+    """Remove a socket that a killed server left; raise an OSError if one still listens there."""
+    if not path.is_socket():
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            path.unlink(missing_ok=True)
+            return
+    raise OSError("another program serves this channel")
