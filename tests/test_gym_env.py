@@ -106,7 +106,7 @@ def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations:
 
 
 def test_a_task_that_is_data_is_one_too(tmp_path: Path) -> None:
-    """Its expert's actions, replayed through the environment, reach the goal; things have their poses by their roles."""
+    """Its expert's actions, replayed through the environment, reach the goal; things have poses by their roles."""
     task = str(written(tmp_path, ONTO_PLATE))
     check(task=task)
     with Simulators(session_of(tmp_path, ONTO_PLATE)) as simulators:

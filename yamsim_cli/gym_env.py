@@ -34,7 +34,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     The reward is 1 on success, which ends the episode, else 0. Success is judged as by `yamsim pickplace batch`, once
     the object is let go; of a task that is data, once its goal has held for as long as it has to.
 
-    A task that is data has a pose for each thing, `<thing>_pose_world` (4, 4), and `<thing>_joints` of articulated ones.
+    A task that is data has a pose for each thing, `<thing>_pose_world` (4, 4), and `<thing>_joints` where it has some.
     Things are called by their roles, so the keys are the same whichever objects a trial draws; joints that an object
     lacks are 0. Nothing has a weld there, and what an action says of it is not looked at. `info` has `prompt`, and of
     such tasks `goal`: what the goal asks for -> its margin now, which is zero or more where it holds.

@@ -61,12 +61,14 @@ class Opener:
         notify: told what a user should read, a sentence at a time.
         spell: a setting's name -> how whoever asks writes it, for messages.
         thing: makes a config of what names a thing otherwise, such as by its file, and gives its place.
+        task: a task's name, or its config as plain data where the name is that of a scene elsewhere.
     """
 
     environ: MutableMapping[str, str]
     notify: Callable[[str], None]
     spell: Callable[[str], str]
     thing: Callable[[str, Locations, Callable[[str], None]], str] = lambda name, where, notify: name
+    task: Callable[[str, Locations], str | dict[str, Any]] = lambda name, where: name
 
     def open(self, name: str, *, renders: bool = True, parallel: bool = True, **given: Any) -> Session:
         """A session of a record config with settings put over it.
@@ -112,6 +114,8 @@ class Opener:
         from .skills.checked import check_config
         from .tasks.kinds import kind_of
 
+        if isinstance(task := given.get("task"), str):
+            given["task"] = self.task(task, where)
         if isinstance(size := given.get("size"), str):
             given["size"] = parse_size(size)
         if (randomize := given.get("randomize")) is not None:
@@ -141,13 +145,14 @@ class Opener:
             raise UsageError(f"{self.spell('fps')}: {error}") from None
         return {("task", "timing", key): (self.spell("fps"), value) for key, value in changed.items()}
 
-    def _own_rig(self, task: str, where: Locations) -> str | None:
+    def _own_rig(self, task: str | dict[str, Any], where: Locations) -> str | None:
         """The rig that a task says it is done on; None if it says none."""
         from .config.loader import model_of
         from .config.program_task import PROGRAM
 
         try:
-            data = model_of("tasks").read(where.config_file("tasks", task)).data
+            named = isinstance(task, str)
+            data = model_of("tasks").read(where.config_file("tasks", task)).data if named else task
         except ConfigError:
             return None  # Loading the whole config says so, and who asked for it.
         rig = data.get("rig") if data.get("kind") == PROGRAM else None

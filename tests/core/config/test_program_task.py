@@ -30,6 +30,16 @@ BAD = {
         "goal.on.thing",
         "unknown role 'cub'; did you mean 'cube'?",
     ),
+    "unknown role in a list of the goal": (
+        {("goal",): {"piled": {"things": ["plate", "cubs"]}}},
+        "goal.piled.things",
+        "unknown role 'cubs'",
+    ),
+    "arrangement without a thing": (
+        {("arrangements",): [{"seed": 0, "places": {"plate": [0.4, -0.15, 0]}}]},
+        "arrangements[0].places",
+        "has to give a place to each of cube, plate, and differs in 'cube'",
+    ),
     "unknown key of a role": ({("things", "cube", "cuont"): 2}, "things.cube.cuont", "did you mean 'count'?"),
     "unknown skill": ({("expert",): [{"pikc": {"thing": "cube"}}]}, "expert[0].pikc", "unknown skill 'pikc'; did you"),
     "unknown role in the program": (

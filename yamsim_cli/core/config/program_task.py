@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Reference
-from ..documents.units import Distance, Heading, HeadingRange, JointAngle, OffsetPoint, ReachRange, Share, Within
+from ..documents.units import Distance, Heading, HeadingRange, JointAngle, OffsetPoint, Place, ReachRange, Share, Within
 from ..errors import suggest
 from ..goals.cast import Cast
 from ..goals.goal import Goal
@@ -64,6 +64,19 @@ class Start(Config):
     attitudes: Annotated[tuple[Attitude, ...], Field(min_length=1)] = ("upright",)
     apart: Distance = 0.02
     open: Mapping[Name, tuple[Share, Share]] = Field(default_factory=dict)
+
+
+class Arrangement(Config):
+    """Where everything starts in an attempt, where that is not drawn from regions.
+
+    Attributes:
+        seed: of what the places come from, so that they can be found again there.
+        places: thing -> where its origin lies in `world`, x and y in m, and its heading in degrees. Things are let down
+            in this order.
+    """
+
+    seed: Annotated[int, Field(ge=0)]
+    places: Mapping[Name, tuple[Place, Place, Heading]]
 
 
 class Phrasings(Config):
@@ -126,6 +139,8 @@ class ProgramTask(Config):
         rig: what it is done on where nobody says otherwise.
         things: role -> what plays it.
         starts: role -> where its things start. They are placed in this order.
+        arrangements: rather, all starts that there are. Of a seed, attempts take them in random order, none twice while
+            others are left; `starts` then only says in which regions they are.
         phrasings: what a person might say; the first one stands for the task.
         goal: when it is done.
         near_misses: what does not count, for `yamsim tasks check` to try.
@@ -139,6 +154,7 @@ class ProgramTask(Config):
     rig: str
     things: Annotated[Mapping[Name, Role], Field(min_length=1)]
     starts: Mapping[Name, Start]
+    arrangements: Annotated[tuple[Arrangement, ...], Field(exclude_if=lambda given: not given)] = ()
     phrasings: Phrasings
     goal: Goal
     near_misses: tuple[NearMiss, ...] = ()
@@ -177,6 +193,17 @@ class ProgramTask(Config):
                     raise ConflictError(
                         f"unknown role {role!r}; {suggest(role, known_names)}", ("goal", *path, *argument.split("."))
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _arrangements_are_whole(self) -> ProgramTask:
+        names = set(self.typical_cast.kinds)
+        for k, one in enumerate(self.arrangements):
+            if others := names ^ set(one.places):
+                raise ConflictError(
+                    f"has to give a place to each of {', '.join(sorted(names))}, and differs in {sorted(others)[0]!r}",
+                    ("arrangements", k, "places"),
+                )
         return self
 
     @model_validator(mode="after")

@@ -65,6 +65,8 @@ def draw_places(
     Returns:
         Rather the name of a thing for which there was no room in any of 20 rounds of 60 places.
     """
+    if task.arrangements:
+        return _arranged(task, job, number)
     rng = generator(job, Stream.PLACES, number)
     missing = ""
     for _ in range(_ROUNDS):
@@ -73,6 +75,16 @@ def draw_places(
             return found
         missing = found
     return missing
+
+
+def _arranged(task: ProgramTask, job: EpisodeJob, number: int) -> dict[str, Placed]:
+    """The arrangement whose turn it is: all attempts of a seed go through one random order of them."""
+    order = generator(EpisodeJob(job.seed, 0), Stream.PLACES).permutation(len(task.arrangements))
+    one = task.arrangements[order[(job.attempt + number) % len(order)]]
+    return {
+        name: Placed(pose((x, y, 0.0), rotation_z(math.radians(turn))), TABLE, {})
+        for name, (x, y, turn) in one.places.items()
+    }
 
 
 def _round(
