@@ -49,10 +49,10 @@ FLOORS: dict[str, int] = {
     "core.things": 6,
     "core.attempt": 8,
     "core.skills": 7,
-    "core.opener": 8,
     # One for each thing that a user does.
     "core.certify": 9,
     "core.doctor": 9,
+    "core.opener": 9,
     "core.import_thing": 9,
     "core.overlay": 9,
     "core.record": 9,

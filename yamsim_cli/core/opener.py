@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .config.recording import RecordConfig, RenderConfig
     from .config.rig import RigConfig
     from .config.task import Timing
+    from .documents.base import Config
     from .documents.document import KeyPath
     from .resources import Locations
 
@@ -82,11 +83,13 @@ class Opener:
             ConfigError, UsageError: a value is not valid. It is told before OpenGL is tried, which takes seconds.
             ResourceError: nothing can render here.
         """
+        from .attempt.first_starts import check_starts
+
         where = self.locations()
         for setting in ("object", "target"):
             if isinstance(named := given.get(setting), str):
                 given[setting] = self.thing(named, where, self.notify)
-        session = Session(self.config(name, where, **given), where)
+        session = Session(self.config(name, where, lambda config: check_starts(Session(config, where)), **given), where)
         if not renders:
             self.skip_gl()
             return session
@@ -99,10 +102,13 @@ class Opener:
 
         return Locations.find(self.environ)
 
-    def config(self, name: str, where: Locations, **given: Any) -> RecordConfig:
+    def config(
+        self, name: str, where: Locations, check: Callable[[RecordConfig], None] = lambda config: None, **given: Any
+    ) -> RecordConfig:
         """The named record config with settings put over it.
 
         Args:
+            check: of what takes longer to find out, once all else is right; it raises a `ConflictError`.
             given: settings by their names; None for those that were not given. `randomize` keeps the ranges that a
                 config has of its own.
 
@@ -131,7 +137,13 @@ class Opener:
             overrides["rig",] = (self.spell("task"), rig)
         if fps is not None:
             overrides |= self._at_rate(fps, self.config(name, where, **given).task.timing)
-        config = load_config(RecordConfig, "record", name, where, overrides, check_config)
+
+        def check_all(config: Config) -> None:
+            check_config(config)
+            assert isinstance(config, RecordConfig)  # asked for here
+            check(config)
+
+        config = load_config(RecordConfig, "record", name, where, overrides, check_all)
         if config.program is None:
             kind_of(config.pair)
         return config

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.program_task import Attitude, ProgramTask, Start
+from ..config.program_task import Attitude, ProgramTask, Start, names_of
 from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..goals.cast import Cast
@@ -38,13 +38,15 @@ class Placed:
 
 def draw_cast(task: ProgramTask, job: EpisodeJob) -> Cast:
     """Who plays which role in an attempt."""
-    rng, drawn = generator(job, Stream.CAST), {}
+    rng, drawn, sizes = generator(job, Stream.CAST), {}, {}
     for role, one in task.things.items():
         numbers: list[int] = []
         while len(numbers) < one.count:
             numbers += [int(k) for k in rng.permutation(len(one.of))]
         drawn[role] = tuple(numbers[: one.count])
-    return task.cast_of(drawn)
+        if one.sizes:
+            sizes |= {name: one.sizes[int(rng.integers(len(one.sizes)))] for name in names_of(role, one.count)}
+    return task.cast_of(drawn, sizes)
 
 
 def draw_phrasing(task: ProgramTask, job: EpisodeJob) -> str:
