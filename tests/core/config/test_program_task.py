@@ -162,9 +162,8 @@ def test_a_task_without_a_start_is_told_when_it_is_opened(
     opener = Opener(os.environ, lambda text: None, "--{}".format)
     with pytest.raises(ConfigError) as caught:
         opener.open("default", renders=False, task=str(file))
-    assert re.match(rf"{re.escape(str(file))}:\d+: {re.escape(key)}: {re.escape(said)}", str(caught.value)), (
-        caught.value
-    )
+    text = str(caught.value)
+    assert re.match(rf"{re.escape(str(file))}:\d+: {re.escape(key)}: {re.escape(said)}", text), text
 
 
 def test_a_good_task_is_loaded_and_read_back(tmp_path: Path, locations: Locations) -> None:
