@@ -1,4 +1,4 @@
-"""Draw tasks that are data at the start, middle and end of their expert's first success, into `docs/tasks/`.
+"""Draw tasks that are data at the start, middle and end of their expert's first success, into `docs/images/tasks/`.
 
 python -m tools.task_pictures           # all that are shipped
 python -m tools.task_pictures tower     # or some
@@ -16,8 +16,10 @@ from PIL import Image as Pillow
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.session import Session
 
-_SIZE, _COLOURS = "200x150", 96
-_FOLDER = Path(__file__).resolve().parents[1] / "docs" / "tasks"
+# Of the scene camera's picture, px, and what is shown of it: the table between the arms, rows and columns.
+_SIZE, _ROWS, _COLUMNS = "480x360", slice(96, 276), slice(115, 365)
+_COLOURS = 256
+_FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images" / "tasks"
 
 # Attempts of seed 0 that are looked at for a success.
 _TRIES = 10
@@ -58,7 +60,8 @@ def _pictures(session: Session) -> list[np.ndarray]:
             done = demonstrate_program(simulator, sample(simulator, job))
             if done.outcome.success:
                 shown = [done.states[k].qpos for k in (0, len(done.states) // 2, -1)]
-                return [render(simulator, done.attempt, qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for qpos in shown]
+                seen = [render(simulator, done.attempt, qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for qpos in shown]
+                return [image[_ROWS, _COLUMNS] for image in seen]
     raise SystemExit(f"{session.config.task.name}: none of {_TRIES} attempts succeeded")
 
 

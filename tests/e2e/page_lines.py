@@ -38,6 +38,7 @@ SERVERS = {
 NOT_RUN = {
     r"^make\b": "it is what set this environment up, or what CI runs beside this test",
     r"^inspect-robots\b": "another program, which tests/clients/test_inspect.py runs in an environment of its own",
+    r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
     r"^ray start\b": "it starts a cluster on this machine; test_ray_cluster.py has one",
     r"--address HEAD:6379": "there is no machine HEAD; test_ray_cluster.py records on a cluster of its own",

@@ -163,8 +163,7 @@ class Opener:
         from .config.program_task import PROGRAM
 
         try:
-            named = isinstance(task, str)
-            data = model_of("tasks").read(where.config_file("tasks", task)).data if named else task
+            data = model_of("tasks").read(where.config_file("tasks", task)).data if isinstance(task, str) else task
         except ConfigError:
             return None  # Loading the whole config says so, and who asked for it.
         rig = data.get("rig") if data.get("kind") == PROGRAM else None

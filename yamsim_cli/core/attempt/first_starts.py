@@ -35,5 +35,5 @@ def check_starts(session: Session) -> None:
     told = f"{why}; none of the first {_FIRST} attempts of seed {session.config.seed} has a start"
     if why.startswith(HOLDS_ALREADY):
         raise ConflictError(told, ("task", "goal"))
-    role = next(role for role in reversed(task.starts) if task.starts[role].on == TABLE)
+    role = next(role for role in reversed(list(task.starts)) if task.starts[role].on == TABLE)
     raise ConflictError(told, ("task", "starts", role))

@@ -38,7 +38,7 @@ class Placed:
 
 def draw_cast(task: ProgramTask, job: EpisodeJob) -> Cast:
     """Who plays which role in an attempt."""
-    rng, drawn, sizes = generator(job, Stream.CAST), {}, {}
+    rng, drawn, sizes = generator(job, Stream.CAST), dict[str, tuple[int, ...]](), dict[str, float]()
     for role, one in task.things.items():
         numbers: list[int] = []
         while len(numbers) < one.count:
