@@ -12,9 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.core.attempts import planned
+from tests.core.attempts import all_actions, planned
+from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.programs import demonstrate_program
 from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.session import Session
 
 gymnasium = pytest.importorskip("gymnasium", reason="yamsim[gym] is not installed")
@@ -99,6 +103,46 @@ def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations:
             break
     env.close()
     assert success
+
+
+def test_a_task_that_is_data_is_one_too(tmp_path: Path) -> None:
+    """Its expert's actions, replayed through the environment, reach the goal; things have poses by their roles."""
+    task = str(written(tmp_path, ONTO_PLATE))
+    check(task=task)
+    with Simulators(session_of(tmp_path, ONTO_PLATE)) as simulators:
+        simulator, attempt = first_attempt(simulators, 1)
+        done = demonstrate_program(simulator, attempt)
+    assert done.outcome.success and attempt.layout is not None
+    env = gymnasium.make(ENV_ID, task=task)
+    observation, info = env.reset(seed=0, options={"trial": 1})
+    for name, T in attempt.layout.T_in_world.items():
+        np.testing.assert_allclose(observation[f"{name}_pose_world"], T, atol=1e-5)
+    assert info["prompt"] == attempt.phrasing and info["goal"]["on(cube, plate)"] < 0
+    drives, over = simulator.scene.drives[0], False
+    for ctrl in all_actions(done.states).ctrl:
+        observation, reward, over, truncated, info = env.step(np.append(ctrl[drives], 0.0).astype(np.float32))
+        assert not truncated and (over == (reward == 1.0))
+        if over:
+            break
+    env.close()
+    assert over and info["success"] and info["goal"]["on(cube, plate)"] > 0
+
+
+def test_joints_of_things_are_told(tmp_path: Path) -> None:
+    env = gymnasium.make(ENV_ID, task="drawer")
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert observation["cabinet_joints"].shape == (1,) and observation["joints"].shape == (14,)
+    env.close()
+
+
+def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("yamsim_cli.gym_env._STARTS", 1)
+    tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
+    env = gymnasium.make(ENV_ID, task=str(written(tmp_path, tight)))
+    with pytest.raises(SimulationError, match="none of 1 trials from 0 of seed 3 on has a start"):
+        env.reset(seed=3)
+    env.close()
 
 
 def test_doing_nothing_is_truncated(env: Any) -> None:

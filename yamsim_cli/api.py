@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from .core.import_thing.named import config_of
 from .core.opener import Opener
+from .kitchen_scenes import task_of
 
 if TYPE_CHECKING:
     from .core.dataset.reader import StoredEpisodes
@@ -23,7 +24,7 @@ def _keyword(setting: str) -> str:
 
 
 # Opens sessions for Python programs: messages name keywords, and what a user should read goes to the log.
-PROGRAM = Opener(os.environ, logging.getLogger("yamsim").warning, _keyword, config_of)
+PROGRAM = Opener(os.environ, logging.getLogger("yamsim").warning, _keyword, config_of, task_of)
 
 
 def record(

@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from .api import PROGRAM
+from .core.errors import SimulationError
 from .core.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
@@ -20,15 +21,23 @@ _FAR = 10.0
 # An object is slow just after it was let go, too. It counts as at rest after so many ticks, a quarter of a second.
 _REST_TICKS = 8
 
+# Trials without a start are left out; after so many in a row, there is none.
+_STARTS = 20
+
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
-    """The task of picking an object up and putting it onto a target; one step is a control tick of 32 ms.
+    """A task, by default picking an object up and putting it onto a target; a step is a control tick of 32 ms.
 
     The action is that of `yamsim eval` and of the LeRobot export: of a YAM (8,), seven drives (rad, m), and the weld,
     which holds above 0.5. On a rig with two arms it is (16,): the left arm's drives, the right one's, the left weld and
     the right one. `joints` (14,) and `ee_pose_world` (2, 4, 4) also have the left arm first.
     The reward is 1 on success, which ends the episode, else 0. Success is judged as by `yamsim pickplace batch`, once
-    the object is let go.
+    the object is let go; of a task that is data, once its goal has held for as long as it has to.
+
+    A task that is data has a pose for each thing, `<thing>_pose_world` (4, 4), and `<thing>_joints` where it has some.
+    Things are called by their roles, so the keys are the same whichever objects a trial draws; joints that an object
+    lacks are 0. Nothing has a weld there, and what an action says of it is not looked at. `info` has `prompt`, and of
+    such tasks `goal`: what the goal asks for -> its margin now, which is zero or more where it holds.
 
     `reset(seed=S)` starts from trial 0 of seed S, `reset(seed=S, options={"trial": k})` from trial k, the layout that
     `pickplace batch --seed S` has there, and every further `reset()` from the next one.
@@ -41,7 +50,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         observation: "state" holds the objects' poses, and renders nothing; "images" holds pictures instead.
         size: width and height of images, px.
         render_mode: None or "rgb_array", the scene camera's image.
-        max_ticks: ticks after which the episode is truncated; by default, twice as many as the plan takes.
+        max_ticks: ticks after which the episode is truncated; by default, twice as many as the plan takes, or as many
+            as a task that is data may take.
         rig, task, arm, config, quality: as the flags of `yamsim record`.
     """
 
@@ -78,17 +88,22 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             where = PROGRAM.locations()
             session = Session(PROGRAM.config(config, where, **given), where)
 
-        from .core.attempt.simulator import Simulator
-        from .core.config.pairs import require_pair
+        from .core.attempt.simulators import Simulators
         from .core.evaluate.observation import policy_cameras
         from .core.policies.base import SCENE, WRIST
+        from .core.types import EpisodeJob
 
-        self._config = require_pair(session.config, "the gymnasium environment")
-        self._simulator = Simulator(session)
-        self._max_ticks = max_ticks or 2 * self._simulator.kind.ticks(self._config)
+        self._config = task_config = session.config
+        self._simulators = Simulators(session)
+        # Of whichever trial: casts differ in things alone.
+        self._simulator = self._simulators.of(EpisodeJob(task_config.seed, 0))
+        program = task_config.program
+        most = program.most_ticks if program else 2 * self._simulator.kind.ticks(task_config)
+        self._max_ticks = max_ticks or most
         self._cameras = policy_cameras(self._config, (SCENE, WRIST))
         self._attempt: Any = None
         self._loop: Any = None
+        self._watch: Any = None
         self._denied, self._rested = False, 0
         scene = self._simulator.scene
         welds = np.tile((0.0, 1.0), (len(scene.arms), 1))
@@ -106,16 +121,34 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         if self._images:
             parts |= {key: spaces.Box(0, 255, (size[1], size[0], 3), np.uint8) for key in self._cameras}
         else:
-            parts |= {"object_pose_world": numbers(4, 4), "target_pose_world": numbers(4, 4)}
+            parts |= {key: numbers(4, 4) for key in self._poses()}
+            parts |= {key: numbers(count) for key, (_, count) in self._parts().items()}
         return spaces.Dict(parts)
+
+    def _poses(self) -> dict[str, str]:
+        """Key of an observation -> thing whose pose it is."""
+        config = self._config
+        if config.program is None:
+            return {"object_pose_world": config.pair.object.name, "target_pose_world": config.pair.target.name}
+        return {f"{name}_pose_world": name for name in config.program.typical_cast.kinds}
+
+    def _parts(self) -> dict[str, tuple[str, int]]:
+        """Key of an observation -> thing whose joints it holds, and how many those are at most."""
+        program = self._config.program
+        if program is None:
+            return {}
+        cast = program.typical_cast
+        most = {role: max(len(item.links) for item in one.of) for role, one in program.things.items()}
+        return {f"{name}_joints": (name, most[role]) for role in most if most[role] for name in cast.of(role)}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Start the next trial, or one of a seed."""
+        from .core.attempt.expert import sides
         from .core.attempt.planned import with_room
-        from .core.attempt.sampling import sample
         from .core.sim.closed_loop import ClosedLoop
+        from .core.sim.goal_watch import GoalWatch
         from .core.types import EpisodeJob
 
         super().reset(seed=seed)
@@ -126,16 +159,36 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         else:
             before = self._attempt.job
             job = EpisodeJob(before.seed, before.attempt + 1 if trial is None else int(trial))
-        attempt = sample(self._simulator, job)
-        while attempt.layout is None:
-            job = EpisodeJob(job.seed, job.attempt + 1)
-            attempt = sample(self._simulator, job)
-        self._attempt = attempt = with_room(self._simulator, attempt)
+        self._attempt = attempt = with_room(self._simulator, self._sampled(job))
         assert attempt.start is not None  # it has a layout
         self._denied, self._rested = False, 0
-        scene, task = self._simulator.varied(attempt), self._config.pair
-        self._loop = ClosedLoop(scene, attempt.start, task.object.name, task.timing)
+        scene, config = self._simulator.varied(attempt), self._config
+        carried = None if config.program else config.pair.object.name
+        self._loop = ClosedLoop(scene, attempt.start, carried, config.task.timing)
+        if config.program:
+            cast = self._simulator.cast
+            assert cast is not None  # a task of this kind has one
+            self._watch = GoalWatch(scene, self._loop.data, config.program, cast, sides(config))
         return self._observe(), self._info()
+
+    def _sampled(self, job: Any) -> Any:
+        """The first attempt from a job on that has a start; its simulator is the one that is used from now on.
+
+        Raises:
+            SimulationError: none of many has one.
+        """
+        from .core.attempt.sampling import sample
+        from .core.types import EpisodeJob
+
+        for number in range(job.attempt, job.attempt + _STARTS):
+            self._simulator = self._simulators.of(EpisodeJob(job.seed, number))
+            attempt = sample(self._simulator, EpisodeJob(job.seed, number))
+            if attempt.layout is not None:
+                return attempt
+        raise SimulationError(
+            f"task {self._config.task.name!r}: none of {_STARTS} trials from {job.attempt} of seed {job.seed} on has a "
+            f"start; `yamsim pickplace batch --seed {job.seed}` tells why"
+        )
 
     def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Let an action act for one control tick."""
@@ -145,6 +198,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             count = drives.size + len(drives)
             raise ValueError(f"an action is {count} finite numbers, not {values.shape} {values}")
         self._loop.step(values[: drives.size].reshape(drives.shape), values[drives.size :] > 0.5)
+        if self._watch is not None:
+            self._watch.tick()
         success = self._succeeded()
         truncated = not success and self._loop.ticks >= self._max_ticks
         return self._observe(), float(success), success, truncated, self._info(success)
@@ -157,14 +212,21 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return self._render((camera,))[camera]
 
     def close(self) -> None:
-        """Free the renderer."""
-        self._simulator.close()
+        """Free the renderers."""
+        self._simulators.close()
 
-    def _succeeded(self) -> bool:
+    def _is_done(self) -> bool:
+        """Whether it looks like a success, so that it is worth to be judged."""
+        if self._watch is not None:
+            return bool(self._watch.reached)
         loop, task = self._loop, self._config.pair
         rests = not loop.holds and loop.rests_on(task.target.name, task.success)
         self._rested = self._rested + 1 if rests else 0
-        if self._denied or self._rested < _REST_TICKS:
+        return self._rested >= _REST_TICKS
+
+    def _succeeded(self) -> bool:
+        loop = self._loop
+        if not self._is_done() or self._denied:
             return False
         from .core.attempt.physics import repeat
 
@@ -187,9 +249,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         hands = of_arms(T_base @ replica.T_grasp_in_base())
         seen: dict[str, Any] = {"joints": replica.joints().ravel(), "ee_pose_world": hands}
         if not self._images:
-            task = self._config.pair
-            for key, item in (("object_pose_world", task.object), ("target_pose_world", task.target)):
-                seen[key] = T_base @ replica.T_object_in_base(item.name)
+            seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
+            items = {item.name: item for item in self._simulator.config.task.objects}
+            for key, (name, count) in self._parts().items():
+                joints = replica.object_joints(items[name])
+                seen[key] = np.pad(joints, (0, count - len(joints)))
         numbers = {key: np.clip(value, -_FAR, _FAR).astype(np.float32) for key, value in seen.items()}
         if not self._images:
             return numbers
@@ -197,12 +261,15 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return numbers | {key: images[camera] for key, camera in self._cameras.items()}
 
     def _info(self, success: bool = False) -> dict[str, Any]:
+        goal = {} if self._watch is None else {"goal": {one.what: one.margin for one in self._watch.verdict.measures}}
         return {
             "seed": self._attempt.job.seed,
             "trial": self._attempt.job.attempt,
             "time": self._loop.ticks * self._config.task.timing.tick,
             "success": success,
             "holds": self._loop.holds,
+            "prompt": self._attempt.phrasing or self._config.task.language_prompt,
+            **goal,
         }
 
 

@@ -28,8 +28,12 @@ def test_a_bad_task_is_told_before_anything_runs(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_who_knows_only_one_kind_says_so(tmp_path: Path) -> None:
+def test_who_knows_only_one_kind_says_so() -> None:
     run = yamsim("tasks", "check", "pickplace")
     assert run.code == 2 and "`yamsim pickplace batch --task pickplace` counts" in run.message
-    run = yamsim("compose-xml", "--rig", "single_linear", "--task", "tower", "--out", tmp_path / "x")
-    assert run.code == 2 and "knows only tasks with an object and a target" in run.message
+
+
+def test_a_scene_is_composed_as_a_task_begins(tmp_path: Path) -> None:
+    run = yamsim("compose-xml", "--task", "drawer", "--out", tmp_path / "x", "--json")
+    assert run.code == 0, run.err
+    assert {"cabinet", "cabinet_drawer", "cube", "arm2_arm"} <= set(run.json["bodies"])

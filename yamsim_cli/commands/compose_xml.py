@@ -10,12 +10,12 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line
-from .session import Json, Margin, Revision, RigName, opener
-from .settings import Grasp
+from .session import Json, Margin, Revision, opener
+from .settings import Grasp, Rig
 
 
 def compose_xml(
-    rig: RigName = "single",
+    rig: Rig = None,
     revision: Revision = None,
     out: Annotated[Path, typer.Option(help="Folder to create, or file with --zip.")] = Path("scene"),
     margin: Margin = None,
@@ -45,23 +45,26 @@ def compose_xml(
     if grasp is not None and task is None:
         raise UsageError("--grasp says how a task's object is held: give --task too, or leave it out")
     where = opener.locations()
-    settings = opener.rig(rig, where, margin, revision)
     opener.skip_gl()
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.show.compose import at_home, task_home, write_scene
+    from yamsim_cli.core.session import Session
+    from yamsim_cli.core.show.compose import at_home, task_start, write_scene
 
     if task is None:
         scene, home = load_config(SceneConfig, "scenes", "studio", where), None
-        blueprint = Blueprint(settings, scene, boards=boards, background=background)
+        blueprint = Blueprint(
+            opener.rig(rig or "single", where, margin, revision), scene, boards=boards, background=background
+        )
     else:
         config = opener.config(
             "default", where, rig=rig, revision=revision, margin=margin, task=task, seed=seed, grasp=grasp
         )
-        blueprint, home = task_blueprint(config, boards=boards, background=background), task_home(config)
+        config, home = task_start(Session(config, where))
+        blueprint = task_blueprint(config, boards=boards, background=background)
     where = opener.find_meshes(where, mesh_sets(blueprint))
     spec, model = at_home(blueprint, where, home)
     target = out.with_name(f"{out.name}.zip") if as_zip and out.suffix != ".zip" else out

@@ -89,14 +89,11 @@ def batch(
         revision=revision,
     )
 
-    from yamsim_cli.core.config.pairs import require_pair
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.trials.batch import run_batch, write_report
     from yamsim_cli.core.trials.films import film_trials
     from yamsim_cli.core.trials.tally import require_success
 
-    if html:
-        require_pair(session.config, "the page of a batch")
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
         report = run_batch(session, THRESHOLDS, lambda done, wanted: advance(done, wanted, ""))
@@ -108,7 +105,7 @@ def batch(
     if html:
         from yamsim_cli.core.summarize.report_files import write_trials_page
 
-        write_trials_page(report, session.config.sampled, html)
+        write_trials_page(report, session.config, html)
         report["html"] = str(html)
         note(f"The page is in {html}.")
     if json:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .items import print_item, print_items
 from .session import Json, opener
 
 app = typer.Typer(help="List the arms, grippers and stations, and show one.", no_args_is_help=True)
@@ -20,20 +21,7 @@ def list_robots(json: Json = False) -> None:
     """
     from yamsim_cli.core.robots_there import robots_there
 
-    from .console import print_json, print_table
-    from .tables import listing
-
-    items = robots_there(opener.locations())
-    if json:
-        print_json({"items": list(items)})
-        return
-    headings = ["", "name", "of", "goes with", "source", "meshes"]
-    table = listing(headings, numbers_from=len(headings))
-    for item in items:
-        table.add_row(
-            item["kind"], item["name"], _of(item), ", ".join(item["goes_with"]), item["source"] or "", _meshes(item)
-        )
-    print_table(table)
+    print_items(robots_there(opener.locations()), ["", "name", "of", "goes with", "source", "meshes"], _row, json)
 
 
 @app.command()
@@ -47,14 +35,12 @@ def show(
     """
     from yamsim_cli.core.robots_there import robot_there
 
-    from .console import print_json, print_table
-    from .tables import facts
+    print_item(robot_there(name, opener.locations()), json, {"meshes": _told_meshes})
 
-    item = robot_there(name, opener.locations())
-    if json:
-        print_json({"items": [item]})
-        return
-    print_table(facts((key.replace("_", " "), _text(key, value)) for key, value in item.items() if value is not None))
+
+def _row(item: Mapping[str, Any]) -> list[str]:
+    goes_with = ", ".join(item["goes_with"])
+    return [item["kind"], item["name"], _of(item), goes_with, item["source"] or "", _meshes(item)]
 
 
 def _of(item: Mapping[str, Any]) -> str:
@@ -71,9 +57,5 @@ def _meshes(item: Mapping[str, Any]) -> str:
     return f"yamsim assets fetch {' '.join(missing)}" if missing else "here"
 
 
-def _text(key: str, value: Any) -> str:
-    if key == "meshes":
-        return ", ".join(f"{name}: {'here' if here else 'not here'}" for name, here in value.items()) or "none"
-    if isinstance(value, list):
-        return ", ".join(map(str, value))
-    return str(value)
+def _told_meshes(meshes: Mapping[str, bool]) -> str:
+    return ", ".join(f"{name}: {'here' if here else 'not here'}" for name, here in meshes.items()) or "none"

@@ -9,6 +9,7 @@ import typer
 
 from yamsim_cli.core.import_thing.named import config_of
 from yamsim_cli.core.opener import Opener
+from yamsim_cli.kitchen_scenes import task_of
 
 from .console import note
 
@@ -30,4 +31,4 @@ def _flag(setting: str) -> str:
 
 
 # Its error messages name flags, and what it has to tell goes to stderr.
-opener = Opener(os.environ, note, _flag, config_of)
+opener = Opener(os.environ, note, _flag, config_of, task_of)

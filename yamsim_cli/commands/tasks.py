@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import typer
 
+from .items import print_item, print_items
 from .session import Json, opener
 from .settings import ConfigOption, Rig, Seed, Workers
 
@@ -22,20 +24,7 @@ def list_tasks(json: Json = False) -> None:
     """
     from yamsim_cli.core.task_proof.tasks_there import tasks_there
 
-    from .console import print_json, print_table
-    from .tables import listing
-
-    items = tasks_there(opener.locations())
-    if json:
-        print_json({"items": items})
-        return
-    headings = ["name", "things", "skills", "what is said"]
-    table = listing(headings, numbers_from=len(headings))
-    for item in items:
-        table.add_row(
-            item["name"], ", ".join(item["things"]), ", ".join(item["skills"] or [item["kind"]]), item["prompt"]
-        )
-    print_table(table)
+    print_items(tasks_there(opener.locations()), ["name", "things", "skills", "what is said"], _row, json)
 
 
 @app.command()
@@ -49,14 +38,7 @@ def show(
     """
     from yamsim_cli.core.task_proof.tasks_there import task_there
 
-    from .console import print_json, print_table
-    from .tables import facts
-
-    item = task_there(name, opener.locations())
-    if json:
-        print_json({"items": [item]})
-        return
-    print_table(facts((key.replace("_", " "), _text(value)) for key, value in item.items() if value not in (None, [])))
+    print_item(task_there(name, opener.locations()), json)
 
 
 @app.command()
@@ -101,9 +83,5 @@ def check(
     require_proof(report)
 
 
-def _text(value: Any) -> str:
-    if isinstance(value, dict):
-        return "; ".join(f"{key}: {_text(inner)}" for key, inner in value.items())
-    if isinstance(value, list):
-        return ", ".join(map(_text, value))
-    return str(value)
+def _row(item: Mapping[str, Any]) -> list[str]:
+    return [item["name"], ", ".join(item["things"]), ", ".join(item["skills"] or [item["kind"]]), item["prompt"]]

@@ -65,8 +65,6 @@ def teleop(
             raise UsageError(f"{flag} is for the page: leave it out, or leave out --input")
     if realtime and stream is None:
         raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
-    from yamsim_cli.core.config.pairs import require_pair
-
     session = opener.open(
         config,
         rig=rig,
@@ -80,7 +78,6 @@ def teleop(
         size=size,
         quality=quality,
     )
-    require_pair(session.config, "teleop")
     quiet_page()
 
     from yamsim_cli.core.teleop.loop import check_page, open_seat, run_page, run_stream

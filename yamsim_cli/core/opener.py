@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .config.recording import RecordConfig, RenderConfig
     from .config.rig import RigConfig
     from .config.task import Timing
+    from .documents.base import Config
     from .documents.document import KeyPath
     from .resources import Locations
 
@@ -61,12 +62,14 @@ class Opener:
         notify: told what a user should read, a sentence at a time.
         spell: a setting's name -> how whoever asks writes it, for messages.
         thing: makes a config of what names a thing otherwise, such as by its file, and gives its place.
+        task: a task's name, or its config as plain data where the name is that of a scene elsewhere.
     """
 
     environ: MutableMapping[str, str]
     notify: Callable[[str], None]
     spell: Callable[[str], str]
     thing: Callable[[str, Locations, Callable[[str], None]], str] = lambda name, where, notify: name
+    task: Callable[[str, Locations], str | dict[str, Any]] = lambda name, where: name
 
     def open(self, name: str, *, renders: bool = True, parallel: bool = True, **given: Any) -> Session:
         """A session of a record config with settings put over it.
@@ -80,11 +83,13 @@ class Opener:
             ConfigError, UsageError: a value is not valid. It is told before OpenGL is tried, which takes seconds.
             ResourceError: nothing can render here.
         """
+        from .attempt.first_starts import check_starts
+
         where = self.locations()
         for setting in ("object", "target"):
             if isinstance(named := given.get(setting), str):
                 given[setting] = self.thing(named, where, self.notify)
-        session = Session(self.config(name, where, **given), where)
+        session = Session(self.config(name, where, lambda config: check_starts(Session(config, where)), **given), where)
         if not renders:
             self.skip_gl()
             return session
@@ -97,10 +102,13 @@ class Opener:
 
         return Locations.find(self.environ)
 
-    def config(self, name: str, where: Locations, **given: Any) -> RecordConfig:
+    def config(
+        self, name: str, where: Locations, check: Callable[[RecordConfig], None] = lambda config: None, **given: Any
+    ) -> RecordConfig:
         """The named record config with settings put over it.
 
         Args:
+            check: of what takes longer to find out, once all else is right; it raises a `ConflictError`.
             given: settings by their names; None for those that were not given. `randomize` keeps the ranges that a
                 config has of its own.
 
@@ -112,6 +120,8 @@ class Opener:
         from .skills.checked import check_config
         from .tasks.kinds import kind_of
 
+        if isinstance(task := given.get("task"), str):
+            given["task"] = self.task(task, where)
         if isinstance(size := given.get("size"), str):
             given["size"] = parse_size(size)
         if (randomize := given.get("randomize")) is not None:
@@ -127,7 +137,13 @@ class Opener:
             overrides["rig",] = (self.spell("task"), rig)
         if fps is not None:
             overrides |= self._at_rate(fps, self.config(name, where, **given).task.timing)
-        config = load_config(RecordConfig, "record", name, where, overrides, check_config)
+
+        def check_all(config: Config) -> None:
+            check_config(config)
+            assert isinstance(config, RecordConfig)  # asked for here
+            check(config)
+
+        config = load_config(RecordConfig, "record", name, where, overrides, check_all)
         if config.program is None:
             kind_of(config.pair)
         return config
@@ -141,13 +157,13 @@ class Opener:
             raise UsageError(f"{self.spell('fps')}: {error}") from None
         return {("task", "timing", key): (self.spell("fps"), value) for key, value in changed.items()}
 
-    def _own_rig(self, task: str, where: Locations) -> str | None:
+    def _own_rig(self, task: str | dict[str, Any], where: Locations) -> str | None:
         """The rig that a task says it is done on; None if it says none."""
         from .config.loader import model_of
         from .config.program_task import PROGRAM
 
         try:
-            data = model_of("tasks").read(where.config_file("tasks", task)).data
+            data = model_of("tasks").read(where.config_file("tasks", task)).data if isinstance(task, str) else task
         except ConfigError:
             return None  # Loading the whole config says so, and who asked for it.
         rig = data.get("rig") if data.get("kind") == PROGRAM else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,10 @@ from kitchenbench.sim import build_blueprint, make_success_checker
 from kitchenbench.sim.success import SuccessChecker
 
 from .. import __version__
-from ..api import PROGRAM
 from ..core.attempt.pictures import render
 from ..core.config.recording import RecordConfig
 from ..core.errors import UsageError
-from ..core.opener import parse_size
+from ..core.opener import Opener, parse_size
 from ..core.session import Session
 from ..core.types import Attempt, EpisodeJob
 from .motion import ACTION_DIM, CLOSING, Motion
@@ -47,6 +47,8 @@ LABELS = tuple(f"{side}_{part}" for side in ("left", "right") for part in (*(f"j
 
 _LOG = logging.getLogger("yamsim")
 
+_OPENER = Opener(os.environ, _LOG.warning, "{}=".format)
+
 _NOTES = """Two arms of six joints, 0.61 m apart, before a table. An action is 14 absolute targets: six joints of the
 left arm (rad), its gripper (0 closed and pressing .. 1 open), then the right arm's. Over an action, references go
 evenly from the last targets to the new ones, as far as motors' speeds let them. At zero an arm is folded."""
@@ -61,9 +63,9 @@ def open_base(size: str, *, images: bool, quality: str = "fast") -> Session:
     """
     given: dict[str, Any] = {"rig": STATION, "task": _ANY_TASK, "size": parse_size(size), "quality": quality}
     if images:
-        return PROGRAM.open("default", parallel=False, **given)
-    where = PROGRAM.locations()
-    return Session(PROGRAM.config("default", where, **given), where).without_meshes()
+        return _OPENER.open("default", parallel=False, **given)
+    where = _OPENER.locations()
+    return Session(_OPENER.config("default", where, **given), where).without_meshes()
 
 
 # Whichever of ours: a scene brings a task of its own.

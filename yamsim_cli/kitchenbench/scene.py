@@ -33,8 +33,8 @@ AHEAD = 0.35
 
 #: The rate of control ticks, Hz, and what makes one of them, physics steps and s.
 TICK_HZ = 30
-_STEPS = 16
-_TIMESTEP = 1.0 / (TICK_HZ * _STEPS)
+STEPS = 16
+TIMESTEP = 1.0 / (TICK_HZ * STEPS)
 
 # A table that a scene needs wider than it is ends so far beside its things, m.
 _EDGE = 0.10
@@ -97,12 +97,11 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
     objects = [thing_of(item, blueprint.conditions, base.locations) for item in things]
     config = base.config
     task = _task(blueprint, config, {item.name: item for item in objects})
-    scene = config.scene.model_copy(update={"table": _table(config, things)})
+    scene = config.scene.model_copy(update={"table": table_of(config, blueprint)})
     cast = _cast(blueprint)
     simulator = Simulator(base.with_values(task=task, scene=scene), cast)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
-    free = _clear_of_racks(simulator, blueprint, wanted)
-    start = settle(simulator.scene, _let_down(simulator, free), _TIMESTEP)
+    start = settle(simulator.scene, _let_down(simulator, free_places(simulator, blueprint)), TIMESTEP)
     qpos = simulator.scene.object_qpos
     offsets = {
         name: round(1000 * float(np.linalg.norm(start[qpos[name] : qpos[name] + 2] - T[:2, 3])), 2)
@@ -137,14 +136,15 @@ def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str,
             "phrasings": {"training": (blueprint.instruction,)},
             "goal": {"all": [{"upright": {"thing": first}}]},
             "expert": ({"pick": {"thing": first}},),
-            "timing": {"physics_steps_per_tick": _STEPS, "timestep": _TIMESTEP},
+            "timing": {"physics_steps_per_tick": STEPS, "timestep": TIMESTEP},
             "start_joints": config.start_joints,
         }
     )
 
 
-def _table(config: RecordConfig, things: list[SceneObject]) -> Table:
+def table_of(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
     """The table, wide enough for all that a scene puts onto it: some ask for more than the arms reach."""
+    things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
     reach = max(abs(item.x_cm) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things) / 100
@@ -169,10 +169,14 @@ def _regions(blueprint: SceneBlueprint) -> dict[str, Region]:
     return found
 
 
-def _clear_of_racks(simulator: Simulator, blueprint: SceneBlueprint, wanted: Mapping[str, Array]) -> dict[str, Array]:
-    """The same places (4, 4), but of things that would stand in a rack's wire: these are beside it, to its left or
-    right. Large things come first, since others may lie on them.
+def free_places(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Array]:
+    """Where a blueprint asks for its things (4, 4), but of those that would stand in a rack's wire: these are beside
+    it, to its left or right. Large things come first, since others may lie on them.
+
+    Args:
+        simulator: of a scene with the same things.
     """
+    wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
     world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, (), list(wanted))
     room = {name: world.block(name) for name in wanted}
     area = {name: float(np.prod((block[1] - block[0])[:2])) for name, block in room.items()}

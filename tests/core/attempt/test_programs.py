@@ -12,12 +12,14 @@ import pytest
 
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.episode import check_episode
 from yamsim_cli.core.dataset.checks.problem import Problems
 from yamsim_cli.core.dataset.opening import OpenMode
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
+from yamsim_cli.core.dataset.records import CastRecord, to_json
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.images.jpeg import JpegReader
@@ -27,7 +29,8 @@ from yamsim_cli.core.record.executors import ThisProcess
 from yamsim_cli.core.record.recorder import record
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.types import Actions, Cause, EpisodeJob
+from yamsim_cli.core.sim.world import SimWorld
+from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob
 from yamsim_cli.core.verify.remake import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits
 from yamsim_cli.core.workers.stop import Stop
 
@@ -145,3 +148,29 @@ def test_each_cast_has_a_simulator_of_its_own(simulators: Simulators) -> None:
     made = [simulators.of(EpisodeJob(0, k)) for k in range(8)]
     kinds = {simulator.cast.kinds["cube"] for simulator in made if simulator.cast}
     assert kinds == {"cube_red", "cube_blue"} and len(set(map(id, made))) == 2
+
+
+def test_things_come_in_sizes_that_the_record_tells(tmp_path: Path) -> None:
+    task = changed({("things", "cube"): {"of": ["cube_red", "cube_blue"], "sizes": [0.8, 1.2]}})
+    edges = set()
+    with Simulators(session_of(tmp_path, task)) as simulators:
+        for number in range(6):
+            simulator, attempt = first_attempt(simulators, number)
+            assert attempt.cast is not None and attempt.layout is not None
+            factor = attempt.cast.sizes["cube"]
+            (cube,) = (item for item in simulator.config.task.objects if item.name == "cube")
+            assert cube.shape is not None and cube.inertia.mass == pytest.approx(0.06179 * factor**3, rel=0.01)
+            # It stands on the table, so its middle is half an edge above.
+            low, high = _height(simulator, attempt)
+            assert high - low == pytest.approx(0.045 * factor, abs=1e-4)
+            edges.add(factor)
+    assert edges == {0.8, 1.2}
+    line = CastRecord.model_validate_json(to_json(CastRecord(things={}, kinds={}, sizes={"cube": 0.8})))
+    assert line.sizes == {"cube": 0.8} and "sizes" not in CastRecord(things={}, kinds={}).model_dump()
+
+
+def _height(simulator: Simulator, attempt: Attempt) -> tuple[float, float]:
+    simulator.replica.show(attempt.start)  # type: ignore[arg-type]
+    world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, ("right",), ["cube"])
+    low, high = world.bounds("cube")
+    return float(low[2]), float(high[2])

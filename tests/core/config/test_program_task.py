@@ -16,6 +16,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.task import TaskConfig
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.skills.checked import check_config
 
@@ -29,6 +30,26 @@ BAD = {
         {("goal",): {"on": {"thing": "cub", "surface": "plate"}}},
         "goal.on.thing",
         "unknown role 'cub'; did you mean 'cube'?",
+    ),
+    "unknown role in a list of the goal": (
+        {("goal",): {"piled": {"things": ["plate", "cubs"]}}},
+        "goal.piled.things",
+        "unknown role 'cubs'",
+    ),
+    "arrangement without a thing": (
+        {("arrangements",): [{"seed": 0, "places": {"plate": [0.4, -0.15, 0]}}]},
+        "arrangements[0].places",
+        "has to give a place to each of cube, plate, and differs in 'cube'",
+    ),
+    "sizes of what has no shape": (
+        {("things", "cube"): {"of": ["cube_red", "011_banana"], "sizes": [1.0, 1.2]}},
+        "things.cube.sizes[1]",
+        "the banana has no `shape`, and only what is made from its sizes has others",
+    ),
+    "sizes that cannot be made": (
+        {("things", "plate"): {"of": "kitchen_plate", "sizes": [8]}},
+        "things.plate.sizes[0]",
+        "the plate cannot be made 8 times as large: vessel.diameter_mm: ",
     ),
     "unknown key of a role": ({("things", "cube", "cuont"): 2}, "things.cube.cuont", "did you mean 'count'?"),
     "unknown skill": ({("expert",): [{"pikc": {"thing": "cube"}}]}, "expert[0].pikc", "unknown skill 'pikc'; did you"),
@@ -117,6 +138,32 @@ def test_a_region_out_of_reach_is_told(tmp_path: Path) -> None:
         ConfigError, match=r"small.yaml:\d+: task.starts.cube.x: all of the region of the cube is out of reach"
     ):
         session_of(tmp_path, far)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "said"),
+    [
+        (
+            {("goal",): {"on": {"thing": "cube", "surface": "table"}}},
+            "task.goal",
+            "the goal holds already at the start, in each of 20 draws; none of the first 3 attempts of seed 0 has",
+        ),
+        (
+            {("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]},
+            "task.starts.cube",
+            "no free place for the cube where it is to start; none of the first 3",
+        ),
+    ],
+)
+def test_a_task_without_a_start_is_told_when_it_is_opened(
+    changes: dict[tuple[str, ...], Any], key: str, said: str, tmp_path: Path
+) -> None:
+    file = written(tmp_path, changed(changes))
+    opener = Opener(os.environ, lambda text: None, "--{}".format)
+    with pytest.raises(ConfigError) as caught:
+        opener.open("default", renders=False, task=str(file))
+    text = str(caught.value)
+    assert re.match(rf"{re.escape(str(file))}:\d+: {re.escape(key)}: {re.escape(said)}", text), text
 
 
 def test_a_good_task_is_loaded_and_read_back(tmp_path: Path, locations: Locations) -> None:

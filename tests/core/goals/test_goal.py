@@ -37,6 +37,18 @@ CASES = {
         0.015,
         StillWorld({"cube_1": (0, 0, 0.02), "cube_2": (0.03, 0, 0.02)}, touches=[("cube_1", "cube_2")]),
     ),
+    "over": (
+        {"thing": "cup", "surface": "plate"},
+        StillWorld({"cup": (0.3, 0.01, 0.065), "plate": (0.3, 0.0, 0.02)}),
+        0.01,
+        StillWorld({"cup": (0.3, 0.0, 0.081), "plate": (0.3, 0.0, 0.02)}),
+    ),
+    "piled": (
+        {"things": ["cube"]},
+        StillWorld({"cube_1": (0, 0, 0.02), "cube_2": (0.005, 0, 0.03)}),
+        0.015,
+        StillWorld({"cube_1": (0, 0, 0.02), "cube_2": (0, 0, 0.02)}),
+    ),
     "upright": (
         {"thing": "cup", "tilt_deg": 10},
         StillWorld({"cup": (0, 0, 0)}, leaning={"cup": math.radians(4)}),

@@ -14,6 +14,8 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
+from tests.programs import ONTO_PLATE, first_attempt, session_of
+from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -167,6 +169,34 @@ def test_a_task_stands_as_its_seed_says(config: RecordConfig, locations: Locatio
     for name, T in layout.T_in_world.items():
         assert np.allclose(positions[live.model.body(name).id], T[:3, 3], atol=1e-3)
     assert [live.model.cam(k).name for k in range(live.model.ncam)] == ["scene_camera", "right_wrist_camera"]
+
+
+def test_a_task_that_is_data_stands_as_its_first_attempt(tmp_path: Path) -> None:
+    opened = {
+        "things": {"cabinet": {"of": "drawer_cabinet"}, "cube": {"of": ["cube_red", "cube_blue"]}},
+        "starts": {
+            "cabinet": {"x": [0.52, 0.54], "y": [-0.03, 0.03], "yaw_deg": [-5, 5], "open": {"drawer": [0.5, 0.6]}},
+            "cube": {"x": [0.22, 0.30], "y": [-0.2, 0.2], "apart": 0.04},
+        },
+        "goal": {"all": [{"in": {"thing": "cube", "container": "cabinet"}}]},
+        "expert": [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "cabinet"}}],
+    }
+    session = session_of(tmp_path, ONTO_PLATE | opened)
+    live = live_task(session)
+    with Simulators(session) as simulators:
+        simulator, attempt = first_attempt(simulators)
+    assert attempt.layout is not None and simulator.cast is not None
+    positions, quaternions = live.body_poses()
+    for name, T in attempt.layout.T_in_world.items():
+        body = live.model.body(name).id
+        assert np.allclose(positions[body], T[:3, 3], atol=1e-6)
+        assert np.allclose(np.abs(quaternions[body] @ quat_from_rotation(T[:3, :3])), 1, atol=1e-6)
+    low, high = live.model.joint("cabinet_drawer").range
+    assert 0.45 < (live.data.joint("cabinet_drawer").qpos[0] - low) / (high - low) < 0.65
+    live.reset()
+    run(live, 1.0)
+    after, _ = live.body_poses()
+    assert np.abs(after[live.model.body("cube").id] - positions[live.model.body("cube").id]).max() < 2e-3
 
 
 def test_the_page_shows_what_its_switches_say(live: LiveRig) -> None:

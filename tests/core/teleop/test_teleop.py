@@ -77,7 +77,7 @@ def run(driven: DrivenScene, seconds: float) -> None:
 
 def player_of(driven: DrivenScene, lines: list[dict[str, Any]], folder: Path) -> Player:
     stream = write_stream(folder / "stream.jsonl", lines)
-    return Player(read_stream(stream, driven._simulator.config))
+    return Player(read_stream(stream, driven._config))
 
 
 def play(driven: DrivenScene, lines: list[dict[str, Any]], folder: Path) -> None:
@@ -231,7 +231,7 @@ def test_a_wider_gripper_opens_as_wide_as_it_goes(
     driven = DrivenScene(Session(config, locations), tray)
     driven.set_gripper(0.0475)
     run(driven, 1.0)
-    fingers = driven._scene.arm.fingers.qpos
+    fingers = driven._stage.scene.arm.fingers.qpos
     assert np.abs(driven.data.qpos[fingers]) == pytest.approx(0.0475, abs=0.001)
     assert driven.status.gripper_open
     driven.toggle_gripper()
@@ -321,7 +321,7 @@ def test_what_is_recorded_repeats_bit_for_bit(
     driven.settle()
     (handed_in,) = tray.attempts
     with DrivenRunner(Session(config, locations), render=False) as runner:
-        done = repeat(runner._simulator, handed_in.attempt, handed_in.actions, planned=False)
+        done = repeat(runner._simulators.of(handed_in.attempt.job), handed_in.attempt, handed_in.actions, planned=False)
         payload = runner.run(handed_in)
     assert done.outcome.success, done.outcome.detail
     assert (payload.outcome.success, payload.outcome.position_error, payload.outcome.tilt) == (True, None, None)

@@ -30,6 +30,7 @@ from .simulator import Simulator
 
 # How often things are placed anew where the goal holds already.
 _DRAWS = 20
+HOLDS_ALREADY = "the goal holds already at the start"
 
 # Things are let down from so high over the table, and wait for that so far apart above it, m.
 _OVER = 0.5
@@ -60,7 +61,7 @@ def no_start(simulator: Simulator, attempt: Attempt) -> str:
     places = draw_places(task, cast, _blocks(simulator), simulator.config.table, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} where it is to start"
-    return f"the goal holds already at the start, in each of {_DRAWS} draws"
+    return f"{HOLDS_ALREADY}, in each of {_DRAWS} draws"
 
 
 def demonstrate_program(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> Simulated:

@@ -62,14 +62,3 @@ def require_meshes(simulator: Simulator) -> None:
             f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(others)}; they "
             "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"
         )
-
-
-def recording_simulator(session: Session) -> Simulator:
-    """A simulator whose pictures are to be recorded.
-
-    Raises:
-        ResourceError: it would show other meshes than the config says.
-    """
-    simulator = Simulator(session)
-    require_meshes(simulator)
-    return simulator

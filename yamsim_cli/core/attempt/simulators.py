@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from ..closing import Closing
+from ..errors import SimulationError
 from ..goals.cast import Cast
 from ..session import Session
 from ..tasks.casting import draw_cast
@@ -15,7 +16,7 @@ from .simulator import Simulator
 # How many are kept: each holds a compiled scene, and a renderer once it has rendered.
 _KEPT = 4
 
-_Key = tuple[tuple[str, str], ...]
+_Key = tuple[tuple[str, str, float], ...]
 
 
 def cast_for(session: Session, job: EpisodeJob) -> Cast | None:
@@ -28,12 +29,17 @@ def simulator_for(session: Session, cast: Cast | None) -> Simulator:
     """A simulator of the things of a cast.
 
     Raises:
-        SimulationError: its scene cannot be compiled.
+        SimulationError: its scene cannot be compiled, or a thing not be made in its size.
     """
     task = session.config.program
     if task is None or cast is None:
         return Simulator(session)
-    return Simulator(session.with_values(task=task.played_by(cast)), cast)
+    try:
+        played = task.played_by(cast)
+    except ValueError as error:
+        # A dataset's own task, whose things could be made in their sizes once.
+        raise SimulationError(f"task {task.name!r}: {error}") from error
+    return Simulator(session.with_values(task=played), cast)
 
 
 class Simulators(Closing):
@@ -54,7 +60,7 @@ class Simulators(Closing):
             SimulationError: its scene cannot be compiled.
         """
         cast = cast_for(self.session, job)
-        key = tuple(sorted(cast.kinds.items())) if cast is not None else ()
+        key = () if cast is None else tuple((name, cast.kinds[name], cast.sizes.get(name, 1.0)) for name in cast.kinds)
         if key in self._made:
             self._made.move_to_end(key)
             return self._made[key]

@@ -6,14 +6,26 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Reference
-from ..documents.units import Distance, Heading, HeadingRange, JointAngle, OffsetPoint, ReachRange, Share, Within
+from ..documents.units import (
+    Distance,
+    Heading,
+    HeadingRange,
+    JointAngle,
+    OffsetPoint,
+    Place,
+    ReachRange,
+    Share,
+    Within,
+    as_recorded,
+)
 from ..errors import suggest
 from ..goals.cast import Cast
 from ..goals.goal import Goal
 from ..goals.world import TABLE
+from .scaled import scaled
 from .things import ObjectConfig
 
 #: What tasks that are data say as their `kind`.
@@ -31,10 +43,26 @@ class Role(Config):
     Attributes:
         of: the objects to draw from.
         count: how many things play the role.
+        sizes: factors of their lengths, of which each thing gets one; only of objects with a `shape`.
     """
 
     of: Annotated[tuple[ObjectConfig, ...], Reference("objects"), Field(min_length=1)]
     count: Annotated[int, Field(ge=1, le=20)] = 1
+    sizes: Annotated[
+        tuple[Annotated[FiniteFloat, Within("times", 0.1, 10)], ...], Field(exclude_if=lambda sizes: not sizes)
+    ] = ()
+
+    @model_validator(mode="after")
+    def _come_in_all_sizes(self, info: ValidationInfo) -> Role:
+        if as_recorded(info):
+            return self
+        for k, factor in enumerate(self.sizes):
+            for item in self.of:
+                try:
+                    scaled(item, factor)
+                except ValueError as error:
+                    raise ConflictError(str(error), ("sizes", k)) from None
+        return self
 
     @model_validator(mode="before")
     @classmethod
@@ -64,6 +92,19 @@ class Start(Config):
     attitudes: Annotated[tuple[Attitude, ...], Field(min_length=1)] = ("upright",)
     apart: Distance = 0.02
     open: Mapping[Name, tuple[Share, Share]] = Field(default_factory=dict)
+
+
+class Arrangement(Config):
+    """Where everything starts in an attempt, where that is not drawn from regions.
+
+    Attributes:
+        seed: of what the places come from, so that they can be found again there.
+        places: thing -> where its origin lies in `world`, x and y in m, and its heading in degrees. Things are let down
+            in this order.
+    """
+
+    seed: Annotated[int, Field(ge=0)]
+    places: Mapping[Name, tuple[Place, Place, Heading]]
 
 
 class Phrasings(Config):
@@ -126,6 +167,8 @@ class ProgramTask(Config):
         rig: what it is done on where nobody says otherwise.
         things: role -> what plays it.
         starts: role -> where its things start. They are placed in this order.
+        arrangements: rather, all starts that there are. Of a seed, attempts take them in random order, none twice while
+            others are left; `starts` then only says in which regions they are.
         phrasings: what a person might say; the first one stands for the task.
         goal: when it is done.
         near_misses: what does not count, for `yamsim tasks check` to try.
@@ -139,6 +182,7 @@ class ProgramTask(Config):
     rig: str
     things: Annotated[Mapping[Name, Role], Field(min_length=1)]
     starts: Mapping[Name, Start]
+    arrangements: Annotated[tuple[Arrangement, ...], Field(exclude_if=lambda given: not given)] = ()
     phrasings: Phrasings
     goal: Goal
     near_misses: tuple[NearMiss, ...] = ()
@@ -177,6 +221,17 @@ class ProgramTask(Config):
                     raise ConflictError(
                         f"unknown role {role!r}; {suggest(role, known_names)}", ("goal", *path, *argument.split("."))
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _arrangements_are_whole(self) -> ProgramTask:
+        names = set(self.typical_cast.kinds)
+        for k, one in enumerate(self.arrangements):
+            if others := names ^ set(one.places):
+                raise ConflictError(
+                    f"has to give a place to each of {', '.join(sorted(names))}, and differs in {sorted(others)[0]!r}",
+                    ("arrangements", k, "places"),
+                )
         return self
 
     @model_validator(mode="after")
@@ -237,21 +292,27 @@ class ProgramTask(Config):
             {role: tuple(k % len(one.of) for k in range(one.count)) for role, one in self.things.items()}
         )
 
-    def cast_of(self, drawn: Mapping[str, tuple[int, ...]]) -> Cast:
-        """The cast, by the numbers in `of` of the objects that play each role."""
+    def cast_of(self, drawn: Mapping[str, tuple[int, ...]], sizes: Mapping[str, float] | None = None) -> Cast:
+        """The cast, by the numbers in `of` of the objects that play each role.
+
+        Args:
+            sizes: thing -> factor of its lengths.
+        """
         kinds = {
             name: self.things[role].of[k].name
             for role, numbers in drawn.items()
             for name, k in zip(names_of(role, len(numbers)), numbers, strict=True)
         }
-        return Cast({role: names_of(role, len(numbers)) for role, numbers in drawn.items()}, kinds)
+        return Cast({role: names_of(role, len(numbers)) for role, numbers in drawn.items()}, kinds, sizes or {})
 
     def played_by(self, cast: Cast) -> ProgramTask:
         """The same task in which each role has the things of a cast, called by their names in it."""
         things = {}
         for role, one in self.things.items():
             kinds = {item.name: item for item in one.of}
-            items = tuple(kinds[cast.kinds[name]].called(name) for name in cast.of(role))
+            items = tuple(
+                scaled(kinds[cast.kinds[name]], cast.sizes.get(name, 1.0)).called(name) for name in cast.of(role)
+            )
             things[role] = one.model_copy(update={"of": items})
         return self.model_copy(update={"things": things})
 

@@ -14,6 +14,7 @@ from ..documents.units import Within, as_recorded
 from ..robots.models import Fingers
 from ..robots.stops import beyond_stops
 from ..shown_meshes import PATTERN
+from .friction import check_friction
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
@@ -80,10 +81,6 @@ Side = Literal["left", "right"]
 
 def _other(side: Side) -> Side:
     return "left" if side == "right" else "right"
-
-
-# Rigs whose grippers have pads, to name where a rig's have none: of one arm, and of two.
-_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")
 
 
 # The two models of tasks, as branches of a union.
@@ -231,35 +228,8 @@ class RecordConfig(Config):
         if isinstance(self.task, ProgramTask):
             # Skills hold by friction alone.
             self = self.model_copy(update={"grasp": "contact"})
-        if self.grasp != "contact":
-            return self
-        for arm in self.acting_arms:
-            if arm.gripper.fingers is None or not arm.gripper.fingers.pads:
-                raise ConflictError(
-                    f"grasp 'contact' needs a gripper with pads, and {arm.name} of rig {self.rig.name!r} has "
-                    f"{arm.gripper.name}; use --rig {_WITH_PADS[len(self.rig.arms) > 1]}, or grasp: weld",
-                    ("grasp",),
-                    ("rig",),
-                )
-        if isinstance(self.task, ProgramTask):
-            return self
-        grasp = self.task.object.grasp
-        if grasp is None or grasp.friction is None:
-            raise ConflictError(
-                f"grasp 'contact' needs grasp.friction of object {self.task.object.name!r}, which has none; add it, or "
-                "use grasp: weld",
-                ("grasp",),
-                ("task", "object"),
-                ("task",),
-            )
-        if grasp.friction.hands > 1:
-            raise ConflictError(
-                f"object {self.task.object.name!r} takes two hands, and this task picks it up with one; choose another "
-                "object, or use grasp: weld",
-                ("task", "object"),
-                ("grasp",),
-                ("task",),
-            )
+        if self.grasp == "contact":
+            check_friction(self.rig, self.acting_arms, self.task)
         return self
 
     @model_validator(mode="after")

@@ -119,10 +119,11 @@ StartPlace = UprightPose | FullPose
 
 
 class CastRecord(Record):
-    """Who plays which role: role -> things, and thing -> the object that it is."""
+    """Who plays which role: role -> things, thing -> the object that it is, thing -> factor of that one's lengths."""
 
     things: dict[str, tuple[str, ...]]
     kinds: dict[str, str]
+    sizes: Annotated[dict[str, float], _UNLESS_EMPTY] = Field(default_factory=dict)
 
 
 class AttemptRecord(Record):
@@ -239,7 +240,7 @@ def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecor
         randomized=payload.attempt.variation,
         cast=None
         if (cast := payload.attempt.cast) is None
-        else CastRecord(things=dict(cast.things), kinds=dict(cast.kinds)),
+        else CastRecord(things=dict(cast.things), kinds=dict(cast.kinds), sizes=dict(cast.sizes)),
         phrasing=payload.attempt.phrasing,
     )
 
@@ -250,7 +251,7 @@ def recorded_attempt(record: EpisodeRecord, start: Array | None = None) -> Attem
     Args:
         start: MuJoCo's positions (nq,) of its first frame, where they are needed.
     """
-    cast = None if record.cast is None else Cast(record.cast.things, record.cast.kinds)
+    cast = None if record.cast is None else Cast(record.cast.things, record.cast.kinds, record.cast.sizes)
     job, layout = EpisodeJob(record.seed, record.attempt), Layout.of(record.layout)
     return Attempt(job, layout, record.randomized, start, cast, record.phrasing)
 

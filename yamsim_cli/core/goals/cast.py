@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -13,10 +13,12 @@ class Cast:
     Attributes:
         things: role -> names of the things that play it, in order. A role that one thing plays gives it its own name.
         kinds: thing -> which config it was made of, such as `cup`.
+        sizes: thing -> by how much its lengths differ from the config's, a factor; none where roles have one size.
     """
 
     things: Mapping[str, tuple[str, ...]]
     kinds: Mapping[str, str]
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, role: str) -> tuple[str, ...]:
         """The things that play a role, or the one thing of that very name."""

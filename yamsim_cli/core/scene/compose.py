@@ -181,13 +181,18 @@ def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def add_home_key(
-    spec: mujoco.MjSpec, rig: RigConfig, start: Mapping[str, Array], joints: Sequence[Sequence[float]] | None = None
+    spec: mujoco.MjSpec,
+    rig: RigConfig,
+    start: Mapping[str, Array],
+    joints: Sequence[Sequence[float]] | None = None,
+    parts: Mapping[str, float] | None = None,
 ) -> mujoco.MjModel:
     """Add a keyframe `home` of the composed model's size, in which the arms rest, and compile.
 
     Args:
         start: object -> pose (4, 4) in `world`, there and in the model's own reset.
         joints: of each arm (dof,), rad; at rest if left out.
+        parts: joint of an articulated object -> how far it is open, m or rad.
     """
     for name, T in start.items():
         body = spec.body(name)
@@ -198,6 +203,8 @@ def add_home_key(
     for arm, angles in zip(rig.arms, resting, strict=True):
         for name, angle in zip(arm.robot.joint_names, angles, strict=True):
             qpos[model.joint(arm.prefix + name).qposadr[0]] = angle
+    for name, opened in (parts or {}).items():
+        qpos[model.joint(name).qposadr[0]] = opened
     load = _load(model, qpos)
     for arm, angles in zip(rig.arms, resting, strict=True):
         for name, moved, angle in zip(arm.robot.joint_drives, arm.robot.joint_names, angles, strict=True):

@@ -9,7 +9,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from ..config.pairs import require_pair
+from ..attempt.programs import no_start
+from ..attempt.sampling import sample
+from ..attempt.simulators import Simulators
 from ..config.recording import RecordConfig
 from ..errors import ResourceError, SimulationError, UsageError
 from ..files import move_aside, publish_file, refusal, staged_directory, write_file
@@ -18,6 +20,7 @@ from ..resources import Locations
 from ..scene.blueprint import Blueprint
 from ..scene.compose import add_home_key, compose
 from ..scene.scene_files import Reader, scene_files, zip_bytes
+from ..session import Session
 from ..tasks.kinds import sample_layout
 from ..types import EpisodeJob
 
@@ -41,19 +44,40 @@ class Home:
     Attributes:
         T_in_world: object -> pose (4, 4) in `world`.
         joints: of each arm, rad; None for home.
+        parts: joint of an articulated object -> how far it is open, m or rad; others are closed.
     """
 
     T_in_world: Mapping[str, Array] = field(default_factory=dict)
     joints: Sequence[Sequence[float]] | None = None
+    parts: Mapping[str, float] = field(default_factory=dict)
+
+
+def task_start(session: Session) -> tuple[RecordConfig, Home]:
+    """The seed's first attempt of a task: the config with the things that take part in it, and how it begins.
+
+    Raises:
+        SimulationError: its things have no room, or its scene cannot be compiled.
+    """
+    if not session.config.program:
+        return session.config, task_home(session.config)
+    job = EpisodeJob(session.config.seed, 0)
+    with Simulators(session.without_meshes()) as simulators:
+        simulator = simulators.of(job)
+        attempt = sample(simulator, job)
+        config = simulator.config
+        if attempt.layout is None or attempt.start is None:
+            raise SimulationError(f"task {config.task.name!r}: {no_start(simulator, attempt)}")
+        parts = [f"{item.name}_{link.name}" for item in config.task.objects for link in item.links]
+        opened = {name: float(attempt.start[simulator.scene.model.joint(name).qposadr[0]]) for name in parts}
+    return config, Home(attempt.layout.T_in_world, [config.start_joints] * len(config.rig.arms), opened)
 
 
 def task_home(config: RecordConfig) -> Home:
-    """How a task begins: its objects where the seed's first attempt has them.
+    """How a task with an object and a target begins: both where the seed's first attempt has them.
 
     Raises:
         SimulationError: the sampling box has no room for both objects.
     """
-    require_pair(config, "a scene to look at")
     layout = sample_layout(config, EpisodeJob(config.seed, 0))
     if layout is None:
         raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for both objects")
@@ -74,7 +98,7 @@ def at_home(
         home: the arms at rest, and no objects, unless given.
     """
     spec, home = compose(blueprint, locations), home or Home()
-    return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints)
+    return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
 
 
 def write_scene(

@@ -19,7 +19,7 @@ from ..viewers.live import LiveRig
 from ..viewers.shown import Shown
 from ..viewers.viewpoint import Viewpoint, frame_rig, frame_workspace
 from ..vision.renderer import SceneRenderer
-from .compose import at_home, task_home
+from .compose import at_home, task_start
 
 if TYPE_CHECKING:
     from ..viewers.bodies_page import BodiesPage
@@ -45,11 +45,11 @@ def live_task(session: Session, *, boards: bool = True, quality: RenderConfig | 
     """A task's scene, with the layout of the seed's first attempt; see `live_rig`.
 
     Raises:
-        SimulationError: the sampling box has no room for the objects.
+        SimulationError: its things have no room, or its scene cannot be compiled.
     """
-    config = session.config
+    config, home = task_start(session)
     blueprint = _with_cameras(task_blueprint(config, boards=boards), quality)
-    _, model = at_home(blueprint, session.locations, task_home(config))
+    _, model = at_home(blueprint, session.locations, home)
     return LiveRig(config.rig, model, config.task.name)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ... import __version__
-from ..config.task import Sampling
+from ..config.recording import RecordConfig
 from ..dataset.checks.facts import EpisodeFacts
 from ..dataset.survey import Survey
 from ..errors import ResourceError
@@ -17,7 +17,7 @@ from ..files import write_file
 from ..images.jpeg import thumbnail
 from ..report.leaderboard_page import leaderboard_page
 from ..report.page import Strip, page
-from ..report.trials_page import trials_page
+from ..report.trials_page import start_boxes, trials_page
 
 _STRIPS = 6
 _THUMBNAIL_PX = 240
@@ -32,9 +32,13 @@ def write_report(survey: Survey, summary: Mapping[str, Any], path: Path) -> None
     _write(page(survey, summary, contact_sheet(survey), _made()), path)
 
 
-def write_trials_page(report: Mapping[str, Any], sampling: Sampling, path: Path) -> None:
-    """Write a batch's page, replacing what is there. Raises as `write_report`."""
-    _write(trials_page(report, (sampling.x, sampling.y), _made()), path)
+def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:
+    """Write a batch's page, replacing what is there. Raises as `write_report`.
+
+    Args:
+        config: by which the trials were run.
+    """
+    _write(trials_page(report, start_boxes(config), _made()), path)
 
 
 def write_leaderboard(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], path: Path) -> None:

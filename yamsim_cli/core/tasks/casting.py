@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.program_task import Attitude, ProgramTask, Start
+from ..config.program_task import Attitude, ProgramTask, Start, names_of
 from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..goals.cast import Cast
@@ -38,13 +38,15 @@ class Placed:
 
 def draw_cast(task: ProgramTask, job: EpisodeJob) -> Cast:
     """Who plays which role in an attempt."""
-    rng, drawn = generator(job, Stream.CAST), {}
+    rng, drawn, sizes = generator(job, Stream.CAST), dict[str, tuple[int, ...]](), dict[str, float]()
     for role, one in task.things.items():
         numbers: list[int] = []
         while len(numbers) < one.count:
             numbers += [int(k) for k in rng.permutation(len(one.of))]
         drawn[role] = tuple(numbers[: one.count])
-    return task.cast_of(drawn)
+        if one.sizes:
+            sizes |= {name: one.sizes[int(rng.integers(len(one.sizes)))] for name in names_of(role, one.count)}
+    return task.cast_of(drawn, sizes)
 
 
 def draw_phrasing(task: ProgramTask, job: EpisodeJob) -> str:
@@ -65,6 +67,8 @@ def draw_places(
     Returns:
         Rather the name of a thing for which there was no room in any of 20 rounds of 60 places.
     """
+    if task.arrangements:
+        return _arranged(task, job, number)
     rng = generator(job, Stream.PLACES, number)
     missing = ""
     for _ in range(_ROUNDS):
@@ -73,6 +77,16 @@ def draw_places(
             return found
         missing = found
     return missing
+
+
+def _arranged(task: ProgramTask, job: EpisodeJob, number: int) -> dict[str, Placed]:
+    """The arrangement whose turn it is: all attempts of a seed go through one random order of them."""
+    order = generator(EpisodeJob(job.seed, 0), Stream.PLACES).permutation(len(task.arrangements))
+    one = task.arrangements[order[(job.attempt + number) % len(order)]]
+    return {
+        name: Placed(pose((x, y, 0.0), rotation_z(math.radians(turn))), TABLE, {})
+        for name, (x, y, turn) in one.places.items()
+    }
 
 
 def _round(

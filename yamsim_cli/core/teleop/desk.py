@@ -13,14 +13,14 @@ from typing import Protocol
 from ..attempt.distractors import with_distractors
 from ..attempt.payload import payload, result
 from ..attempt.physics import repeat
-from ..attempt.runner import recording_simulator
-from ..attempt.simulator import Simulator
+from ..attempt.runner import require_meshes
+from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..config.recording import RecordConfig
 from ..dataset.records import AttemptRecord, attempt_record
 from ..record.collect import Sink, episode_record
 from ..session import Session
-from ..types import Actions, Attempt, EpisodePayload
+from ..types import Actions, Attempt, EpisodeJob, EpisodePayload
 from ..workers.executor import Executor
 from ..workers.processes import WorkerPool
 
@@ -47,18 +47,21 @@ class DrivenRunner(Closing):
 
     def __init__(self, session: Session, *, render: bool = True) -> None:
         self._render = render
-        self._simulator = recording_simulator(session) if render else Simulator(session)
+        self._simulators = Simulators(session, require_meshes if render else lambda made: None)
+        # Now, since the files that it is made from need not be there any more when the first attempt comes.
+        self._simulators.of(EpisodeJob(session.config.seed, 0))
 
     def run(self, driven: DrivenAttempt) -> EpisodePayload:
         """What became of an attempt; there was no plan whose errors could be told."""
-        done = repeat(self._simulator, driven.attempt, driven.actions, planned=False)
+        simulator = self._simulators.of(driven.attempt.job)
+        done = repeat(simulator, driven.attempt, driven.actions, planned=False)
         if done.outcome.success:
-            done = replace(done, attempt=with_distractors(self._simulator, done.attempt, done.states))
-        return payload(self._simulator, done) if self._render else result(done)
+            done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
+        return payload(simulator, done) if self._render else result(done)
 
     def close(self) -> None:
-        """Free the renderer."""
-        self._simulator.close()
+        """Free the renderers."""
+        self._simulators.close()
 
 
 DrivenExecutor = Executor[DrivenAttempt, EpisodePayload]

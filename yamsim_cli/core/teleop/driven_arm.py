@@ -45,9 +45,7 @@ class DrivenArm:
         self.side = arm.side
         self._names = arm.robot.joint_names
         self.widest = self._arm.fingers.stroke if self._arm.fingers else 0.0
-        grasp = config.pair.object.grasp
-        assert grasp is not None  # checked when the config was loaded
-        self._closed = min(grasp.opening, self.widest)
+        self._closed = 0.0 if config.program else min(_opening_around_the_object(config), self.widest)
         self._ik = IkSolver(bare_arm(arm), self._arm.T_base_in_world)
         self._ik.hold(np.eye(4))
         self._pursuit = Pursuit(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
@@ -108,7 +106,7 @@ class DrivenArm:
         self._used, self.opening = True, min(max(opening, 0.0), self.widest)
 
     def toggle_gripper(self) -> None:
-        """Open the gripper wide, or close it to what the object needs."""
+        """Open the gripper wide, or close it: to what the object needs, or as far as what is between lets it."""
         self.set_gripper(self._closed if self.is_open else self.widest)
 
     def set_magnet(self, on: bool) -> None:
@@ -120,6 +118,10 @@ class DrivenArm:
         self.magnet = False
         if self._used:
             self.opening = self.widest
+        self.halt()
+
+    def halt(self) -> None:
+        """Stand still where it is, and go on holding what it holds."""
         self._joint_target = self._pursuit.joints.copy()
 
     def step(self, qpos: Array) -> Array:
@@ -169,6 +171,12 @@ class DrivenArm:
         if x < table.half_size[0] and y < table.half_size[1]:
             lifted[2, 3] = max(lifted[2, 3], table.top + _CLEARANCE)
         return lifted
+
+
+def _opening_around_the_object(config: RecordConfig) -> float:
+    grasp = config.pair.object.grasp
+    assert grasp is not None  # checked when the config was loaded
+    return grasp.opening
 
 
 def _fixed_pose(model: mujoco.MjModel, site: str, reference: str) -> Array:

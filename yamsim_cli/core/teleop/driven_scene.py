@@ -8,18 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..attempt.sampling import sample
-from ..attempt.simulator import Simulator
-from ..errors import SimulationError
 from ..geometry.se3 import Array
-from ..planning.demonstration import start_stands
 from ..session import Session
-from ..sim.closed_loop import ClosedLoop
 from ..types import Attempt, EpisodeJob
 from ..viewers.driven import DriveStatus
 from .desk import DrivenAttempt, Inbox
 from .driven_arm import DrivenArm
 from .journal import Journal, Tick, Unfinished
+from .stage import Stage
 
 # The longest recording unless another is asked for, s.
 TIME_LIMIT = 600.0
@@ -31,14 +27,16 @@ class DrivenScene:
     Of two arms one is driven at a time, and the other holds its place or goes on to where it was last told to go. What
     is said of the arm, its hand, gripper and magnet is of the driven one. It follows a target, a pose of the hand or
     joints, see `DrivenArm`; after a stop, it takes none until all is at rest. A recording begins from rest at its
-    attempt's layout, as every attempt of the task does, but with open fingers.
+    attempt's layout, as every attempt of the task does, but with open fingers. In a task that is data, attempts have
+    casts of their own, so that the scene, and with it the model, changes between attempts; and a stop lets nothing go,
+    since what the hands hold may be the goal.
 
     Attributes:
         sides: of its arms, in the order of recordings.
         driven: number of the driven one in that order.
 
     Raises:
-        SimulationError: the task's sampling box has no room.
+        SimulationError: the task's things have no room.
     """
 
     def __init__(
@@ -52,13 +50,9 @@ class DrivenScene:
         self._inbox, self._journal = inbox, journal
         self._longest = max(1, round(time_limit / config.task.timing.tick))
         self.title = f"{config.task.name} teleop"
-        self._simulator = Simulator(session)
-        self._scene = self._simulator.scene
-        self.model = self._scene.model
-        self._arms = tuple(DrivenArm(config, self._scene, k) for k in range(len(self._scene.arms)))
-        self.sides = tuple(arm.side for arm in self._arms)
+        self._stage = Stage(session)
+        self.sides = self._stage.sides
         self.driven = config.acting_scene_arms[0]
-        self._stands = start_stands(config)
         # A page's controls live in threads of their own.
         self.lock = threading.RLock()
         self.paused = False
@@ -79,7 +73,7 @@ class DrivenScene:
     @property
     def dof(self) -> int:
         """How many joints each arm has, fingers not counted."""
-        return self._scene.arms[0].dof
+        return self._stage.scene.arms[0].dof
 
     @property
     def time(self) -> float:
@@ -102,7 +96,7 @@ class DrivenScene:
         with self.lock:
             arm = self._arm
             return DriveStatus(
-                arm=arm.side if len(self._arms) > 1 else "",
+                arm=arm.side if len(self.sides) > 1 else "",
                 recording=self._recording,
                 seconds=self._loop.ticks * self.tick_seconds,
                 episodes=self.episodes,
@@ -112,15 +106,17 @@ class DrivenScene:
                 at_limit=arm.at_limit,
                 blocked=arm.blocked,
                 gripper_open=arm.is_open,
-                magnet=arm.magnet,
+                magnet=None if self._config.program else arm.magnet,
                 holds=self._loop.held[self.driven],
                 message=self.message,
+                prompt=self._attempt.phrasing,
+                goal=self._watch.told if self._watch else "",
             )
 
     def switch_arm(self) -> None:
         """Drive the other arm, if there is one."""
         with self.lock:
-            self.driven = (self.driven + 1) % len(self._arms)
+            self.driven = (self.driven + 1) % len(self.sides)
 
     def drive(self, side: str) -> None:
         """Drive the arm of a side, "left" or "right", which has to be there."""
@@ -133,7 +129,7 @@ class DrivenScene:
 
     def aim_grasp(self, T_grasp_in_base: Array) -> None:
         """Give the hand another target: a pose (4, 4) of `grasp_site` in the base that frames' `ee_pose` is in."""
-        self._tell(lambda arm: arm.aim_grasp(self._scene.T_base_in_world @ T_grasp_in_base))
+        self._tell(lambda arm: arm.aim_grasp(self._stage.scene.T_base_in_world @ T_grasp_in_base))
 
     def aim_joints(self, joints: Array) -> None:
         """Give the arm joints (rad) to go to, as a leader arm would; beyond a stop counts as at it."""
@@ -153,7 +149,7 @@ class DrivenScene:
         self._tell(lambda arm: arm.set_gripper(opening))
 
     def toggle_gripper(self) -> None:
-        """Open the gripper wide, or close it to what the object needs."""
+        """Open the gripper wide, or close it, see `DrivenArm.toggle_gripper`."""
         self._tell(lambda arm: arm.toggle_gripper())
 
     def set_magnet(self, on: bool) -> None:
@@ -177,22 +173,36 @@ class DrivenScene:
             self.message = "recording"
 
     def stop(self) -> None:
-        """End the recording: what is held is let go, and once everything has had a second to rest, it is handed in."""
+        """End the recording: once everything has had the time to rest, it is handed in. With an object and a target,
+        what is held is let go first; a task that is data also waits for as long as its goal has to hold.
+        """
         with self.lock:
             if not self._recording or self._settling:
                 self.message = "nothing was being recorded"
                 return
-            self._let_go()
+            self._end()
 
-    def _let_go(self) -> None:
-        for arm in self._arms:
-            arm.release()
+    def _end(self) -> None:
+        self._leave_off()
         if self._journal:
             self._journal.stop()
-        self._settling = self._config.task.timing.settle_ticks
-        self.message = "letting go, and waiting until all is at rest"
+        self._settling = self._rest_ticks
+        self.message = f"{'' if self._config.program else 'letting go, and '}waiting until all is at rest"
         if not self._settling:
             self._hand_in()
+
+    def _leave_off(self) -> None:
+        for arm in self._arms:
+            if self._config.program:
+                arm.halt()
+            else:
+                arm.release()
+
+    @property
+    def _rest_ticks(self) -> int:
+        """How many ticks follow a stop."""
+        task, program = self._config.task, self._config.program
+        return task.timing.settle_ticks + (program.hold_ticks if program else 0)
 
     def leave(self) -> None:
         """Nobody watches any more: a recording stands still until somebody plays on."""
@@ -204,8 +214,7 @@ class DrivenScene:
     def take_up(self, left: Unfinished) -> None:
         """Hand in what a killed session left; what it had not come to, to let go and to rest, is done now."""
         with self.lock:
-            settle_ticks = self._config.task.timing.settle_ticks
-            self._put(replace(sample(self._simulator, left.job), start=left.start))
+            self._put(self._stage.again(left.job, left.start))
             for tick in left.ticks:
                 self._loop.step(tick.ctrl, tick.magnet)
                 self._asked.append(tick.asked)
@@ -215,9 +224,9 @@ class DrivenScene:
                     last = arm.stand(asked[-1])
                     arm.reset(last)
                     arm.aim_joints(last.joints)
-                arm.release()
+            self._leave_off()
             since = 0 if left.stopped is None else len(left.ticks) - left.stopped
-            for _ in range(max(0, settle_ticks - since)):
+            for _ in range(max(0, self._rest_ticks - since)):
                 self._act()
             self._deliver()
 
@@ -275,24 +284,19 @@ class DrivenScene:
 
     def _begin(self) -> None:
         """Put the scene into its attempt's layout, at rest, with open fingers."""
-        attempt = sample(self._simulator, EpisodeJob(self._config.seed, self._inbox.next_attempt))
-        if attempt.layout is None:
-            raise SimulationError(f"task {self._config.task.name!r}: the sampling box has no room for both objects")
-        self._put(replace(attempt, start=self._scene.start_qpos(attempt.layout, self._stands)))
+        self._put(self._stage.begin(EpisodeJob(self._config.seed, self._inbox.next_attempt)))
 
     def _put(self, attempt: Attempt) -> None:
         """Put the scene to an attempt's start, at rest."""
-        task = self._config.pair
-        assert attempt.start is not None  # it has a layout
         self._attempt = attempt
-        # Distractors are placed where nothing came near once the attempt is over.
-        scene = self._simulator.varied(attempt)
-        self._loop = ClosedLoop(scene, attempt.start, task.object.name, task.timing)
-        self.data = self._loop.data
-        for arm, stand in zip(self._arms, self._stands, strict=True):
-            arm.reset(stand)
+        self._loop, self._watch = self._stage.set_up(attempt)
+        self.model, self.data = self._stage.scene.model, self._loop.data
         self._recording, self._settling = False, 0
         self._asked: list[Array] = []
+
+    @property
+    def _arms(self) -> tuple[DrivenArm, ...]:
+        return self._stage.arms
 
     @property
     def _arm(self) -> DrivenArm:
@@ -310,15 +314,18 @@ class DrivenScene:
 
     def _tick(self) -> None:
         self._act()
+        if self._watch is not None:
+            self._watch.tick()
         for arm, holds in zip(self._arms, self._loop.held, strict=True):
             if arm.magnet and not holds:
                 arm.magnet = False
-                self.message = f"the magnet found no {self._config.pair.object.name} within its reach"
+                if self._config.program is None:
+                    self.message = f"the magnet found no {self._config.pair.object.name} within its reach"
         self._ticks += 1
         if self._settling:
             self._settling -= 1
             if not self._settling:
                 self._hand_in()
         elif self._recording and self._loop.ticks >= self._longest:
-            self._let_go()
+            self._end()
             self.message = f"stopped after {self._longest * self.tick_seconds:.0f} s, the longest that is recorded"

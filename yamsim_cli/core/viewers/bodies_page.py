@@ -46,7 +46,7 @@ class BodiesPage:
         self._shown = shown
         self._server = _serve(address, f"yamsim: {shown.title}")
         self.url = f"http://{address.url_host}:{self._server.get_port()}"
-        self._bodies = add_bodies(self._server.scene, shown.model)
+        self._show_bodies()
         self._place_camera(viewpoint)
         self._heartbeat = self._server.gui.add_html("")
         self._beat, self._beat_due = 0, 0.0
@@ -57,8 +57,14 @@ class BodiesPage:
     def update(self) -> None:
         """Send what has changed since the last call to all clients."""
         # An arm at rest trembles by less than anyone can see. Rounding keeps that from being sent.
+        if self._model is not self._shown.model:
+            for node in self._bodies.frames.values():
+                node.remove()
+            self._show_bodies()
         positions, quaternions = (np.round(poses, _DECIMALS) for poses in self._shown.body_poses())
         with self._server.atomic():
+            if len(positions) != self._model.nbody:
+                return  # Another scene has come up in between, and is shown by the next call.
             for body, frame in self._bodies.frames.items():
                 # viser does not send a pose that has not changed.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
@@ -72,6 +78,10 @@ class BodiesPage:
     def close(self) -> None:
         """Stop serving."""
         self._server.stop()
+
+    def _show_bodies(self) -> None:
+        self._model = self._shown.model
+        self._bodies = add_bodies(self._server.scene, self._model)
 
     def _place_camera(self, viewpoint: Viewpoint) -> None:
         camera = self._server.initial_camera

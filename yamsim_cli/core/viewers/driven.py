@@ -21,9 +21,11 @@ class DriveStatus:
         apart: how far the target is out of the arm's reach, m; 0 if the hand can be there.
         at_limit: joints that are at a stop.
         blocked: what is in the arm's way; empty if nothing is.
-        gripper_open, magnet: what the gripper and the magnet were told.
+        gripper_open, magnet: what the gripper and the magnet were told; None where friction alone holds.
         holds: whether the magnet holds the object.
         message: the result of the last command.
+        prompt: what is to be done, where that differs between attempts.
+        goal: how its goal stands, of a task that has one.
     """
 
     arm: str
@@ -36,9 +38,11 @@ class DriveStatus:
     at_limit: tuple[str, ...]
     blocked: str
     gripper_open: bool
-    magnet: bool
+    magnet: bool | None
     holds: bool
     message: str
+    prompt: str = ""
+    goal: str = ""
 
     @property
     def free(self) -> bool:
@@ -68,7 +72,7 @@ class Driven(Shown, Protocol):
         ...
 
     def toggle_gripper(self) -> None:
-        """Open the gripper, or close it as far as the object needs."""
+        """Open the gripper, or close it."""
         ...
 
     def set_magnet(self, on: bool) -> None:

@@ -14,7 +14,8 @@ class Shown(Protocol):
 
     Attributes:
         title: title of the page's tab.
-        model, data: the model and its state, as MuJoCo's own window shows them.
+        model, data: the model and its state, as MuJoCo's own window shows them. A page shows another model once it is
+            there.
         paused: whether it stands still.
     """
 

@@ -37,7 +37,7 @@ _MOVES = (
 
 _KEYS = (
     "Keys: **I K** away and back, **J L** left and right, **Y H** up and down, **U O** turn, "
-    "**N** point down, **G** gripper, **M** magnet, **R** start or stop, **X** discard"
+    "**N** point down, **G** gripper, **R** start or stop, **X** discard"
 )
 
 
@@ -57,7 +57,9 @@ class TeleopPage(BodiesPage):
         self._ball = self._server.scene.add_icosphere("/target/ball", 0.008, color=_FREE)
         self._gizmo.on_update(self._drag)
         self._server.on_client_disconnect(self._left)
-        self._server.gui.add_markdown(_KEYS + (", **T** other arm" if arm.status.arm else ""))
+        status = arm.status
+        magnet, other = "" if status.magnet is None else ", **M** magnet", ", **T** other arm" if status.arm else ""
+        self._server.gui.add_markdown(_KEYS + magnet + other)
         for key, name, shift, turn in _MOVES:
             self._add_key(name, key, lambda shift=shift, turn=turn: self._move(shift, turn))  # type: ignore[misc]
         self.update()
@@ -86,9 +88,11 @@ class TeleopPage(BodiesPage):
             self._add_button(name, self._arm.switch_arm, icon=viser.Icon.SWITCH_HORIZONTAL)
             self._add_key(name, "T", self._arm.switch_arm)
         self._gripper = self._add_button("Close gripper", self._arm.toggle_gripper)
-        self._magnet = self._add_button("Magnet on", self._switch_magnet)
+        self._magnet: viser.GuiButtonHandle | None = None
+        if self._arm.status.magnet is not None:
+            self._magnet = self._add_button("Magnet on", self._switch_magnet)
+            self._add_key("Magnet on or off", "M", self._switch_magnet)
         self._add_key("Open or close the gripper", "G", self._arm.toggle_gripper)
-        self._add_key("Magnet on or off", "M", self._switch_magnet)
         self._add_button(
             "Point down", self._point_down, icon=viser.Icon.ARROW_DOWN, hint="The hand upright over the table"
         )
@@ -160,14 +164,16 @@ class TeleopPage(BodiesPage):
         self._start.disabled = status.recording
         self._stop.disabled = self._discard.disabled = not status.recording
         self._gripper.label = "Close gripper" if status.gripper_open else "Open gripper"
-        self._magnet.label = "Magnet off" if status.magnet else "Magnet on"
+        if self._magnet is not None:
+            self._magnet.label = "Magnet off" if status.magnet else "Magnet on"
         whose = f"{status.arm} arm, " if status.arm else ""
         state = f"**recording {status.seconds:.1f} s**" if status.recording else "not recording"
         if self._arm.paused:
             state += ", paused"
         waiting = f", {status.waiting} being judged and rendered" if status.waiting else ""
         done = f"{counted(status.episodes, 'episode')}, {status.failures} failed{waiting}"
-        self._status.content = f"{whose}{state}  \n{done}  \n{status.message}"
+        told = "  \n".join(filter(None, (status.prompt and f"**{status.prompt}**", status.goal)))
+        self._status.content = f"{told}\n\n" * bool(told) + f"{whose}{state}  \n{done}  \n{status.message}"
 
 
 def _notice(status: DriveStatus) -> str:

@@ -12,6 +12,8 @@ from .inside import Inside
 from .near import Near
 from .on import On
 from .open import Open
+from .over import Over
+from .piled import Piled
 from .sorted import Sorted
 from .stacked import Stacked
 from .swapped import Swapped
@@ -21,6 +23,8 @@ PREDICATES: Mapping[str, type[Predicate]] = {
     "on": On,
     "in": Inside,
     "stacked": Stacked,
+    "over": Over,
+    "piled": Piled,
     "upright": Upright,
     "near": Near,
     "above": Above,

@@ -1,0 +1,79 @@
+"""Recordings of tasks that are data: killed and resumed, by whoever makes them, and made again bit for bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.recorder import digest, episodes, run, start, wait_until
+from tests.programs import ONTO_PLATE, written
+from yamsim_cli.core.config.program_task import PROGRAM
+from yamsim_cli.core.dataset.opening import OpenMode
+from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.record.collect import Notifier
+from yamsim_cli.core.record.destination import Output
+from yamsim_cli.core.record.executors import ThisProcess
+from yamsim_cli.core.record.recorder import record
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.task_proof.tasks_there import tasks_there
+from yamsim_cli.core.verify.remake import CHECKS, EpisodeVerifier, Limits
+from yamsim_cli.core.workers.stop import Stop
+
+pytestmark = [pytest.mark.render, pytest.mark.slow]
+
+SHIPPED = [task["name"] for task in tasks_there(Locations.find(os.environ)) if task["kind"] == PROGRAM]
+
+
+@pytest.fixture(scope="module")
+def flags(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
+    """Four episodes of a small task, in which both of its casts play."""
+    task = written(tmp_path_factory.mktemp("task"), ONTO_PLATE)
+    return ("--task", str(task), "--n", "4", "--quality", "fast")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(flags: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    out = tmp_path_factory.mktemp("data") / "undisturbed"
+    assert run(out, *flags, "--workers", "1") == (0, "")
+    return digest(out)
+
+
+def test_kill_and_resume_give_what_an_undisturbed_run_gives(
+    flags: tuple[str, ...], undisturbed: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "killed"
+    with start(out, *flags, "--workers", "2") as process:
+        wait_until(lambda: episodes(out))
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    assert 0 < len(episodes(out)) < 4
+    assert run(out, *flags, "--workers", "2", "--resume") == (0, "")
+    assert digest(out) == undisturbed
+
+
+def test_a_ray_cluster_writes_the_same_bytes(
+    flags: tuple[str, ...], undisturbed: dict[str, str], tmp_path: Path
+) -> None:
+    pytest.importorskip("ray")
+    code, err = run(tmp_path / "ray", *flags, "--workers", "2", "--executor", "ray")
+    assert (code, err) == (0, ""), err
+    assert digest(tmp_path / "ray") == undisturbed
+
+
+@pytest.mark.parametrize("task", SHIPPED)
+def test_each_shipped_task_is_made_again_bit_for_bit(task: str, locations: Locations, tmp_path: Path) -> None:
+    opener = Opener(os.environ, lambda text: None, lambda setting: f"--{setting}")
+    config = opener.config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
+    session = Session(config, locations).without_meshes()
+    out = tmp_path / "dataset"
+    watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
+    record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
+    with EpisodeVerifier(session, Limits(0.0, 0.0)) as verifier:
+        verdict = verifier.run((0, out / "ep_000000"))
+    assert verdict.agrees, verdict
+    assert set(verdict.checks) == set(CHECKS)
+    assert all(largest == 0 for check in verdict.checks.values() for largest in check.largest.values())

@@ -1,0 +1,159 @@
+"""Scenes of the benchmark as tasks that are data: what becomes of them, and that they are judged as it judges."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
+pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
+
+from inspect_robots.rollout import derive_seed
+from kitchenbench import tasks
+from kitchenbench.sim import build_blueprint, make_success_checker
+
+from tests.core.attempts import all_actions
+from yamsim_cli.core.attempt.expert import sides
+from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.dataset.opening import OpenMode
+from yamsim_cli.core.dataset.reader import dataset_config
+from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.record.collect import Notifier
+from yamsim_cli.core.record.destination import Output
+from yamsim_cli.core.record.executors import ThisProcess
+from yamsim_cli.core.record.recorder import record
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.sim.world import SimWorld
+from yamsim_cli.core.types import EpisodeJob
+from yamsim_cli.core.verify.remake import EpisodeVerifier, Limits
+from yamsim_cli.core.workers.stop import Stop
+from yamsim_cli.kitchen_scenes import task_of
+
+SCENE = next(scene for scene in tasks.TASK_FACTORIES["stack"]().scenes if scene.id == "stack-tight-spacing")
+NAME = "kitchenbench/stack/tight-spacing"
+
+
+@pytest.fixture(scope="module")
+def task(locations: Locations) -> dict[str, Any]:
+    found = task_of(NAME, locations)
+    assert isinstance(found, dict)
+    return found
+
+
+@pytest.fixture(scope="module")
+def session(task: dict[str, Any], locations: Locations) -> Session:
+    opener = Opener(os.environ, lambda text: None, "--{}".format)
+    config = opener.config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
+    return Session(config, locations).without_meshes()
+
+
+@pytest.fixture(scope="module")
+def simulators(session: Session) -> Iterator[Simulators]:
+    with Simulators(session) as made:
+        yield made
+
+
+def test_a_scene_becomes_a_task_with_its_realizations(task: dict[str, Any]) -> None:
+    assert task["phrasings"]["training"] == ["stack the cups"] and task["rig"] == "yam_station_linear_4310_d405"
+    first, names = task["arrangements"][0], list(task["things"])
+    assert first["seed"] == derive_seed(0, SCENE.init_seed, 0)
+    for one in task["arrangements"]:
+        blueprint = build_blueprint(SCENE, one["seed"])
+        assert [item.name for item in blueprint.objects] == names
+        for item in blueprint.objects:
+            x, y, _ = one["places"][item.name]
+            assert (x, y) == pytest.approx((0.35 + item.y_cm / 100, -item.x_cm / 100), abs=1e-5)
+    seeds = [one["seed"] for one in task["arrangements"]]
+    assert len(set(seeds)) == len(seeds) == 100
+
+
+def test_another_realization_may_have_other_things(locations: Locations, task: dict[str, Any]) -> None:
+    others = [task_of(f"{NAME}@{k}", locations) for k in (1, 2, 3)]
+    counts = {len(one["things"]) for one in (*others, task) if isinstance(one, dict)}
+    assert counts == {2, 3}
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("kitchenbench/stak/cups", "unknown task 'stak'; did you mean 'stack'?"),
+        ("kitchenbench/stack/cubs", "stack has no scene 'cubs'; did you mean 'cups'?"),
+        ("kitchenbench/stack/cups@two", "'two' is no realization; give a number from 0 on"),
+        ("kitchenbench/sort_cutlery/sparse", "goals of kind 'sort' are not recorded; those are: place_on, stack"),
+        ("kitchenbench/fold_cloth/", "fold_cloth has no scene ''"),
+    ],
+)
+def test_what_cannot_be_recorded_is_told(name: str, said: str, locations: Locations) -> None:
+    with pytest.raises(UsageError) as caught:
+        task_of(name, locations)
+    assert str(caught.value).startswith(f"{name}: ") and said in str(caught.value)
+
+
+def test_attempts_go_through_all_realizations(simulators: Simulators, task: dict[str, Any]) -> None:
+    starts = set()
+    for number in range(4):
+        job = EpisodeJob(0, number)
+        attempt = sample(simulators.of(job), job)
+        assert attempt.layout is not None
+        x, y, _ = attempt.layout.T_in_world["cup_1"][:3, 3]
+        starts.add(min(range(100), key=lambda k: _off(task["arrangements"][k], (x, y))))
+        assert min(_off(one, (x, y)) for one in task["arrangements"]) < 1e-3
+    assert len(starts) == 4
+
+
+def _off(arrangement: dict[str, Any], place: tuple[float, float]) -> float:
+    return float(np.linalg.norm(np.subtract(arrangement["places"]["cup_1"][:2], place)))
+
+
+class Queries:
+    """What the benchmark's checker asks, of a recorded task's state."""
+
+    def __init__(self, world: SimWorld) -> None:
+        self.aabb, self.contained_fraction = world.bounds, world.share_inside
+
+
+@pytest.mark.slow
+def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: Simulators, task: dict[str, Any]) -> None:
+    job = EpisodeJob(0, 0)
+    simulator = simulators.of(job)
+    done = demonstrate_program(simulator, sample(simulator, job))
+    assert done.outcome.success, done.outcome
+    scene, program = simulator.scene, simulator.config.program
+    assert program is not None and simulator.cast is not None
+    data = mujoco.MjData(scene.model)
+    world = SimWorld(scene.model, data, scene.arms, sides(simulator.config), list(scene.object_qpos))
+    checker = make_success_checker(build_blueprint(SCENE, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
+    agreed = []
+    for state in done.states[::5]:
+        data.qpos[:] = state.qpos
+        mujoco.mj_forward(scene.model, data)
+        ours = all(measure.holds for measure in program.goal.measures(world, simulator.cast))
+        assert ours == checker(Queries(world)).success  # type: ignore[arg-type]
+        agreed.append(ours)
+    assert not agreed[0] and agreed[-1]
+    assert len(all_actions(done.states).ctrl) > 100
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_what_is_recorded_is_made_again_without_the_benchmark(
+    session: Session, locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "dataset"
+    watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
+    record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
+    monkeypatch.setitem(__import__("sys").modules, "kitchenbench", None)
+    again = Session(dataset_config(out, locations), locations).without_meshes()
+    with EpisodeVerifier(again, Limits(0.0, 0.0)) as verifier:
+        verdict = verifier.run((0, out / "ep_000000"))
+    assert verdict.agrees, verdict

@@ -1,0 +1,48 @@
+"""Whether friction alone can hold what a task moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..documents.base import ConflictError
+from .program_task import ProgramTask
+from .rig import ArmConfig, RigConfig
+from .task import TaskConfig
+
+# Rigs whose grippers have pads, to name where a rig's have none: of one arm, and of two.
+_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")
+
+
+def check_friction(rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig | ProgramTask) -> None:
+    """Make sure that the arms that do a task have pads, and that its object says how they hold it.
+
+    Raises:
+        ConflictError: they cannot hold it; its paths are where, from a recording's config.
+    """
+    for arm in arms:
+        if arm.gripper.fingers is None or not arm.gripper.fingers.pads:
+            raise ConflictError(
+                f"grasp 'contact' needs a gripper with pads, and {arm.name} of rig {rig.name!r} has "
+                f"{arm.gripper.name}; use --rig {_WITH_PADS[len(rig.arms) > 1]}, or grasp: weld",
+                ("grasp",),
+                ("rig",),
+            )
+    if isinstance(task, ProgramTask):
+        return
+    grasp = task.object.grasp
+    if grasp is None or grasp.friction is None:
+        raise ConflictError(
+            f"grasp 'contact' needs grasp.friction of object {task.object.name!r}, which has none; add it, or "
+            "use grasp: weld",
+            ("grasp",),
+            ("task", "object"),
+            ("task",),
+        )
+    if grasp.friction.hands > 1:
+        raise ConflictError(
+            f"object {task.object.name!r} takes two hands, and this task picks it up with one; choose another "
+            "object, or use grasp: weld",
+            ("task", "object"),
+            ("grasp",),
+            ("task",),
+        )

@@ -1,0 +1,32 @@
+"""Scenes of a public benchmark, where a task's name belongs: `--task kitchenbench/stack/cups`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from .core.errors import ResourceError
+
+if TYPE_CHECKING:
+    from .core.resources import Locations
+
+_PREFIX = "kitchenbench/"
+
+
+def task_of(name: str, where: Locations) -> str | dict[str, Any]:
+    """The task that a name stands for: of a scene of the benchmark its config, and any other name is one already.
+
+    Raises:
+        UsageError: the benchmark has no such scene, or it cannot be recorded.
+        ResourceError: the benchmark is not installed.
+    """
+    if not name.startswith(_PREFIX):
+        return name
+    try:
+        from .kitchenbench import recorded
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("inspect_robots", "kitchenbench"):
+            raise
+        raise ResourceError(
+            f"--task {name} needs the package {error.name}, which is not here: pip install 'yamsim[inspect]'"
+        ) from error
+    return recorded.task_of(name.removeprefix(_PREFIX), where)

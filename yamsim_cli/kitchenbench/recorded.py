@@ -1,0 +1,153 @@
+"""The benchmark's scenes as tasks that are data: for recordings, which then need the benchmark no more."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from inspect_robots import Scene
+from inspect_robots.rollout import derive_seed
+from kitchenbench import tasks
+from kitchenbench.sim import build_blueprint
+from kitchenbench.sim.blueprint import SceneBlueprint
+from kitchenbench.sim.success import CONTACT_TOL_M, CONTAIN_FRACTION
+
+from ..core.config.program_task import PROGRAM
+from ..core.errors import UsageError, suggest
+from ..core.goals.world import TABLE
+from ..core.resources import Locations
+from ..core.skills.base import Skill
+from ..core.skills.program import SKILLS
+from .catalog import thing_of
+from .embodiment import STATION, open_base
+from .programs import program_of
+from .scene import STEPS, TIMESTEP, free_places, realize, table_of
+
+# A task has at most so many of a scene's realizations, among so many of the benchmark's epochs.
+_MOST, _EPOCHS = 100, 600
+
+# The goal has to hold so long at the end, s; the benchmark's checkers ask for one moment.
+_FOR_S = 0.5
+
+# Goals that recordings know. Sorting asks for compartments, which are no things.
+_KINDS = ("place_on", "stack", "place_in", "handoff")
+
+
+def task_of(name: str, where: Locations) -> dict[str, Any]:
+    """The task of a scene, as a task's YAML has it.
+
+    Its things, their sizes, what is said and the program are those of one realization of the scene; its arrangements
+    are all realizations among the first ones that have the very same things.
+
+    Args:
+        name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
+
+    Raises:
+        UsageError: there is no such scene, or none that can be recorded.
+    """
+    scene, epoch = _scene(name)
+    first = _blueprint(scene, epoch)
+    if first.target_kind not in _KINDS:
+        raise UsageError(
+            f"kitchenbench/{name}: goals of kind {first.target_kind!r} are not recorded; those are: {', '.join(_KINDS)}"
+        )
+    base = open_base("64x48", images=False)
+    realized = realize(first, base)
+    try:
+        arrangements = []
+        for number in _epochs(epoch):
+            blueprint = _blueprint(scene, number)
+            if _things(blueprint) == _things(first):
+                places = free_places(realized.simulator, blueprint)
+                arrangements.append({"seed": _seed(scene, number), "places": dict(map(_rounded, places.items()))})
+            if len(arrangements) == _MOST:
+                break
+        if table_of(base.config, first) != base.config.scene.table:
+            raise UsageError(
+                f"kitchenbench/{name}: its things do not fit onto the station's table; try another realization, such "
+                f"as {name.partition('@')[0]}@{epoch + 1}"
+            )
+    finally:
+        realized.simulator.close()
+    items = {item.name: thing_of(item, first.conditions, where) for item in first.objects}
+    return {
+        "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
+        "kind": PROGRAM,
+        "rig": STATION,
+        "things": {name: {"of": [item.model_dump(mode="json", exclude_none=True)]} for name, item in items.items()},
+        "starts": {name: _region(name, arrangements) for name in items},
+        "arrangements": arrangements,
+        "phrasings": {"training": [first.instruction]},
+        "goal": {"all": [_goal(first)], "for_s": _FOR_S},
+        "expert": [_step(skill) for skill in program_of(first)],
+        "timing": {"physics_steps_per_tick": STEPS, "timestep": TIMESTEP},
+    }
+
+
+def _scene(name: str) -> tuple[Scene, int]:
+    path, _, epoch = name.partition("@")
+    task, _, instance = path.partition("/")
+    if task not in tasks.TASK_FACTORIES:
+        raise UsageError(f"kitchenbench/{name}: unknown task {task!r}; {suggest(task, tasks.TASK_FACTORIES)}")
+    before = f"{task.replace('_', '-')}-"
+    scenes = {scene.id.removeprefix(before): scene for scene in tasks.TASK_FACTORIES[task]().scenes}
+    if instance not in scenes:
+        raise UsageError(f"kitchenbench/{name}: {task} has no scene {instance!r}; {suggest(instance, scenes)}")
+    if epoch and not epoch.isdecimal():
+        raise UsageError(f"kitchenbench/{name}: {epoch!r} is no realization; give a number from 0 on")
+    return scenes[instance], int(epoch or 0)
+
+
+def _epochs(first: int) -> Iterator[int]:
+    yield first
+    yield from (number for number in range(_EPOCHS) if number != first)
+
+
+def _seed(scene: Scene, epoch: int) -> int:
+    """As Inspect Robots derives it of its seed 0."""
+    return int(derive_seed(0, scene.init_seed, epoch))
+
+
+def _blueprint(scene: Scene, epoch: int) -> SceneBlueprint:
+    return build_blueprint(scene, _seed(scene, epoch))
+
+
+def _things(blueprint: SceneBlueprint) -> tuple[object, ...]:
+    slot = blueprint.conditions.get("slot_width_cm")
+    return (slot, blueprint.instruction, *((item.name, item.asset, item.size_cm) for item in blueprint.objects))
+
+
+def _rounded(place: tuple[str, np.ndarray]) -> tuple[str, list[float]]:
+    """Thing, and where its origin lies in `world`: x and y to 0.01 mm, its heading to 0.01 degrees."""
+    name, T = place
+    turn = math.degrees(math.atan2(T[1, 0], T[0, 0]))
+    return name, [round(float(T[0, 3]), 5), round(float(T[1, 3]), 5), round(turn, 2)]
+
+
+def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
+    x, y, turn = np.array([one["places"][name] for one in arrangements]).T
+    return {
+        "on": TABLE,
+        **{key: [float(row.min()), float(row.max())] for key, row in (("x", x), ("y", y), ("yaw_deg", turn))},
+    }
+
+
+def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
+    """What the benchmark's own checker asks for."""
+    roles = blueprint.roles
+    match blueprint.target_kind:
+        case "place_on":
+            return {"over": {"thing": roles["item"][0], "surface": roles["surface"][0], "gap": CONTACT_TOL_M}}
+        case "stack":
+            return {"piled": {"things": list(roles["stack"]), "gap": CONTACT_TOL_M}}
+        case "place_in":
+            return {"in": {"thing": roles["item"][0], "container": roles["rack"][0], "share": CONTAIN_FRACTION}}
+    receiving = str(blueprint.success_params.get("receiving_arm", "either"))
+    return {"handed_over": {"thing": roles["item"][0], "to": receiving}}
+
+
+def _step(skill: Skill) -> dict[str, Any]:
+    name = next(name for name, known in SKILLS.items() if type(skill) is known)
+    return {name: skill.model_dump(mode="json", exclude_defaults=True)}
