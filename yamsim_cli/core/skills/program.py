@@ -15,6 +15,7 @@ from .base import Skill
 from .bench import Bench, Segment
 from .errors import SkillFailedError
 from .handover import Handover
+from .hang import Hang
 from .insert import Insert
 from .lift import Lift
 from .moves import let_go, park
@@ -38,6 +39,7 @@ SKILLS: Mapping[str, type[Skill]] = {
     "regrasp": Regrasp,
     "operate": Operate,
     "lift": Lift,
+    "hang": Hang,
 }
 
 # What goes through the things of a role: `each: {of: cup, do: [...]}`.
