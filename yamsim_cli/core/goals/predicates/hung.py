@@ -15,7 +15,9 @@ from .base import Predicate
 
 
 class Hung(Predicate):
-    """A peg goes through an eye of each thing, nothing else carries it, and no hand holds it.
+    """A peg goes through an eye of each thing, which is off the table, and no hand holds it.
+
+    Held for a time, that is hanging: what falls does not stay there. A thing that swings leaves the peg for moments.
 
     Attributes:
         thing, onto: roles: what hangs, and what has the peg.
@@ -43,8 +45,6 @@ class Hung(Predicate):
             return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")
         if world.touching(thing, TABLE):
             return either(what, False, "it touches the table")
-        if not world.touching(thing, onto):
-            return either(what, False, "they do not touch")
         T_eye_in_peg = inverse(world.mark(onto, self.peg)) @ world.mark(thing, self.eye)
         (x, y, z), through = T_eye_in_peg[:3, 3], T_eye_in_peg[:3, 2]
         # The peg is the z axis, which meets the eye's plane so far behind the tip; it goes along the plane at worst.
