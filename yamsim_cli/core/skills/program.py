@@ -26,6 +26,7 @@ from .push import Push
 from .put_aside import PutAside
 from .regrasp import Regrasp
 from .set_upright import SetUpright
+from .turn import Turn
 
 # A new skill is a module here, and a line in the table.
 SKILLS: Mapping[str, type[Skill]] = {
@@ -36,6 +37,7 @@ SKILLS: Mapping[str, type[Skill]] = {
     "put_aside": PutAside,
     "push": Push,
     "set_upright": SetUpright,
+    "turn": Turn,
     "regrasp": Regrasp,
     "operate": Operate,
     "lift": Lift,
