@@ -99,7 +99,6 @@ class Pick(Skill):
             yield from let_go(bench, hand, grip.clearance)
             raise
 
-
     def _reaches(
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
     ) -> Iterator[_Reach]:
