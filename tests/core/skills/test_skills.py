@@ -92,7 +92,12 @@ TASKS: dict[str, dict[str, Any]] = {
     # Its foot lies nearer to the arms at the start than in the end.
     "turn": _task(
         [{"pick": {"thing": "cup"}}, {"turn": {"thing": "cup"}}],
-        {"all": [{"near": {"thing": "cup", "place": [0.38, 0.04], "radius": 0.04}}, {"not": {"upright": {"thing": "cup"}}}]},
+        {
+            "all": [
+                {"near": {"thing": "cup", "place": [0.38, 0.04], "radius": 0.04}},
+                {"not": {"upright": {"thing": "cup"}}},
+            ]
+        },
         things={"cube": None, "cup": {"of": "kitchen_measuring_cup"}},
         starts=CUP_AWAY,
     ),
