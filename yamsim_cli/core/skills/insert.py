@@ -17,7 +17,7 @@ _GRID = 0.03
 _LOWER = 0.01
 
 # Headings that are tried, as turns from along the container.
-_TURNS = tuple(math.radians(angle) for angle in range(0, 360, 45))
+_TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(Placing):
@@ -52,11 +52,8 @@ class Insert(Placing):
                     place = (T @ (x, y, 0.0, 1.0))[:2]
                     height = bench.height_on(thing, place, container, heading)
                     off = float(np.hypot(x - middles[0], y - middles[1]))
-                    found.append((height, off, pose((*place, height), rotation_z(heading))))
-        # What would come to lie on the rim is not in the container.
-        most = min((height for height, *_ in found), default=0.0) + float(high[2] - low[2]) / 2
-        inside = [each for each in found if each[0] < most]
-        return [T_goal for *_, T_goal in sorted(inside, key=lambda each: (round(each[0] / _LOWER), each[1]))]
+                    found.append((round(height / _LOWER), off, pose((*place, height), rotation_z(heading))))
+        return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
 
 
 def _spread(first: float, last: float) -> Array:
