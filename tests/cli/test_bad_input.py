@@ -15,7 +15,7 @@ USAGE, CONFIG, MISSING = 2, 3, 4
     ("args", "code", "parts"),
     [
         (["record", "--rig", "singel"], CONFIG, ["--rig", "'singel'", "did you mean 'single'", "valid:"]),
-        (["record", "--task", "nothing"], CONFIG, ["--task", "'nothing'", "valid:", "handover, lift_tray, pickplace"]),
+        (["record", "--task", "nothing"], CONFIG, ["--task", "'nothing'", "valid:", "handover, hang_mug, lift_tray"]),
         (["record", "--config", "nothing"], CONFIG, ["'nothing'", "valid: default"]),
         (["record", "--config", "nowhere.yaml"], CONFIG, ["nowhere.yaml", "does not exist"]),
         (["record", "--n", "0"], USAGE, ["--n", "0 is not valid", "greater than or equal to 1"]),

@@ -83,6 +83,16 @@ BAD = {
         "expert[0].operate.joint",
         "the cube_red has no part 'lid' with a handle; valid: (none)",
     ),
+    "nothing to hang it by": (
+        {("expert",): [PICK, {"hang": {"thing": "cube", "onto": "plate"}}]},
+        "expert[1].hang.thing",
+        "the cube_red has no handle 'eye'; valid: (none)",
+    ),
+    "no peg": (
+        {("goal",): {"hung": {"thing": "cube", "onto": "plate"}}},
+        "goal.hung.thing",
+        "the cube_red has no handle 'eye'; valid: (none)",
+    ),
     "no start": ({("starts", "cube"): None}, "starts", "nothing says where the cube starts"),
     "start of nobody": ({("starts", "cap"): {"x": [0, 1], "y": [0, 1]}}, "starts.cap", "unknown role 'cap'"),
     "on what comes later": (

@@ -25,6 +25,7 @@ class StillWorld:
         shares: (thing, container) -> share inside.
         openings: (thing, joint) -> share open.
         starts: thing -> where it began.
+        marks: (thing, handle) -> the handle's pose.
     """
 
     places: Mapping[str, tuple[float, float, float]]
@@ -35,6 +36,11 @@ class StillWorld:
     shares: Mapping[tuple[str, str], float] = field(default_factory=dict)
     openings: Mapping[tuple[str, str], float] = field(default_factory=dict)
     starts: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    marks: Mapping[tuple[str, str], Array] = field(default_factory=dict)
+
+    def mark(self, thing: str, handle: str) -> Array:
+        return self.marks[thing, handle]
 
     def pose(self, thing: str) -> Array:
         return pose(self.places[thing], rotation_from_vector([self.leaning.get(thing, 0.0), 0.0, 0.0]))

@@ -7,6 +7,7 @@ import math
 import pytest
 from pydantic import ValidationError
 
+from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.goals.cast import Cast
 from yamsim_cli.core.goals.goal import Goal, judge
 from yamsim_cli.core.goals.predicates import PREDICATES
@@ -87,6 +88,12 @@ CASES = {
         0.02,
         StillWorld({"cup": (0.3, 0.01, 0), "plate": (0.5, 0.04, 0)}, starts={"cup": (0.5, 0, 0), "plate": (0.3, 0, 0)}),
     ),
+    "hung": (
+        {"thing": "cup", "onto": "plate"},
+        StillWorld({}, marks={("plate", "peg"): pose(), ("cup", "eye"): pose((0.010, 0, 0.05))}),
+        0.012,
+        StillWorld({}, marks={("plate", "peg"): pose(), ("cup", "eye"): pose((0.030, 0, 0.05))}),
+    ),
 }
 
 
@@ -119,6 +126,24 @@ def test_what_a_hand_holds_rests_on_nothing() -> None:
     verdict = judge(Goal.model_validate({"on": {"thing": "cup", "surface": "plate"}}), held, CAST)
     assert not verdict.reached
     assert "left and the right hand" in verdict.worst.detail
+
+
+@pytest.mark.parametrize(
+    ("marks", "touches", "held", "said"),
+    [
+        ((0, 0, 0.010), (), {}, "its tip 10 mm through"),
+        ((0, 0, -0.05), (), {}, "its tip -50 mm through"),
+        ((0, 0, 0.05), [("cup", "table")], {}, "it touches the table"),
+        ((0, 0, 0.05), (), {"cup": frozenset({"left"})}, "the left hand holds it"),
+    ],
+)
+def test_what_is_not_hung_says_why(
+    marks: tuple[float, float, float], touches: list[tuple[str, str]], held: dict[str, frozenset[str]], said: str
+) -> None:
+    world = StillWorld({}, marks={("plate", "peg"): pose(), ("cup", "eye"): pose(marks)}, touches=touches, held=held)
+    verdict = judge(Goal.model_validate({"hung": {"thing": "cup", "onto": "plate"}}), world, CAST)
+    assert not verdict.reached
+    assert said in verdict.worst.detail
 
 
 def test_all_any_and_the_worst() -> None:

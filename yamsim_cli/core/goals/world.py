@@ -20,6 +20,10 @@ class World(Protocol):
         """Pose (4, 4) of a thing's frame."""
         ...
 
+    def mark(self, thing: str, handle: str) -> Array:
+        """Pose (4, 4) of a handle of a thing's base, its z the way into it; `KeyError` if it has none of that name."""
+        ...
+
     def bounds(self, thing: str) -> tuple[Array, Array]:
         """The lowest and the highest corner (3,) of the block along the world's axes that encloses a thing."""
         ...

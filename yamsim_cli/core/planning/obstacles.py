@@ -128,7 +128,10 @@ class Obstacles:
             return bool((touching & (data.contact.dist < 0)).any())
 
         high = float(T_in_world[2, 3])
-        while not meets(high - _DESCENT):
+        data.qpos[address + 2] = high
+        mujoco.mj_kinematics(self._model, data)
+        free = high - self._drop(data, thing)
+        while high - _DESCENT > free or not meets(high - _DESCENT):
             high -= _DESCENT
             if high < lowest:
                 return lowest
@@ -137,6 +140,15 @@ class Obstacles:
             middle = (low + high) / 2
             low, high = (middle, high) if meets(middle) else (low, middle)
         return high
+
+    def _drop(self, data: mujoco.MjData, thing: str) -> float:
+        """At least so far a thing can come down before the block around one of its geoms meets that of another, m."""
+        low, high = _blocks(self._model, data)
+        solid, of_thing = self._model.geom_contype != 0, self._thing_of == self._things.index(thing)
+        mine, others = np.flatnonzero(solid & of_thing), np.flatnonzero(solid & ~of_thing & (self._arm_of < 0))
+        under = ((low[mine, None, :2] < high[None, others, :2]) & (high[mine, None, :2] > low[None, others, :2])).all(2)
+        gaps = low[mine, None, 2] - high[None, others, 2]
+        return float(gaps[under].min(initial=np.inf))
 
     def _pose(self, qpos: Array, arm: int, joints: Array, opening: float, load: Load | None) -> mujoco.MjData:
         data, moving = self._data, self._arms[arm]
@@ -168,3 +180,11 @@ class Obstacles:
             counts &= ~(fingers & (distances > -_FINGER_DEPTH))
         found: Array = counts
         return found
+
+
+def _blocks(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """The lowest and the highest corners (ngeom, 3) in `world` of blocks along its axes that enclose the geoms."""
+    R = data.geom_xmat.reshape(-1, 3, 3)
+    middle = data.geom_xpos + np.einsum("gij,gj->gi", R, model.geom_aabb[:, :3])
+    reach = np.einsum("gij,gj->gi", np.abs(R), model.geom_aabb[:, 3:])
+    return middle - reach, middle + reach

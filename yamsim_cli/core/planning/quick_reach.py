@@ -7,10 +7,10 @@ import math
 import mujoco
 import numpy as np
 
-from ..geometry.se3 import Array, inverse, rotation_vector
+from ..geometry.se3 import Array, inverse
 
 # Damped least squares: the damping, the longest step of a joint, rad, and how many steps are made.
-_DAMPING = 1e-3
+_DAMPED = 1e-3 * np.eye(6)
 _STEP = 0.4
 _STEPS = 40
 
@@ -38,7 +38,7 @@ class QuickReach:
         self._T_world_in_base = inverse(T_base_in_world)
         self._site = model.site("pinch_site").id
         self._low, self._high = model.jnt_range.T
-        self._jacobian = np.empty((6, model.nv))
+        self._jacobian, self._quat, self._turn = np.empty((6, model.nv)), np.empty(4), np.empty(3)
 
     def solve(self, T_pinch_in_world: Array, start: Array) -> Array | None:
         """Joints (dof,) near those that bring the pinch frame to a pose (4, 4); None where none were found."""
@@ -46,16 +46,17 @@ class QuickReach:
         before = (math.inf, math.inf)
         for _ in range(_STEPS):
             error = self._error(T, joints)
-            size = float(np.linalg.norm(error))
-            if np.linalg.norm(error[:3]) < _POSITION and np.linalg.norm(error[3:]) < _ROTATION * _LEVER:
+            away, turn = float(error[:3] @ error[:3]), float(error[3:] @ error[3:])
+            size = math.sqrt(away + turn)
+            if away < _POSITION**2 and turn < (_ROTATION * _LEVER) ** 2:
                 return joints
             if size > _STALLED * before[0]:
                 return None
             before = before[1], size
             J = self._jacobian
-            step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(6), error)
+            step = J.T @ np.linalg.solve(J @ J.T + _DAMPED, error)
             longest = float(np.abs(step).max())
-            joints = np.clip(joints + step * min(1.0, _STEP / longest), self._low, self._high)
+            joints = np.minimum(np.maximum(joints + step * min(1.0, _STEP / longest), self._low), self._high)
         return None
 
     def _error(self, T: Array, joints: Array) -> Array:
@@ -68,6 +69,8 @@ class QuickReach:
         mujoco.mj_comPos(model, data)
         mujoco.mj_jacSite(model, data, self._jacobian[:3], self._jacobian[3:], self._site)
         self._jacobian[3:] *= _LEVER
-        R = data.site_xmat[self._site].reshape(3, 3)
-        turn = R @ rotation_vector(R.T @ T[:3, :3])
-        return np.concatenate([T[:3, 3] - data.site_xpos[self._site], _LEVER * turn])
+        # Thousands of poses are looked at in an attempt, so this is MuJoCo's arithmetic rather than `geometry.se3`'s.
+        turned = T[:3, :3] @ data.site_xmat[self._site].reshape(3, 3).T
+        mujoco.mju_mat2Quat(self._quat, turned.ravel())
+        mujoco.mju_quat2Vel(self._turn, self._quat, 1.0)
+        return np.concatenate([T[:3, 3] - data.site_xpos[self._site], _LEVER * self._turn])

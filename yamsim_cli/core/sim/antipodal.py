@@ -27,6 +27,9 @@ _DIRECTIONS = tuple(
 _STEEPEST = math.tan(math.radians(15))
 _BESIDE = 0.003
 
+# Balls around geoms count as so much larger where a ray is said to pass them by: a factor of the radius squared.
+_ROUNDED = 1.001
+
 # From outside of anything on a table, m.
 _OUTSIDE = 1.0
 
@@ -87,7 +90,10 @@ def _first(
     """How far from a point along a direction a ray from outside meets the thing, m; None if it misses."""
     start, ray = T[:3, :3] @ (point + _OUTSIDE * direction) + T[:3, 3], T[:3, :3] @ -direction
     nearest = math.inf
-    for geom in geoms:
+    # A vessel's wall is dozens of boxes, and a ray passes most of them by.
+    to = data.geom_xpos[geoms] - start
+    off = to - np.outer(to @ ray, ray)
+    for geom in np.asarray(geoms)[np.einsum("gi,gi->g", off, off) <= model.geom_rbound[geoms] ** 2 * _ROUNDED]:
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
             distance = mujoco.mj_rayMesh(model, data, geom, start, ray)
         else:

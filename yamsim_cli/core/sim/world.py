@@ -85,6 +85,11 @@ class SimWorld:
         body = self._data.body(self._known(thing))
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
+    def mark(self, thing: str, handle: str) -> Array:
+        """See `World`."""
+        site = self._data.site(f"{self._known(thing)}_{handle}")
+        return pose(site.xpos, site.xmat.reshape(3, 3))
+
     def start(self, thing: str) -> Array:
         """See `World`; as of the last `begin`."""
         return self._starts[self._known(thing)]

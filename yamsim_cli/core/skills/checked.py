@@ -7,10 +7,13 @@ import numpy as np
 
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
+from ..config.things import ObjectConfig
 from ..documents.base import Config, ConflictError
 from ..goals.cast import Cast
+from ..goals.predicates.hung import Hung
 from ..goals.world import TABLE
 from ..scene.robot import bare_arm
+from .hang import Hang
 from .operate import Operate
 from .program import read_steps
 
@@ -53,6 +56,11 @@ def check_program(task: ProgramTask, arms: int = 2) -> None:
             held = held | {thing} if skill.LEAVES else held - {thing}
         if isinstance(skill, Operate):
             _check_part(task, cast, skill, path)
+        if isinstance(skill, Hang):
+            _check_hung(task, cast, Hung(thing=skill.thing, onto=skill.onto), path)
+    for path, predicate in task.goal.predicates():
+        if isinstance(predicate, Hung):
+            _check_hung(task, cast, predicate, ("goal", *path))
 
 
 def _check_part(task: ProgramTask, cast: Cast, skill: Operate, path: tuple[str | int, ...]) -> None:
@@ -64,6 +72,20 @@ def _check_part(task: ProgramTask, cast: Cast, skill: Operate, path: tuple[str |
         raise ConflictError(
             f"the {item.name} has no part {skill.joint!r} with a handle; valid: {known}", (*path, "joint")
         )
+
+
+def _check_hung(task: ProgramTask, cast: Cast, hung: Hung, path: tuple[str | int, ...]) -> None:
+    """Make sure that what is to hang has an eye, and what it is to hang on a peg, whichever objects play them."""
+    for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
+        for item in _objects_of(task, cast, role):
+            if handle not in (names := [one.name for one in item.handles]):
+                known = ", ".join(names) or "(none)"
+                raise ConflictError(f"the {item.name} has no handle {handle!r}; valid: {known}", (*path, argument))
+
+
+def _objects_of(task: ProgramTask, cast: Cast, role: str) -> tuple[ObjectConfig, ...]:
+    """What may play a role, or the thing of that name."""
+    return next(one.of for name, one in task.things.items() if role in (name, *cast.of(name)))
 
 
 def _check_reach(config: RecordConfig, task: ProgramTask) -> None:

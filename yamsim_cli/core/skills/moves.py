@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..geometry.se3 import pose
+from ..planning.joint_motion import clear
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .hand import Hand
@@ -22,17 +23,20 @@ def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
     """Open the fingers by so much a finger, and draw the hand back the way it points, or up."""
     wide = min(hand.opening + clearance, hand.widest)
     yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(wide)})
-    hand.held = None
+    thing, hand.held = None if hand.held is None else hand.held.thing, None
     T = hand.pinch_at(hand.joints)
     back, up = T @ pose((0.0, 0.0, -_BACK)), T.copy()
     up[2, 3] += _BACK
+    paths = []
     for T_clear in (back, up):
         try:
-            path = bench.line(hand, T_clear)
+            paths.append(bench.line(hand, T_clear))
         except SkillFailedError:
             continue
-        yield bench.segment({hand: path})
-        return
+    # Fingers that were around something start near to it. Where neither way is free, the first one has to do.
+    free = (path for path in paths if clear(path, lambda joints: bench.touched(hand, joints, wide, between=thing)))
+    if paths:
+        yield bench.segment({hand: next(free, paths[0])})
 
 
 def park(bench: Bench, hand: Hand) -> Iterator[Segment]:

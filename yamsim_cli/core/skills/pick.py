@@ -11,6 +11,8 @@ import numpy as np
 from ..documents.units import Distance
 from ..geometry.se3 import Array, inverse, pose
 from ..goals.cast import Cast
+from ..goals.world import TABLE
+from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Side, Skill, holder_of
 from .bench import Bench, Fingers, Segment
@@ -19,8 +21,8 @@ from .grips import Grip, points_well
 from .hand import PASSING, Hand, Held
 from .moves import GRIP_TICKS, let_go, park_others, rest
 
-# From so far the hand comes straight, m.
-_APPROACH = 0.09
+# From so far the hand comes straight: from less where there is no room for more, m.
+_APPROACHES = (0.09, 0.05)
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Pick(Skill):
         places = ahead[0].places(bench, cast, thing) if ahead else ()
         reasons: dict[str, int] = {}
         for hand in self._hands(bench, thing, places):
-            for found in _reaches(bench, cast, hand, thing, ahead[:1], reasons):
+            for found in self._reaches(bench, cast, hand, thing, ahead[:1], reasons):
                 yield from park_others(bench, hand)
                 yield from self._take(bench, hand, thing, found)
                 return
@@ -97,28 +99,51 @@ class Pick(Skill):
             yield from let_go(bench, hand, grip.clearance)
             raise
 
+    def _reaches(
+        self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
+    ) -> Iterator[_Reach]:
+        """The grips that a hand can take now, and with which what follows can go on."""
+        T_thing = bench.world.pose(thing)
+        for grip in bench.grips(thing, hand.widest):
+            wide = min(grip.opening + grip.clearance, hand.widest)
+            T_at = T_thing @ grip.T_pinch_in_thing
+            if not points_well(T_at, hand.arm.T_base_in_world):
+                continue
+            at = hand.reach(T_at, (hand.joints, hand.ready))
+            before, why = None, f"the {hand.side} arm does not reach it so"
+            if at is not None:
+                before, why = _before(bench, hand, thing, T_at, at, wide)
+            if at is not None and before is not None:
+                blocked = self._blocked(bench, hand, thing, grip, T_at, at)
+                if blocked is None and ahead:
+                    blocked = ahead[0].fault(bench, cast, hand, thing, inverse(grip.T_pinch_in_thing), at)
+                if blocked is None:
+                    yield _Reach(grip, before, at, wide)
+                why = blocked or "it failed"
+            reasons[why] = reasons.get(why, 0) + 1
 
-def _reaches(
-    bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
-) -> Iterator[_Reach]:
-    """The grips that a hand can take now, and with which what follows can go on."""
-    T_thing = bench.world.pose(thing)
-    for grip in bench.grips(thing, hand.widest):
-        wide = min(grip.opening + grip.clearance, hand.widest)
-        T_at = T_thing @ grip.T_pinch_in_thing
-        if not points_well(T_at, hand.arm.T_base_in_world):
-            continue
-        at = hand.reach(T_at, (hand.joints, hand.ready))
-        if at is None:
-            why: str | None = f"the {hand.side} arm does not reach it so"
-        elif (before := hand.reach(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), PASSING)) is None:
-            why = f"the {hand.side} arm does not reach the place before it"
-        else:
-            why = bench.touched(hand, at, wide, between=thing) or bench.touched(hand, before, wide)
-            if why is None and ahead:
-                why = ahead[0].fault(bench, cast, hand, thing, inverse(grip.T_pinch_in_thing), at)
-            if why is None:
-                yield _Reach(grip, before, at, wide)
-                why = "it failed"
-        said = str(why)
-        reasons[said] = reasons.get(said, 0) + 1
+    def _blocked(self, bench: Bench, hand: Hand, thing: str, grip: Grip, T_at: Array, at: Array) -> str | None:
+        """What a hand would touch once it has lifted a thing that it takes at joints `at` (dof,)."""
+        T_up = T_at.copy()
+        T_up[2, 3] += self.lift
+        up = hand.reach(T_up, (at,), PASSING)
+        if up is None:
+            return f"the {hand.side} arm cannot lift it so"
+        load = Load(thing, inverse(grip.T_pinch_in_thing), (TABLE, *bench.world.things))
+        return bench.touched(hand, up, grip.opening, load)
+
+
+def _before(bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, wide: float) -> tuple[Array | None, str]:
+    """Joints (dof,) from which a hand comes straight to a thing; else None, and why there are none."""
+    why = bench.touched(hand, at, wide, between=thing)
+    if why is not None:
+        return None, why
+    why = f"the {hand.side} arm does not reach the place before it"
+    for far in _APPROACHES:
+        before = hand.reach(T_at @ pose((0.0, 0.0, -far)), (at,), PASSING)
+        if before is not None:
+            blocked = bench.touched(hand, before, wide)
+            if blocked is None:
+                return before, ""
+            why = blocked
+    return None, why

@@ -71,10 +71,14 @@ class Placing(Skill):
             there = hand.reach(T_pinch, (joints, hand.ready))
             if there is None:
                 fault = f"the {hand.side} arm does not reach its goal with it"
-            elif hand.reach(_raised(T_goal, _OVER) @ inverse(T_thing_in_pinch), (there,), PASSING) is None:
+                continue
+            over = hand.reach(_raised(T_goal, _OVER) @ inverse(T_thing_in_pinch), (there,), PASSING)
+            if over is None:
                 fault = f"the {hand.side} arm does not reach over its goal with it"
             elif blocked := bench.touched(hand, there, hand.opening, load):
                 fault = f"{blocked} at its goal"
+            elif blocked := bench.touched(hand, over, hand.opening, Load(thing, T_thing_in_pinch)):
+                fault = f"{blocked} over its goal"
             else:
                 return None
         return fault

@@ -15,6 +15,7 @@ from .base import Skill
 from .bench import Bench, Segment
 from .errors import SkillFailedError
 from .handover import Handover
+from .hang import Hang
 from .insert import Insert
 from .lift import Lift
 from .moves import let_go, park
@@ -25,6 +26,7 @@ from .push import Push
 from .put_aside import PutAside
 from .regrasp import Regrasp
 from .set_upright import SetUpright
+from .turn import Turn
 
 # A new skill is a module here, and a line in the table.
 SKILLS: Mapping[str, type[Skill]] = {
@@ -35,9 +37,11 @@ SKILLS: Mapping[str, type[Skill]] = {
     "put_aside": PutAside,
     "push": Push,
     "set_upright": SetUpright,
+    "turn": Turn,
     "regrasp": Regrasp,
     "operate": Operate,
     "lift": Lift,
+    "hang": Hang,
 }
 
 # What goes through the things of a role: `each: {of: cup, do: [...]}`.

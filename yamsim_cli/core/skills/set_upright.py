@@ -3,31 +3,57 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
 import numpy as np
 
-from ..geometry.se3 import Array, pose, rotation_z
+from ..geometry.se3 import Array, pose, rotation_z, tilt
 from ..goals.cast import Cast
 from ..goals.world import TABLE
-from .bench import Bench
+from ..types import Cause
+from .base import Skill, holder_of
+from .bench import Bench, Segment
+from .errors import SkillFailedError
+from .pick import Pick
 from .place import Placing
+from .turn import Turn
 
 # How far from where it lies a thing may come to stand, in rings of so many places, m.
-_RINGS = (0.0, 0.05, 0.10)
-_PLACES = 6
+_RINGS = (0.0, 0.05, 0.10, 0.15, 0.20)
+_PLACES = 8
 
 _HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
 
+# What leans more than this has fallen over again, rad.
+_STANDS = math.radians(10)
+
 
 class SetUpright(Placing):
-    """Put a thing down upright, near where it was taken from.
+    """Put a thing down upright, near where it was taken from. What is in no hand yet is taken first; where it lies so
+    that no hand can take it and set it upright, it is turned before.
 
     Attributes:
-        thing: a role; it is in a hand.
+        thing: a role.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    NEEDS: ClassVar[bool | None] = None
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing, taking = cast.one(self.thing), Pick(thing=self.thing)
+        if holder_of(bench, thing) is None:
+            try:
+                yield from taking.run(bench, cast, (self,))
+            except SkillFailedError as error:
+                if error.cause is not Cause.UNREACHABLE or holder_of(bench, thing) is not None:
+                    raise
+                turning = Turn(thing=self.thing)
+                yield from taking.run(bench, cast, (turning,))
+                yield from turning.run(bench, cast, (taking,))
+                yield from taking.run(bench, cast, (self,))
+        yield from super().run(bench, cast, ahead)
 
     def support(self, cast: Cast) -> str:
         """See `Placing`."""
@@ -46,3 +72,8 @@ class SetUpright(Placing):
                     height = bench.height_on(thing, place, TABLE, 0.0)
                     found += [pose((*place, height), rotation_z(heading)) for heading in _HEADINGS]
         return found
+
+    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
+        super()._check(bench, thing, onto, T_goal)
+        if (leans := tilt(bench.world.pose(thing)[:3, :3])) > _STANDS:
+            raise SkillFailedError(Cause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")

@@ -8,6 +8,7 @@ from .above import Above
 from .base import Predicate as Predicate
 from .handed_over import HandedOver
 from .held_by import HeldBy
+from .hung import Hung
 from .inside import Inside
 from .near import Near
 from .on import On
@@ -33,4 +34,5 @@ PREDICATES: Mapping[str, type[Predicate]] = {
     "sorted": Sorted,
     "open": Open,
     "swapped": Swapped,
+    "hung": Hung,
 }

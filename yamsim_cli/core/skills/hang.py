@@ -1,0 +1,138 @@
+"""Hang what a hand holds on a peg."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from ..geometry.se3 import Array, inverse, pose, rotation_z
+from ..goals.cast import Cast
+from ..goals.predicates.hung import Hung
+from ..planning.joint_motion import clear, straight
+from ..planning.obstacles import Load
+from ..types import Cause
+from .base import Skill, holder_of
+from .bench import Bench, Segment
+from .errors import SkillFailedError
+from .hand import PASSING, Hand
+from .moves import let_go, park_others, rest
+
+# How far behind the peg's tip the eye may come, in the order in which that is tried, and how far before it the thing
+# waits, m.
+_DEPTHS = (0.045, 0.055, 0.035)
+_BEFORE = 0.04
+
+# How far the thing may lean about the peg, as it may turn when it is let go: little first, rad.
+_LEANS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
+
+# Onto the peg and down on it, m/s; from so much over it the thing is let go, m; and it swings for so many ticks.
+_SPEED = 0.10
+_GAP = 0.001
+_SWING_TICKS = 40
+
+
+class Hang(Skill):
+    """Move the eye of a thing over a peg, and let it hang there.
+
+    Attributes:
+        thing: a role; it is in a hand, and has a handle called `eye`, which points through an opening.
+        onto: a role; it has a handle called `peg`, which points from the peg's tip to its root.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")
+    NEEDS: ClassVar[bool | None] = True
+    LEAVES: ClassVar[bool | None] = False
+    thing: str
+    onto: str
+
+    def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
+        """See `Skill`."""
+        return [bench.world.mark(cast.one(self.onto), "peg")[:2, 3]]
+
+    def fault(
+        self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, joints: Array
+    ) -> str | None:
+        """See `Skill`."""
+        fault = f"the {hand.side} arm does not reach the peg with it"
+        load = Load(thing, T_thing_in_pinch)
+        for before, T_on in self._ways(bench, cast, hand, thing, T_thing_in_pinch, (joints, hand.ready)):
+            there = hand.reach(T_on @ inverse(T_thing_in_pinch), (before,), PASSING)
+            if there is None:
+                continue
+            blocked = bench.touched(hand, there, hand.opening, load) or bench.touched(hand, before, hand.opening, load)
+            if blocked is None:
+                return None
+            fault = f"{blocked} at the peg"
+        return fault
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing = cast.one(self.thing)
+        hand = holder_of(bench, thing)
+        if hand is None:
+            raise SkillFailedError(Cause.DROPPED, f"no hand holds the {thing} that is to be hung up")
+        held = bench.look_at(hand)
+        yield from park_others(bench, hand)
+        load = Load(thing, held.T_thing_in_pinch)
+        fault = f"the {hand.side} arm does not reach the peg with the {thing}"
+        ways = self._ways(bench, cast, hand, thing, held.T_thing_in_pinch, (hand.joints, hand.ready))
+        for before, T_on in ways:
+            onto = straight(hand.ik, before, T_on @ inverse(held.T_thing_in_pinch), bench.tick, _SPEED)
+            if onto is None or not clear(onto, lambda joints: bench.touched(hand, joints, hand.opening, load)):
+                continue
+            try:
+                path = bench.way(hand, before, load=load)
+            except SkillFailedError as error:
+                fault = str(error)
+                continue
+            yield bench.segment({hand: path})
+            yield bench.segment({hand: self._line(bench, hand, T_on)})
+            T_down = bench.world.pose(thing)
+            T_down[2, 3] = bench.obstacles.rest_height(bench.qpos, thing, T_down, T_down[2, 3] - _BEFORE) + _GAP
+            yield bench.segment({hand: self._line(bench, hand, T_down)})
+            yield from let_go(bench, hand, bench.clearance(thing))
+            yield bench.wait(_SWING_TICKS)
+            yield rest(bench)
+            self._check(bench, cast)
+            return
+        raise SkillFailedError(Cause.UNREACHABLE, fault)
+
+    def _ways(
+        self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, seeds: Sequence[Array]
+    ) -> Iterator[tuple[Array, Array]]:
+        """Joints (dof,) of a hand that holds a thing before the peg, and the thing's pose (4, 4) on it."""
+        T_peg = bench.world.mark(cast.one(self.onto), "peg")
+        T_eye_in_thing = inverse(bench.world.pose(thing)) @ bench.world.mark(thing, "eye")
+        for T_eye in _eyes(T_peg):
+            T_on = T_eye @ inverse(T_eye_in_thing)
+            T_before = T_on.copy()
+            T_before[:3, 3] -= T_peg[:3, 2] * (_BEFORE + float((T_eye - T_peg)[:3, 3] @ T_peg[:3, 2]))
+            before = hand.reach(T_before @ inverse(T_thing_in_pinch), seeds, PASSING)
+            if before is not None:
+                yield before, T_on
+
+    def _line(self, bench: Bench, hand: Hand, T_thing: Array) -> Array:
+        """A motion (n + 1, dof) that takes what a hand holds straight to a pose (4, 4)."""
+        held = bench.look_at(hand)
+        # The arm sags a little under its load: what it was told lies so far off what it does.
+        T_told_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
+        return bench.line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_told_in_pinch, _SPEED)
+
+    def _check(self, bench: Bench, cast: Cast) -> None:
+        for measure in Hung(thing=self.thing, onto=self.onto).measures(bench.world, cast):
+            if not measure.holds:
+                raise SkillFailedError(Cause.OFF_TARGET, f"{measure.what}: {measure.detail}")
+
+
+def _eyes(T_peg: Array) -> Iterator[Array]:
+    """Where an eye may come to be on a peg: poses (4, 4) in `world`, its y up, those that lean less first."""
+    along = T_peg[:3, 2]
+    level = np.array((along[0], along[1], 0.0)) / math.hypot(along[0], along[1])
+    for lean in _LEANS:
+        for depth in _DEPTHS:
+            for z in (level, -level):
+                R = np.column_stack([np.cross((0.0, 0.0, 1.0), z), (0.0, 0.0, 1.0), z]) @ rotation_z(lean)
+                yield pose(T_peg[:3, 3] + depth * along, R)
