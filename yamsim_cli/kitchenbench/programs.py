@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
+from ..core.config.shapes import RackShape
+from ..core.config.things import ObjectConfig
 from ..core.geometry.se3 import Array
 from ..core.skills.base import Skill
 from ..core.skills.handover import Handover
@@ -15,12 +17,18 @@ from ..core.skills.pick import Pick
 from ..core.skills.place import Place
 from .scene import T_in_world
 
+# Between a dish and the bow at an end of the rack, so much is left free, m.
+_BOW = 0.008
+
 # So high cutlery clears the tray's wall, also as it hangs in the fingers, m.
 _OVER_THE_TRAY = 0.12
 
 
-def program_of(blueprint: SceneBlueprint) -> list[Skill]:
+def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig]) -> list[Skill]:
     """The skills that are to bring a scene to its goal, in order.
+
+    Args:
+        items: what the blueprint's objects are here, by their names.
 
     Raises:
         LookupError: there is no expert for goals of its kind.
@@ -30,7 +38,7 @@ def program_of(blueprint: SceneBlueprint) -> list[Skill]:
         case "place_on":
             return _put(roles["item"][0], Place(thing=roles["item"][0], on=roles["surface"][0]))
         case "place_in":
-            return _put(roles["item"][0], Insert(thing=roles["item"][0], into=roles["rack"][0]))
+            return _put(roles["item"][0], _in_its_slot(blueprint, items, roles["item"][0], roles["rack"][0]))
         case "handoff":
             return _handed_over(blueprint, roles["item"][0])
         case "stack":
@@ -42,6 +50,20 @@ def program_of(blueprint: SceneBlueprint) -> list[Skill]:
 
 def _put(thing: str, placing: Skill) -> list[Skill]:
     return [Pick(thing=thing), placing]
+
+
+def _in_its_slot(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], item: str, rack: str) -> Skill:
+    """Upright over the middle of the slot that a scene asks for, or of the nearest one where it fits between the bows.
+    Slots are counted from the left.
+    """
+    shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
+    assert isinstance(shape, RackShape), "a rack is made from sizes"
+    slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
+    room = shape.size_mm[0] / 2000 - _BOW - _width(dish) / 200
+    asked = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
+    fitting = slots[np.abs(slots) <= room]
+    x = min(fitting, key=lambda slot: abs(slot - asked), default=0.0)
+    return Place(thing=item, on=rack, at=(float(x), 0.0))
 
 
 def _handed_over(blueprint: SceneBlueprint, item: str) -> list[Skill]:
