@@ -108,7 +108,8 @@ class _Twin:
         self._world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
         self._bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
-        self._segments = run_program(program_of(blueprint), self._bench, simulator.cast, Diary())
+        bases = [hand.arm.T_base_in_world[:2, 3] for hand in self._bench.hands]
+        self._segments = run_program(program_of(blueprint, bases), self._bench, simulator.cast, Diary())
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
