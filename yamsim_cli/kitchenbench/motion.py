@@ -60,6 +60,10 @@ class Motion:
         """Where the last action left the references (14,), as in `state`."""
         return self._reference.copy()
 
+    def speed(self) -> float:
+        """Of the fastest joint of the arms, rad/s."""
+        return max(float(np.abs(self.data.qvel[arm.joint_dof]).max()) for arm in self._scene.arms)
+
     def act(self, action: Array) -> None:
         """Let an action (14,) act."""
         scene, start = self._scene, self._reference

@@ -19,16 +19,20 @@ from .scene import T_in_world
 
 # Between a dish and the bow at an end of the rack, so much is left free, m.
 _BOW = 0.008
-
+# A thing that is stacked falls so far: fingers around its rim are lower than it, m.
+_DROP = 0.012
 # So high cutlery clears the tray's wall, also as it hangs in the fingers, m.
 _OVER_THE_TRAY = 0.12
 
 
-def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig]) -> list[Skill]:
+def program_of(
+    blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]
+) -> list[Skill]:
     """The skills that are to bring a scene to its goal, in order.
 
     Args:
         items: what the blueprint's objects are here, by their names.
+        bases: where the arms stand (2,), in `world`, m.
 
     Raises:
         LookupError: there is no expert for goals of its kind.
@@ -42,7 +46,7 @@ def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig]) -> 
         case "handoff":
             return _handed_over(blueprint, roles["item"][0])
         case "stack":
-            return _stacked(blueprint, roles["stack"])
+            return _stacked(blueprint, roles["stack"], bases)
         case "sort":
             return _sorted(blueprint, roles["sortable"])
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
@@ -77,19 +81,21 @@ def _handed_over(blueprint: SceneBlueprint, item: str) -> list[Skill]:
     return [Pick(thing=item), Handover(thing=item, to="other", height=height)]
 
 
-def _stacked(blueprint: SceneBlueprint, names: Sequence[str]) -> list[Skill]:
-    """Onto the largest; of equal ones, onto the one from which the others are nearest. The larger come first."""
+def _stacked(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Array]) -> list[Skill]:
+    """Onto the largest; of equal ones, onto the one for which arms have to reach least far. The larger come first."""
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 
-    def farthest(name: str) -> float:
-        return max(float(np.linalg.norm(place - places[name])) for place in places.values())
+    def farthest(below: str) -> float:
+        """How far an arm has to reach at most, where each thing is brought by the one that suits it."""
+        ways = ((places[name], places[below]) for name in names if name != below)
+        return max(min(max(float(np.linalg.norm(end - base)) for end in way) for base in bases) for way in ways)
 
     below, *others = sorted(names, key=lambda name: (-_width(items[name]), farthest(name)))
     others.sort(key=lambda name: (-_width(items[name]), _apart(places, name, below)))
     skills: list[Skill] = []
     for name in others:
-        skills += _put(name, Place(thing=name, on=below))
+        skills += _put(name, Place(thing=name, on=below, drop=_DROP))
         below = name
     return skills
 

@@ -274,6 +274,11 @@ class Bench:
         """All hands hold their places."""
         return self.segment({self.hands[0]: self.still(self.hands[0], ticks)})
 
+    def bearing(self, hand: Hand, joints: Array, opening: float) -> Array:
+        """Torques (dof,) in N m that hold a hand, and what it holds, still at given joints (dof,), rad."""
+        still: Array = self._torques(hand, np.tile(joints, (3, 1)), np.full(2, opening))[-1]
+        return still
+
     def _torques(self, hand: Hand, joints: Array, opening: Array) -> Array:
         torques = hand.dynamics.torques(joints, opening, self.tick)
         if hand.held is None:
