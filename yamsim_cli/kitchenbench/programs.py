@@ -25,9 +25,7 @@ _DROP = 0.012
 _OVER_THE_TRAY = 0.12
 
 
-def program_of(
-    blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]
-) -> list[Skill]:
+def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]) -> list[Skill]:
     """The skills that are to bring a scene to its goal, in order.
 
     Args:
