@@ -16,7 +16,7 @@ from ..core.skills.place import Place
 from .scene import T_in_world
 
 # A thing that is stacked falls so far: fingers around its rim are lower than it, m.
-_DROP = 0.012
+_DROP = 0.02
 # So high cutlery clears the tray's wall, also as it hangs in the fingers, m.
 _OVER_THE_TRAY = 0.12
 
