@@ -63,8 +63,8 @@ class Motion:
         return self._reference.copy()
 
     def speed(self) -> float:
-        """Of the fastest joint of the arms, rad/s."""
-        return max(float(np.abs(self.data.qvel[arm.joint_dof]).max()) for arm in self._scene.arms)
+        """The greatest of all: of joints and of what turns in rad/s, of what slides and of what lies around in m/s."""
+        return float(np.abs(self.data.qvel).max())
 
     def act(self, action: Array) -> None:
         """Let an action (14,) act."""

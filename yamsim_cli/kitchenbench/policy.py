@@ -118,6 +118,8 @@ class _Twin:
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
         segment = self._next_segment()
+        while segment is not None and _is_still(segment) and self.motion.speed() <= _AT_REST:
+            segment = self._next_segment()
         actions = [self.motion.reference] if segment is None else list(actions_of(self._bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
@@ -138,6 +140,11 @@ class _Twin:
     def close(self) -> None:
         """Free the scene."""
         self._realized.simulator.close()
+
+
+def _is_still(segment: Segment) -> bool:
+    """Whether it but waits for what moves to come to rest."""
+    return all(not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip))
 
 
 def _straight_until(joints: Array, first: int, last: int) -> int:

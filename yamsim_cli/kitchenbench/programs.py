@@ -20,7 +20,7 @@ from .scene import T_in_world
 # Between a dish and the bow at an end of the rack, so much is left free, m.
 _BOW = 0.008
 # A thing that is stacked falls so far: fingers around its rim are lower than it, m.
-_DROP = 0.012
+_DROP = 0.02
 # So high cutlery clears the tray's wall, also as it hangs in the fingers, m.
 _OVER_THE_TRAY = 0.12
 
