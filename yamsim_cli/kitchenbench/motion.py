@@ -13,7 +13,7 @@ from ..core.scene.compiled import SceneArm, SceneFingers
 from ..core.sim.closed_loop import ClosedLoop
 from .scene import Realization
 
-#: Joints of a YAM arm. In actions and states they come first, then the arm's gripper; the left arm before the right one.
+#: Joints of a YAM arm. In actions and states they come first, then its gripper; the left arm before the right one.
 ARM_JOINTS = 6
 _ARM = ARM_JOINTS + 1
 ACTION_DIM = 2 * _ARM
