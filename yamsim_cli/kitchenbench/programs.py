@@ -16,13 +16,14 @@ from ..core.skills.insert import Insert
 from ..core.skills.pick import Pick
 from ..core.skills.place import Place
 from .scene import T_in_world
+from .sorting import Sort
 
 # Between a dish and the bow at an end of the rack, so much is left free, m.
 _BOW = 0.008
 # A thing that is stacked falls so far: fingers around its rim are lower than it, m.
 _DROP = 0.02
-# So high cutlery clears the tray's wall, also as it hangs in the fingers, m.
-_OVER_THE_TRAY = 0.12
+# Before the kind of cutlery that a compartment is for.
+_FOR = "compartment_"
 
 
 def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]) -> list[Skill]:
@@ -46,7 +47,8 @@ def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bas
         case "stack":
             return _stacked(blueprint, roles["stack"], bases)
         case "sort":
-            return _sorted(blueprint, roles["sortable"])
+            into = {name.removeprefix(_FOR): name for name in roles["compartment"]}
+            return [Sort(things="sortable", into=into)]
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
 
 
@@ -96,15 +98,6 @@ def _stacked(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Ar
         skills += _put(name, Place(thing=name, on=below, drop=_DROP))
         below = name
     return skills
-
-
-def _sorted(blueprint: SceneBlueprint, names: Sequence[str]) -> list[Skill]:
-    assets = {item.name: item.asset for item in blueprint.objects}
-    return [
-        skill
-        for name in names
-        for skill in (Pick(thing=name, lift=_OVER_THE_TRAY), Insert(thing=name, into=f"compartment_{assets[name]}"))
-    ]
 
 
 def _width(item: SceneObject) -> float:
