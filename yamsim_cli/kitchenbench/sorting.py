@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar
 
 from ..core.goals.cast import Cast
+from ..core.goals.world import World
 from ..core.skills.base import Skill, holder_of
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
@@ -42,9 +43,9 @@ class Sort(Skill):
         """See `Skill`."""
         tries: dict[str, int] = {}
         said = ""
-        while left := self._left(bench, cast):
+        while left := self.left(bench.world, cast):
             # One that failed waits until others are out of its way.
-            name = min(left, key=lambda one: (tries.get(one, 0), -float(bench.world.bounds(one)[1][2])))
+            name = min(left, key=lambda one: tries.get(one, 0))
             if tries.get(name, 0) == _TRIES:
                 _LOG.warning("the expert leaves the %s where it is: %s", name, said)
                 return
@@ -56,13 +57,12 @@ class Sort(Skill):
                 yield from self._put_down(bench, cast, name)
                 yield from recover(bench)
 
-    def _left(self, bench: Bench, cast: Cast) -> list[str]:
-        """What is not yet where it belongs."""
-        return [
-            name
-            for name in cast.of(self.things)
-            if bench.world.share_inside(name, self.into[cast.kinds[name]]) < _INSIDE
+    def left(self, world: World, cast: Cast) -> list[str]:
+        """What is not yet where it belongs, the uppermost first."""
+        found = [
+            name for name in cast.of(self.things) if world.share_inside(name, self.into[cast.kinds[name]]) < _INSIDE
         ]
+        return sorted(found, key=lambda name: -float(world.bounds(name)[1][2]))
 
     def _bring(self, bench: Bench, cast: Cast, name: str, into: str, handed: bool) -> Iterator[Segment]:
         """By the arm that reaches both; at the second time, by the other one's hand if need be."""
