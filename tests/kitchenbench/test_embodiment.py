@@ -25,7 +25,7 @@ from yamsim_cli.kitchenbench.catalog import COMPARTMENT
 from yamsim_cli.kitchenbench.embodiment import CAMERAS, JOINTS, YamsimEmbodiment, open_base
 from yamsim_cli.kitchenbench.motion import Motion
 from yamsim_cli.kitchenbench.policy import YamsimExpert
-from yamsim_cli.kitchenbench.scene import AHEAD, RIGID_KINDS, realize
+from yamsim_cli.kitchenbench.scene import AHEAD, BESIDE, RIGID_KINDS, realize
 from yamsim_cli.kitchenbench.world import KitchenWorld
 
 RIGID = ("place_cutlery", "stack", "place_in_rack", "handoff", "sort_cutlery")
@@ -124,11 +124,12 @@ def test_things_lie_where_the_bench_has_them(embodiment: YamsimEmbodiment) -> No
     world = embodiment.world
     first, last = (np.mean(world.aabb(name), axis=0) for name in ("cup_1", "cup_2"))
     assert last[1] - first[1] == pytest.approx(-0.10, abs=0.002)
-    assert first[0] == pytest.approx(AHEAD, abs=0.002)
+    cup = build_blueprint(scene, seed_of(scene)).objects[0]
+    assert first[:2] == pytest.approx((AHEAD, BESIDE - cup.x_cm / 100), abs=0.002)
     low, high = world.aabb("cup_1")
     assert high - low == pytest.approx([0.09, 0.09, 0.10], abs=0.003)
     left, right = (np.mean(world.aabb(f"gripper_{side}"), axis=0) for side in ("left", "right"))
-    assert left[1] > 0.2 and right[1] < -0.2
+    assert right[1] < BESIDE < left[1]
     for query in (world.aabb, world.opening_fraction, lambda name: world.contained_fraction("cup_1", name)):
         with pytest.raises(KeyError, match="saucer"):
             query("saucer")

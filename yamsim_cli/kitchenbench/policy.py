@@ -54,7 +54,7 @@ class YamsimExpert:
         self.config = PolicyConfig()
         self._base = open_base("64x48", images=False)
         self._scene: Scene | None = None
-        self._twin: _Twin | None = None
+        self._twin: Twin | None = None
         self._bind(CONTROL_HZ)
 
     def bind(self, embodiment_info: EmbodimentInfo) -> None:
@@ -75,7 +75,7 @@ class YamsimExpert:
         assert self._scene is not None, "reset comes first"
         if self._twin is None:
             seed = int(observation.state[SEED][0])
-            self._twin = _Twin(realize(build_blueprint(self._scene, seed), self._base), seed, self._ticks)
+            self._twin = Twin(realize(build_blueprint(self._scene, seed), self._base), seed, self._ticks)
         off = float(np.abs(np.asarray(observation.state[JOINTS]) - self._twin.motion.state()).max())
         if off > _SAME:
             raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
@@ -97,8 +97,17 @@ class YamsimExpert:
         )
 
 
-class _Twin:
-    """The same realization, moved by the same actions, in which skills find what they plan from."""
+class Twin:
+    """The same realization, moved by the same actions, in which skills find what they plan from.
+
+    Attributes:
+        motion: of the realization.
+        bench: what skills plan with.
+
+    Args:
+        seed: the realization's number, for searches.
+        ticks: control ticks an action.
+    """
 
     def __init__(self, realized: Realization, seed: int, ticks: int) -> None:
         self._realized, self._ticks = realized, ticks
@@ -109,18 +118,18 @@ class _Twin:
         self._world = KitchenWorld(realized, self.motion).scene
         self._world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
-        self._bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
+        self.bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
         items = {item.name: item for item in simulator.config.task.objects}
-        bases = [hand.arm.T_base_in_world[:2, 3] for hand in self._bench.hands]
+        bases = [hand.arm.T_base_in_world[:2, 3] for hand in self.bench.hands]
         program = program_of(blueprint, items, bases)
-        self._segments = run_program(program, self._bench, simulator.cast, Diary())
+        self._segments = run_program(program, self.bench, simulator.cast, Diary())
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
         segment = self._next_segment()
-        while segment is not None and _is_still(segment) and self.motion.speed() <= _AT_REST:
+        while segment is not None and is_still(segment) and self.motion.speed() <= _AT_REST:
             segment = self._next_segment()
-        actions = [self.motion.reference] if segment is None else list(actions_of(self._bench, segment, self._ticks))
+        actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
         most = len(actions) + _WAITS
@@ -142,9 +151,11 @@ class _Twin:
         self._realized.simulator.close()
 
 
-def _is_still(segment: Segment) -> bool:
+def is_still(segment: Segment) -> bool:
     """Whether it but waits for what moves to come to rest."""
-    return all(not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip))
+    return all(
+        not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip)
+    )
 
 
 def _straight_until(joints: Array, first: int, last: int) -> int:
@@ -170,7 +181,9 @@ def actions_of(bench: Bench, segment: Segment, ticks: int) -> Iterator[Array]:
     while tick < segment.ticks:
         tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
         parts = []
-        for hand, fingers, path in zip(bench.hands, hands([hand.arm for hand in bench.hands]), segment.paths, strict=True):
+        for hand, fingers, path in zip(
+            bench.hands, hands([hand.arm for hand in bench.hands]), segment.paths, strict=True
+        ):
             # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds. What
             # it takes to speed up or slow down is none of that: it would stay when the motion is over.
             arm = hand.arm

@@ -12,7 +12,6 @@ from ..core.config.things import ObjectConfig
 from ..core.geometry.se3 import Array
 from ..core.skills.base import Skill
 from ..core.skills.handover import Handover
-from ..core.skills.insert import Insert
 from ..core.skills.pick import Pick
 from ..core.skills.place import Place
 from .scene import T_in_world

@@ -148,7 +148,10 @@ def _table(config: RecordConfig, things: list[SceneObject]) -> Table:
     """The table, wide enough for all that a scene puts onto it: some ask for more than the arms reach."""
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
-    reach = max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things) / 100
+    reach = (
+        max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things)
+        / 100
+    )
     wide = table.half_size[1] + config.rig.span / 2
     return table.widened(max(0.0, 2 * (reach + _EDGE - wide)))
 

@@ -19,7 +19,7 @@ from ..sim.antipodal import Span, spans
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
 from .errors import SkillFailedError
-from .grips import CLEARANCE, Grip, found_grips, grips
+from .grips import CLEARANCE, Grip, found_grips, grips, sideways_grips
 from .hand import PASSING, Hand, Held
 
 # Over the table, a hand that crosses it stays at least so high, m.
@@ -125,6 +125,7 @@ class Bench:
             body = self.model.body(thing).id
             self._spans[thing] = spans(self.model, self.world.data, body, 2 * (widest - CLEARANCE / 2))
         yield from found_grips(self.items[thing], self._spans[thing])
+        yield from sideways_grips(self.items[thing])
 
     def half_outline(self, thing: str, heading: float) -> Array:
         """Half the room (2,) that a thing takes along x and y when it stands upright, turned by `heading`, m."""

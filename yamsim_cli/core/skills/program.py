@@ -189,4 +189,3 @@ def _again_from(program: Sequence[Skill], number: int, bench: Bench) -> int:
         while number and not isinstance(program[number], Pick):
             number -= 1
     return number
-
