@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -19,11 +20,12 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
 from yamsim_cli.kitchenbench.catalog import COMPARTMENT
 from yamsim_cli.kitchenbench.embodiment import CAMERAS, JOINTS, YamsimEmbodiment, open_base
 from yamsim_cli.kitchenbench.motion import Motion
 from yamsim_cli.kitchenbench.policy import YamsimExpert
-from yamsim_cli.kitchenbench.scene import AHEAD, RIGID_KINDS, realize
+from yamsim_cli.kitchenbench.scene import AHEAD, BESIDE, RIGID_KINDS, realize
 from yamsim_cli.kitchenbench.world import KitchenWorld
 
 RIGID = ("place_cutlery", "stack", "place_in_rack", "handoff", "sort_cutlery")
@@ -122,11 +124,12 @@ def test_things_lie_where_the_bench_has_them(embodiment: YamsimEmbodiment) -> No
     world = embodiment.world
     first, last = (np.mean(world.aabb(name), axis=0) for name in ("cup_1", "cup_2"))
     assert last[1] - first[1] == pytest.approx(-0.10, abs=0.002)
-    assert first[0] == pytest.approx(AHEAD, abs=0.002)
+    cup = build_blueprint(scene, seed_of(scene)).objects[0]
+    assert first[:2] == pytest.approx((AHEAD, BESIDE - cup.x_cm / 100), abs=0.002)
     low, high = world.aabb("cup_1")
     assert high - low == pytest.approx([0.09, 0.09, 0.10], abs=0.003)
     left, right = (np.mean(world.aabb(f"gripper_{side}"), axis=0) for side in ("left", "right"))
-    assert left[1] > 0.2 and right[1] < -0.2
+    assert right[1] < BESIDE < left[1]
     for query in (world.aabb, world.opening_fraction, lambda name: world.contained_fraction("cup_1", name)):
         with pytest.raises(KeyError, match="saucer"):
             query("saucer")
@@ -151,6 +154,28 @@ def test_what_is_inside_is_counted_by_volume(base: Any) -> None:
         shares.append(world.contained_fraction("knife_1", "compartment_knife"))
     assert shares[0] > 0.9 and shares[1] == 0.0
     realized.simulator.close()
+
+
+@pytest.mark.parametrize(("lean_deg", "share"), [(90, 0.41), (30, 0.81), (0, 0.98)])
+def test_a_plate_is_in_a_rack_of_its_size_only_if_it_lies(
+    embodiment: YamsimEmbodiment, lean_deg: int, share: float
+) -> None:
+    """On the wires of the rack's floor, over its middle: on its edge, leaning, and flat."""
+    scene = SCENES["place-in-rack-wet-slippery"]
+    embodiment.reset(scene, seed=seed_of(scene))
+    world = embodiment.world
+    model, data = embodiment._realized.simulator.scene.model, world.scene.data  # type: ignore[union-attr]
+    T_rack = world.scene.pose("rack")
+    address = model.joint("plate").qposadr[0]
+    data.qpos[address + 3 : address + 7] = quat_from_rotation(
+        T_rack[:3, :3] @ rotation_from_vector([0.0, np.radians(lean_deg), 0.0])
+    )
+    mujoco.mj_kinematics(model, data)
+    low, high = world.aabb("plate")
+    floor = T_rack[:3, 3] + (0.0, 0.0, 0.014)
+    data.qpos[address : address + 3] += floor - [*((low + high) / 2)[:2], low[2]]
+    mujoco.mj_kinematics(model, data)
+    assert world.contained_fraction("plate", "rack") == pytest.approx(share, abs=0.02)
 
 
 def test_doing_nothing_scores_nothing(embodiment: YamsimEmbodiment) -> None:

@@ -2,39 +2,119 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import mujoco
 import numpy as np
 import pytest
 
 pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
 pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 
+from inspect_robots import (
+    Action,
+    ActionChunk,
+    EmbodimentInfo,
+    Observation,
+    PolicyConfig,
+    PolicyInfo,
+    Scene,
+)
 from inspect_robots import eval as evaluate
+from inspect_robots.errors import CompatibilityError
 from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
+from kitchenbench.policies import NoopKitchenPolicy
 from kitchenbench.sim import build_blueprint
 
+from yamsim_cli.core.geometry.se3 import quat_from_rotation
+from yamsim_cli.core.skills.bench import Bench, Fingers
 from yamsim_cli.core.skills.handover import Handover
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
-from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
-from yamsim_cli.kitchenbench.motion import hands, told_opening, told_share
-from yamsim_cli.kitchenbench.policy import YamsimExpert
+from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment, open_base
+from yamsim_cli.kitchenbench.motion import Motion, hands, told_opening, told_share
+from yamsim_cli.kitchenbench.policy import Twin, YamsimExpert, actions_of, is_still
 from yamsim_cli.kitchenbench.programs import program_of
+from yamsim_cli.kitchenbench.scene import realize
+from yamsim_cli.kitchenbench.sorting import Sort
+from yamsim_cli.kitchenbench.world import KitchenWorld
 
+BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
 SCENES = {scene.id: scene for factory in tasks.TASK_FACTORIES.values() for scene in factory().scenes}
+
+
+@pytest.fixture
+def expert_bench() -> Iterator[Bench]:
+    scene = SCENES["stack-tight-spacing"]
+    realized = realize(build_blueprint(scene, 0), open_base("64x48", images=False))
+    twin = Twin(realized, 0, 10)
+    yield twin.bench
+    twin.close()
 
 
 def test_larger_things_are_stacked_first() -> None:
     blueprint = build_blueprint(SCENES["stack-mixed-sizes"], 0)
     sizes = {item.name: item.size_cm or 0.0 for item in blueprint.objects}
-    placed = [skill for skill in program_of(blueprint) if isinstance(skill, Place)]
+    placed = [skill for skill in program_of(blueprint, {}, BASES) if isinstance(skill, Place)]
     order = [placed[0].on, *(skill.thing for skill in placed)]
     assert sorted(order) == sorted(sizes) and [skill.on for skill in placed] == order[:-1]
     assert [sizes[name] for name in order] == sorted(sizes.values(), reverse=True)
 
 
+def test_a_stack_stands_where_arms_reach_least_far() -> None:
+    """Of plates side by side, the outermost would be the worst."""
+    scene = SCENES["stack-plates"]
+    blueprint = build_blueprint(scene, derive_seed(0, scene.init_seed, 2))
+    names = [item.name for item in blueprint.objects]
+    assert len(names) == 4
+    below = next(skill for skill in program_of(blueprint, {}, BASES) if isinstance(skill, Place)).on
+    assert below in names[1:3]
+
+
+def test_references_bear_the_arm_at_the_end_of_a_motion(expert_bench: Bench) -> None:
+    """And not what slows it down: an arm that is at rest would stand beside its place by that."""
+    hand = expert_bench.hands[0]
+    goal = hand.ready + np.array((0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+    segment = expert_bench.segment({hand: expert_bench.way(hand, goal)})
+    *_, last = actions_of(expert_bench, segment, 10)
+    # Nothing hangs on the first joint, whose axis is upright; what brakes it is newton metres.
+    assert last[7 * hand.number] == pytest.approx(goal[0], abs=0.002)
+    assert abs(segment.paths[hand.number].torques[-1][0] / hand.arm.kp[0]) > 0.005
+
+
+def test_only_what_waits_is_still(expert_bench: Bench) -> None:
+    hand = expert_bench.hands[0]
+    assert is_still(expert_bench.wait(4))
+    closing = {hand: Fingers(0.0, 10.0)}
+    assert not is_still(expert_bench.segment({hand: expert_bench.still(hand, 10)}, closing))
+
+
+def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first() -> None:
+    """Spoon, fork and knife lie across each other."""
+    scene = SCENES["sort-cutlery-sparse"]
+    seed = derive_seed(0, scene.init_seed, 1)
+    realized = realize(build_blueprint(scene, seed), open_base("64x48", images=False))
+    try:
+        cast = realized.simulator.cast
+        assert cast is not None
+        world = KitchenWorld(realized, Motion(realized, 10)).scene
+        (sort,) = program_of(realized.blueprint, {}, BASES)
+        assert isinstance(sort, Sort)
+        left = sort.left(world, cast)
+        assert left[0] == "knife_1" and sorted(left) == ["fork_1", "fork_2", "knife_1", "spoon_1"]
+        address = realized.simulator.scene.object_qpos["knife_1"]
+        tray = world.pose("tray")
+        world.data.qpos[address : address + 3] = (tray @ (0.10, 0.0, 0.012, 1.0))[:3]
+        world.data.qpos[address + 3 : address + 7] = quat_from_rotation(tray[:3, :3])
+        mujoco.mj_kinematics(realized.simulator.scene.model, world.data)
+        assert "knife_1" not in sort.left(world, cast)
+    finally:
+        realized.simulator.close()
+
+
 def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:
-    pick, give = program_of(build_blueprint(SCENES["handoff-cross-body"], 0))
+    pick, give = program_of(build_blueprint(SCENES["handoff-cross-body"], 0), {}, BASES)
     assert isinstance(pick, Pick) and pick.arm == "right"
     assert isinstance(give, Handover) and give.to == "left"
 
@@ -42,7 +122,7 @@ def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:
 def test_what_nobody_can_do_is_named() -> None:
     blueprint = build_blueprint(next(scene for name, scene in SCENES.items() if name.startswith("fold")), 0)
     with pytest.raises(LookupError, match="no expert for goals of kind 'fold'"):
-        program_of(blueprint)
+        program_of(blueprint, {}, BASES)
 
 
 def test_a_gripper_is_told_what_its_share_says() -> None:
@@ -73,6 +153,34 @@ def test_actions_that_were_changed_are_noticed() -> None:
         expert.act(type(seen)(state=moved))
     embodiment.close()
     expert.close()
+
+
+@pytest.mark.slow
+def test_who_holds_still_scores_nothing(tmp_path: object) -> None:
+    """The benchmark's own `kitchen_noop` is for another station: its actions are 8 numbers."""
+    task = tasks.TASK_FACTORIES["place_cutlery"]()
+    task.scenes = task.scenes[:1]
+    task.epochs, task.max_steps = 1, 10
+    embodiment = YamsimEmbodiment(images=False)
+    with pytest.raises(CompatibilityError, match="8-D actions"):
+        evaluate(task, policy=NoopKitchenPolicy(), embodiment=embodiment, log_dir=str(tmp_path))
+    (log,) = evaluate(task, policy=_Still(embodiment.info), embodiment=embodiment, log_dir=str(tmp_path))
+    assert [scene.reduced["task_success"] for scene in log.samples] == [0.0]
+
+
+class _Still:
+    """Stays where it is."""
+
+    def __init__(self, info: EmbodimentInfo) -> None:
+        self.info = PolicyInfo(name="still", action_space=info.action_space)
+        self.config = PolicyConfig()
+
+    def reset(self, scene: Scene) -> None:
+        """There is nothing to forget."""
+
+    def act(self, observation: Observation) -> ActionChunk:
+        """Where the arms are already."""
+        return ActionChunk([Action(observation.state[JOINTS])])
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ _GREEN = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shi
 _UNDER_RIM = 0.012
 
 # Of a rack's length, so much is no slots, mm.
-_NO_SLOTS = 60.0
+_NO_SLOTS = 40.0
 
 
 def thing_of(item: SceneObject, conditions: Mapping[str, Any], where: Locations) -> ObjectConfig:
@@ -72,8 +72,7 @@ def _sized(item: SceneObject, shape: dict[str, Any], conditions: Mapping[str, An
     """A shape's plain data with the size that a scene asks for: of tools, the length."""
     if item.asset == "dish_rack" and "slot_width_cm" in conditions:
         slot = 10.0 * float(conditions["slot_width_cm"])
-        fitting = int((shape["size_mm"][0] - _NO_SLOTS) // slot)
-        return {**shape, "slot_mm": slot, "slots": min(shape["slots"], fitting)}
+        return {**shape, "slot_mm": slot, "slots": int((shape["size_mm"][0] - _NO_SLOTS) // slot)}
     if item.size_cm is None:
         return shape
     asked, nominal = 10.0 * item.size_cm, ASSETS[item.asset]

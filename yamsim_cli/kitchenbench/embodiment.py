@@ -30,7 +30,7 @@ from ..core.errors import UsageError
 from ..core.opener import Opener, parse_size
 from ..core.session import Session
 from ..core.types import Attempt, EpisodeJob
-from .motion import ACTION_DIM, CLOSING, Motion
+from .motion import ACTION_DIM, ARM_JOINTS, CLOSING, Motion
 from .scene import RIGID_KINDS, TICK_HZ, Realization, realize
 from .world import KitchenWorld
 
@@ -43,7 +43,9 @@ CAMERAS = ("top", "left", "right")
 #: Actions a second of simulated time, unless asked otherwise.
 CONTROL_HZ = 3.0
 
-LABELS = tuple(f"{side}_{part}" for side in ("left", "right") for part in (*(f"j{k}" for k in range(6)), "gripper"))
+LABELS = tuple(
+    f"{side}_{part}" for side in ("left", "right") for part in (*(f"j{k}" for k in range(ARM_JOINTS)), "gripper")
+)
 
 _LOG = logging.getLogger("yamsim")
 

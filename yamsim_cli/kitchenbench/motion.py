@@ -13,8 +13,10 @@ from ..core.scene.compiled import SceneArm, SceneFingers
 from ..core.sim.closed_loop import ClosedLoop
 from .scene import Realization
 
-#: Six joints and a gripper of the left arm, then of the right one.
-ACTION_DIM = 14
+#: Joints of a YAM arm. In actions and states they come first, then its gripper; the left arm before the right one.
+ARM_JOINTS = 6
+_ARM = ARM_JOINTS + 1
+ACTION_DIM = 2 * _ARM
 
 #: Fingers cross all of their way in so many seconds.
 CLOSING = 0.35
@@ -60,6 +62,10 @@ class Motion:
         """Where the last action left the references (14,), as in `state`."""
         return self._reference.copy()
 
+    def speed(self) -> float:
+        """The greatest of all: of joints and of what turns in rad/s, of what slides and of what lies around in m/s."""
+        return float(np.abs(self.data.qvel).max())
+
     def act(self, action: Array) -> None:
         """Let an action (14,) act."""
         scene, start = self._scene, self._reference
@@ -76,13 +82,14 @@ class Motion:
         return breakdown(self.data) or None
 
     def _told(self, before: Array, after: Array) -> Array:
-        """What the drives (arms, 7) are told on a tick, in which the references (14,) go so far."""
+        """What the drives (arms, joints and gripper) are told on a tick, in which the references (14,) go so far."""
         rows = []
         for k, (arm, fingers) in enumerate(zip(self._scene.arms, hands(self._scene.arms), strict=True)):
-            here = slice(7 * k, 7 * k + 6)
+            gripper = _ARM * k + ARM_JOINTS
+            here = slice(_ARM * k, gripper)
             middle, speed = (before[here] + after[here]) / 2, (after[here] - before[here]) / self._tick
             # A drive damps all motion: this makes up for it.
-            rows.append([*(middle + arm.kv / arm.kp * speed), told_opening(fingers, float(after[7 * k + 6]))])
+            rows.append([*(middle + arm.kv / arm.kp * speed), told_opening(fingers, float(after[gripper]))])
         return np.array(rows)
 
     def refresh(self) -> None:

@@ -20,7 +20,6 @@ from kitchenbench.sim import build_blueprint
 
 from ..core.geometry.se3 import Array
 from ..core.planning.demonstration import start_stands
-from ..core.scene.compiled import CompiledScene
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
 from ..core.skills.program import Diary, run_program
@@ -38,6 +37,9 @@ _SAME = 1e-6
 # So far may a joint come off its path between two actions, rad: at an arm's length, 5 mm.
 _OFF_PATH = 0.01
 
+# Arms are at rest that are slower than this, rad/s; they are waited for by so many actions at most.
+_AT_REST, _WAITS = 0.15, 2
+
 _LOG = logging.getLogger("yamsim")
 
 
@@ -52,7 +54,7 @@ class YamsimExpert:
         self.config = PolicyConfig()
         self._base = open_base("64x48", images=False)
         self._scene: Scene | None = None
-        self._twin: _Twin | None = None
+        self._twin: Twin | None = None
         self._bind(CONTROL_HZ)
 
     def bind(self, embodiment_info: EmbodimentInfo) -> None:
@@ -73,7 +75,7 @@ class YamsimExpert:
         assert self._scene is not None, "reset comes first"
         if self._twin is None:
             seed = int(observation.state[SEED][0])
-            self._twin = _Twin(realize(build_blueprint(self._scene, seed), self._base), seed, self._ticks)
+            self._twin = Twin(realize(build_blueprint(self._scene, seed), self._base), seed, self._ticks)
         off = float(np.abs(np.asarray(observation.state[JOINTS]) - self._twin.motion.state()).max())
         if off > _SAME:
             raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
@@ -95,8 +97,17 @@ class YamsimExpert:
         )
 
 
-class _Twin:
-    """The same realization, moved by the same actions, in which skills find what they plan from."""
+class Twin:
+    """The same realization, moved by the same actions, in which skills find what they plan from.
+
+    Attributes:
+        motion: of the realization.
+        bench: what skills plan with.
+
+    Args:
+        seed: the realization's number, for searches.
+        ticks: control ticks an action.
+    """
 
     def __init__(self, realized: Realization, seed: int, ticks: int) -> None:
         self._realized, self._ticks = realized, ticks
@@ -107,15 +118,25 @@ class _Twin:
         self._world = KitchenWorld(realized, self.motion).scene
         self._world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
-        self._bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
-        self._segments = run_program(program_of(blueprint), self._bench, simulator.cast, Diary())
+        self.bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
+        items = {item.name: item for item in simulator.config.task.objects}
+        bases = [hand.arm.T_base_in_world[:2, 3] for hand in self.bench.hands]
+        program = program_of(blueprint, items, bases)
+        self._segments = run_program(program, self.bench, simulator.cast, Diary())
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
         segment = self._next_segment()
-        actions = [self.motion.reference] if segment is None else list(actions_of(self._scene, segment, self._ticks))
+        while segment is not None and is_still(segment) and self.motion.speed() <= _AT_REST:
+            segment = self._next_segment()
+        actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
+        most = len(actions) + _WAITS
+        # References end a motion at once, and arms come after them: what is looked at next shall not move any more.
+        while self.motion.speed() > _AT_REST and len(actions) < most:
+            actions.append(self.motion.reference)
+            self.motion.act(actions[-1])
         return actions
 
     def _next_segment(self) -> Segment | None:
@@ -130,6 +151,13 @@ class _Twin:
         self._realized.simulator.close()
 
 
+def is_still(segment: Segment) -> bool:
+    """Whether it but waits for what moves to come to rest."""
+    return all(
+        not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip)
+    )
+
+
 def _straight_until(joints: Array, first: int, last: int) -> int:
     """The last tick, up to `last`, to which a straight line keeps to a path (n + 1, dof) from its tick `first` on."""
     while last > first + 1:
@@ -142,7 +170,7 @@ def _straight_until(joints: Array, first: int, last: int) -> int:
     return last
 
 
-def actions_of(scene: CompiledScene, segment: Segment, ticks: int) -> Iterator[Array]:
+def actions_of(bench: Bench, segment: Segment, ticks: int) -> Iterator[Array]:
     """The actions (14,) that make the arms follow a segment: what is told them after every so many of its ticks.
 
     Between two actions references go straight. So where a path has a bend, they come closer together, and the arm is
@@ -153,9 +181,13 @@ def actions_of(scene: CompiledScene, segment: Segment, ticks: int) -> Iterator[A
     while tick < segment.ticks:
         tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
         parts = []
-        for arm, fingers, path in zip(scene.arms, hands(scene.arms), segment.paths, strict=True):
-            # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds.
-            joints = path.joints[tick] + path.torques[tick - 1] / arm.kp
+        for hand, fingers, path in zip(
+            bench.hands, hands([hand.arm for hand in bench.hands]), segment.paths, strict=True
+        ):
+            # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds. What
+            # it takes to speed up or slow down is none of that: it would stay when the motion is over.
+            arm = hand.arm
+            joints = path.joints[tick] + bench.bearing(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
             told = path.gripper[tick - 1] - 2 * path.grip[tick - 1] / fingers.gain
             share = told_share(fingers, float(np.clip(told, *fingers.ctrl_range)))
             parts += [np.clip(joints, arm.joint_range[:, 0], arm.joint_range[:, 1]), [share]]

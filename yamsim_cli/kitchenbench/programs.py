@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
+from ..core.config.shapes import RackShape
+from ..core.config.things import ObjectConfig
 from ..core.geometry.se3 import Array
 from ..core.skills.base import Skill
 from ..core.skills.handover import Handover
-from ..core.skills.insert import Insert
 from ..core.skills.pick import Pick
 from ..core.skills.place import Place
 from .scene import T_in_world
+from .sorting import Sort
 
-# So high cutlery clears the tray's wall, also as it hangs in the fingers, m.
-_OVER_THE_TRAY = 0.12
+# Between a dish and the bow at an end of the rack, so much is left free, m.
+_BOW = 0.008
+# A thing that is stacked falls so far: fingers around its rim are lower than it, m.
+_DROP = 0.02
+# Before the kind of cutlery that a compartment is for.
+_FOR = "compartment_"
 
 
-def program_of(blueprint: SceneBlueprint) -> list[Skill]:
+def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]) -> list[Skill]:
     """The skills that are to bring a scene to its goal, in order.
+
+    Args:
+        items: what the blueprint's objects are here, by their names.
+        bases: where the arms stand (2,), in `world`, m.
 
     Raises:
         LookupError: there is no expert for goals of its kind.
@@ -30,18 +40,33 @@ def program_of(blueprint: SceneBlueprint) -> list[Skill]:
         case "place_on":
             return _put(roles["item"][0], Place(thing=roles["item"][0], on=roles["surface"][0]))
         case "place_in":
-            return _put(roles["item"][0], Insert(thing=roles["item"][0], into=roles["rack"][0]))
+            return _put(roles["item"][0], _in_its_slot(blueprint, items, roles["item"][0], roles["rack"][0]))
         case "handoff":
             return _handed_over(blueprint, roles["item"][0])
         case "stack":
-            return _stacked(blueprint, roles["stack"])
+            return _stacked(blueprint, roles["stack"], bases)
         case "sort":
-            return _sorted(blueprint, roles["sortable"])
+            into = {name.removeprefix(_FOR): name for name in roles["compartment"]}
+            return [Sort(things="sortable", into=into)]
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
 
 
 def _put(thing: str, placing: Skill) -> list[Skill]:
     return [Pick(thing=thing), placing]
+
+
+def _in_its_slot(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], item: str, rack: str) -> Skill:
+    """Upright over the middle of the slot that a scene asks for, or of the nearest one where it fits between the bows.
+    Slots are counted from the left.
+    """
+    shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
+    assert isinstance(shape, RackShape), "a rack is made from sizes"
+    slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
+    room = shape.size_mm[0] / 2000 - _BOW - _width(dish) / 200
+    asked = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
+    fitting = slots[np.abs(slots) <= room]
+    x = min(fitting, key=lambda slot: abs(slot - asked), default=0.0)
+    return Place(thing=item, on=rack, at=(float(x), 0.0))
 
 
 def _handed_over(blueprint: SceneBlueprint, item: str) -> list[Skill]:
@@ -55,30 +80,23 @@ def _handed_over(blueprint: SceneBlueprint, item: str) -> list[Skill]:
     return [Pick(thing=item), Handover(thing=item, to="other", height=height)]
 
 
-def _stacked(blueprint: SceneBlueprint, names: Sequence[str]) -> list[Skill]:
-    """Onto the largest; of equal ones, onto the one from which the others are nearest. The larger come first."""
+def _stacked(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Array]) -> list[Skill]:
+    """Onto the largest; of equal ones, onto the one for which arms have to reach least far. The larger come first."""
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 
-    def farthest(name: str) -> float:
-        return max(float(np.linalg.norm(place - places[name])) for place in places.values())
+    def farthest(below: str) -> float:
+        """How far an arm has to reach at most, where each thing is brought by the one that suits it."""
+        ways = ((places[name], places[below]) for name in names if name != below)
+        return max(min(max(float(np.linalg.norm(end - base)) for end in way) for base in bases) for way in ways)
 
     below, *others = sorted(names, key=lambda name: (-_width(items[name]), farthest(name)))
     others.sort(key=lambda name: (-_width(items[name]), _apart(places, name, below)))
     skills: list[Skill] = []
     for name in others:
-        skills += _put(name, Place(thing=name, on=below))
+        skills += _put(name, Place(thing=name, on=below, drop=_DROP))
         below = name
     return skills
-
-
-def _sorted(blueprint: SceneBlueprint, names: Sequence[str]) -> list[Skill]:
-    assets = {item.name: item.asset for item in blueprint.objects}
-    return [
-        skill
-        for name in names
-        for skill in (Pick(thing=name, lift=_OVER_THE_TRAY), Insert(thing=name, into=f"compartment_{assets[name]}"))
-    ]
 
 
 def _width(item: SceneObject) -> float:

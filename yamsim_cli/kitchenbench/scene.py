@@ -28,8 +28,9 @@ from .catalog import COMPARTMENT, thing_of
 #: Kinds of goals whose things are rigid.
 RIGID_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort"})
 
-#: The bench's origin lies so far ahead of the middle between the arms' bases, m.
-AHEAD = 0.35
+#: The bench's origin lies so far ahead of the middle between the arms' bases, and so far to its left, m. Its scenes
+#: begin there, and go on to the right: so both arms' bases are where most of the things are, each on its side of x = 0.
+AHEAD, BESIDE = 0.35, 0.25
 
 #: The rate of control ticks, Hz, and what makes one of them, physics steps and s.
 TICK_HZ = 30
@@ -117,7 +118,7 @@ def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
     """
     T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(math.radians(item.yaw_deg)))
     if item.parent is None:
-        return pose((AHEAD, 0.0, 0.0), rotation_z(-math.pi / 2)) @ T_item
+        return pose((AHEAD, BESIDE, 0.0), rotation_z(-math.pi / 2)) @ T_item
     parent = next(other for other in blueprint.objects if other.name == item.parent)
     return T_in_world(parent, blueprint) @ T_item
 
@@ -147,7 +148,10 @@ def table_of(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
-    reach = max(abs(item.x_cm) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things) / 100
+    reach = (
+        max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things)
+        / 100
+    )
     wide = table.half_size[1] + config.rig.span / 2
     return table.widened(max(0.0, 2 * (reach + _EDGE - wide)))
 

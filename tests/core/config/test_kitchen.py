@@ -10,6 +10,7 @@ import pytest
 
 from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.made import MADE, made_files
+from yamsim_cli.core.config.shapes import RackShape
 from yamsim_cli.core.config.things import ObjectConfig
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError
@@ -123,6 +124,41 @@ def test_walls_are_held_by_friction_along_them(name: str, locations: Locations) 
     assert all(point.tilt_deg is not None for point in grasp.friction.points)
     # A weld needs no pads on a wall.
     assert grasp.tilt_deg is None
+
+
+@pytest.mark.parametrize("name", ["plate", "bowl", "cup"])
+def test_dishes_stand_in_the_rack_and_not_on_top_of_it(name: str, locations: Locations) -> None:
+    """Let go over the middle of a slot, a dish comes to rest upright, under the top of the rack's bows."""
+    rack, dish = thing("dish_rack", locations), thing(name, locations)
+    assert isinstance(rack.shape, RackShape)
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
+    add_object(spec, rack, {}, fixed=True)
+    add_object(spec, dish, {})
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    slot = rack.shape.slot_mm / 2000
+    data.qpos[:3] = slot, 0.0, 0.05
+    mujoco.mj_step(model, data, 500)
+    body = data.body(dish.name)
+    assert np.linalg.norm(data.qvel[:3]) < 0.01
+    assert np.linalg.norm(body.xpos[:2] - (slot, 0.0)) < 0.005
+    assert body.xmat.reshape(3, 3)[2, 2] > 0.999
+    assert body.xpos[2] + SIZES[name][2] / 100 < rack.shape.size_mm[2] / 1000
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [(("slots: 4", "slots: 5"), "5 slots of 70 mm are wider"), (("tine_mm: 40", "tine_mm: 130"), "tines of 130 mm")],
+)
+def test_a_rack_that_cannot_be_is_told(
+    change: tuple[str, str], said: str, tmp_path: Path, locations: Locations
+) -> None:
+    text = (ROOT / "configs" / "objects" / "kitchen_dish_rack.yaml").read_text()
+    assert change[0] in text
+    (tmp_path / "bad.yaml").write_text(text.replace(*change))
+    with pytest.raises(ConfigError, match=said):
+        load_config(ObjectConfig, "objects", str(tmp_path / "bad.yaml"), locations)
 
 
 @pytest.mark.parametrize(("asked", "found"), [("spoon", "kitchen_spoon"), ("bowl", "024_bowl"), ("cup", "kitchen_cup")])

@@ -13,6 +13,8 @@ from ..geometry.forms import boxes, cutlery, pasta, vessels
 from ..geometry.forms.form import Form
 
 _Size = Annotated[FiniteFloat, Within("mm", 1, 1000)]
+# A tine ends above the rack's floor and rail.
+_Tine = Annotated[FiniteFloat, Within("mm", 25, 1000)]
 _Thin = Annotated[FiniteFloat, Within("mm", 0.3, 50)]
 _Length = Annotated[FiniteFloat, Within("mm", 0, 500)]
 _Share = Annotated[FiniteFloat, Within("of 1", 0, 1)]
@@ -227,24 +229,32 @@ class TextileShape(_Shape):
 
 
 class RackShape(_Shape):
-    """A dish rack of wire with slots for plates, see `core.geometry.forms.boxes.Rack`."""
+    """A dish rack of wire with slots between tines, see `core.geometry.forms.boxes.Rack`. Tines are as high as the rack
+    where nothing else is said.
+    """
 
     family: Literal["rack"]
     size_mm: _Box
     wire_mm: _Thin
     slots: int = Field(ge=1, le=40)
     slot_mm: _Size
+    tine_mm: _Tine | None = None
 
     @model_validator(mode="after")
     def _slots_fit(self) -> RackShape:
-        if self.slots * self.slot_mm > self.size_mm[0] - 60:
+        if self.slots * self.slot_mm > self.size_mm[0] - 40:
             raise ConflictError(f"{self.slots} slots of {self.slot_mm:g} mm are wider than the rack", ("slots",))
+        if self.tine_mm is not None and self.tine_mm > self.size_mm[2]:
+            raise ConflictError(
+                f"tines of {self.tine_mm:g} mm are higher than the rack, {self.size_mm[2]:g} mm", ("tine_mm",)
+            )
         return self
 
     def form(self) -> Form:
         """The rack."""
         x, y, z = self.size_mm
-        return boxes.rack(boxes.Rack((_m(x), _m(y), _m(z)), _m(self.wire_mm), self.slots, _m(self.slot_mm)))
+        tine = z if self.tine_mm is None else self.tine_mm
+        return boxes.rack(boxes.Rack((_m(x), _m(y), _m(z)), _m(self.wire_mm), self.slots, _m(self.slot_mm), _m(tine)))
 
 
 class CutleryShape(_Shape):

@@ -19,7 +19,7 @@ from ..sim.antipodal import Span, spans
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
 from .errors import SkillFailedError
-from .grips import CLEARANCE, Grip, found_grips, grips
+from .grips import CLEARANCE, Grip, found_grips, grips, sideways_grips
 from .hand import PASSING, Hand, Held
 
 # Over the table, a hand that crosses it stays at least so high, m.
@@ -125,6 +125,7 @@ class Bench:
             body = self.model.body(thing).id
             self._spans[thing] = spans(self.model, self.world.data, body, 2 * (widest - CLEARANCE / 2))
         yield from found_grips(self.items[thing], self._spans[thing])
+        yield from sideways_grips(self.items[thing])
 
     def half_outline(self, thing: str, heading: float) -> Array:
         """Half the room (2,) that a thing takes along x and y when it stands upright, turned by `heading`, m."""
@@ -273,6 +274,11 @@ class Bench:
     def wait(self, ticks: int) -> Segment:
         """All hands hold their places."""
         return self.segment({self.hands[0]: self.still(self.hands[0], ticks)})
+
+    def bearing(self, hand: Hand, joints: Array, opening: float) -> Array:
+        """Torques (dof,) in N m that hold a hand, and what it holds, still at given joints (dof,), rad."""
+        still: Array = self._torques(hand, np.tile(joints, (3, 1)), np.full(2, opening))[-1]
+        return still
 
     def _torques(self, hand: Hand, joints: Array, opening: Array) -> Array:
         torques = hand.dynamics.torques(joints, opening, self.tick)

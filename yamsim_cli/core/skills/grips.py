@@ -16,6 +16,12 @@ from ..sim.antipodal import Span
 # flat pads press on the same two places. Of a thing that lies on its side, a quarter turn is what comes from above.
 _LEANS = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90))
 
+# How far a hand may lean to the side, along the axis on which its fingers close, about something as narrow as this, as
+# half its width, m: it turns in the pads until it lies flat in them. So a wall beside it leaves room for the hand, which
+# comes with its fingers but so far from it, m, and holds it so much higher.
+_SIDEWAYS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35, 50, -50, 70, -70, 90, -90))
+_NARROW, _CLOSE, _HIGHER = 0.010, 0.004, 0.004
+
 # No arm that stands on the table points its fingers farther up than this, as the sine of the angle; nor farther back
 # towards its base, as the cosine of the angle to what leads away from it.
 _UP = 0.3
@@ -57,6 +63,18 @@ def grips(item: ObjectConfig) -> Iterator[Grip]:
             for turn in (0.0, math.pi):
                 leaning = pose(rotation=rotation_z(turn) @ rotation_from_vector([0.0, lean, 0.0]))
                 yield Grip(T @ leaning, opening, clearance, force)
+
+
+def sideways_grips(item: ObjectConfig) -> Iterator[Grip]:
+    """The ways to hold something narrow with a hand that leans to the side: for places beside a wall."""
+    places = [place for place in _places(item) if place[1] <= _NARROW]
+    for tilt in _SIDEWAYS:
+        for T, opening, clearance, force in places:
+            for lean in _LEANS[:5]:
+                for turn in (0.0, math.pi):
+                    turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_z(turn)
+                    leaning = pose((0.0, 0.0, -_HIGHER), turned @ rotation_from_vector([0.0, lean, 0.0]))
+                    yield Grip(T @ leaning, opening, min(clearance, _CLOSE), force)
 
 
 def found_grips(item: ObjectConfig, spans: Sequence[Span]) -> Iterator[Grip]:

@@ -55,3 +55,12 @@ def park_others(bench: Bench, hand: Hand) -> Iterator[Segment]:
 def rest(bench: Bench) -> Segment:
     """Let everything come to rest."""
     return bench.wait(_REST_TICKS)
+
+
+def recover(bench: Bench) -> Iterator[Segment]:
+    """Bring hands that hold nothing out of the way, their fingers open."""
+    for hand in bench.hands:
+        if hand.held is None:
+            if hand.opening < hand.widest / 4:
+                yield from let_go(bench, hand, hand.widest / 2)
+            yield from park(bench, hand)

@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
+from ..documents.units import Within
 from ..geometry.se3 import Array, inverse, pose, rotation_z, yaw
 from ..goals.cast import Cast
 from ..goals.world import TABLE
@@ -38,11 +39,13 @@ class Placing(Skill):
 
     Attributes:
         thing: a role; it is in a hand.
+        drop: it falls the last bit, m: where fingers around it would touch what it is put onto.
     """
 
     NEEDS: ClassVar[bool | None] = True
     LEAVES: ClassVar[bool | None] = False
     thing: str
+    drop: Annotated[FiniteFloat, Within("m", 0, 0.05)] = 0.0
 
     @abstractmethod
     def support(self, cast: Cast) -> str:
@@ -66,7 +69,8 @@ class Placing(Skill):
         """See `Skill`."""
         fault = None
         load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
-        for T_goal in self._best(bench, cast, thing):
+        for T_lying in self._best(bench, cast, thing):
+            T_goal = _raised(T_lying, self.drop)
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
             there = hand.reach(T_pinch, (joints, hand.ready))
             if there is None:
@@ -91,7 +95,8 @@ class Placing(Skill):
             raise SkillFailedError(Cause.DROPPED, f"no hand holds the {thing} that is to be put down")
         held = bench.look_at(hand)
         fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
-        for T_goal in self._best(bench, cast, thing):
+        for T_lying in self._best(bench, cast, thing):
+            T_goal = _raised(T_lying, self.drop)
             over = _raised(T_goal, _OVER) @ inverse(held.T_thing_in_pinch)
             joints = hand.reach(over, (hand.joints, hand.ready), PASSING)
             if joints is None or hand.reach(T_goal @ inverse(held.T_thing_in_pinch), (joints,), PASSING) is None:
@@ -103,7 +108,7 @@ class Placing(Skill):
                 continue
             yield bench.segment({hand: path})
             yield from self._lower(bench, hand, thing, T_goal)
-            self._check(bench, thing, self.support(cast), T_goal)
+            self._check(bench, thing, self.support(cast), T_lying)
             return
         raise SkillFailedError(Cause.UNREACHABLE, fault)
 

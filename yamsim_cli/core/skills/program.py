@@ -18,7 +18,7 @@ from .handover import Handover
 from .hang import Hang
 from .insert import Insert
 from .lift import Lift
-from .moves import let_go, park
+from .moves import park, recover
 from .operate import Operate
 from .pick import Pick
 from .place import Place
@@ -174,7 +174,7 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, diary: Diary
             if tries[number] >= _TRIES:
                 raise
             diary.recoveries.append(Recovery(number, _name(skill), str(error)))
-            yield from _recover(bench)
+            yield from recover(bench)
             number = _again_from(program, number, bench)
         else:
             number += 1
@@ -184,7 +184,7 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, diary: Diary
 
 
 def _name(skill: Skill) -> str:
-    return next(name for name, known in SKILLS.items() if type(skill) is known)
+    return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
 
 
 def _again_from(program: Sequence[Skill], number: int, bench: Bench) -> int:
@@ -193,12 +193,3 @@ def _again_from(program: Sequence[Skill], number: int, bench: Bench) -> int:
         while number and not isinstance(program[number], Pick):
             number -= 1
     return number
-
-
-def _recover(bench: Bench) -> Iterator[Segment]:
-    """Bring hands that hold nothing out of the way, their fingers open."""
-    for hand in bench.hands:
-        if hand.held is None:
-            if hand.opening < hand.widest / 4:
-                yield from let_go(bench, hand, hand.widest / 2)
-            yield from park(bench, hand)

@@ -227,49 +227,62 @@ class Rack:
     """Sizes of a dish rack, m.
 
     Attributes:
-        size: outside.
+        size: outside, up to the top of the bows at both ends.
         wire: diameter of its wires.
-        slots: how many plates stand in it, one in each.
+        slots: how many there are side by side along x.
         slot: how wide each is.
+        tine: how high the tines between slots, and before the first and after the last, stand over the ground.
     """
 
     size: tuple[float, float, float]
     wire: float
     slots: int
     slot: float
+    tine: float
+
+
+# Of a rack: height of the middle of its floor's wires, m; radius of its corners, m; the height of its rail as a share
+# of the tines'; how far from the middle its rows of tines are, as a share of its half depth, and the wires along the
+# floor between them; and the radius of the bows' corners, m.
+_RACK_FLOOR, _RACK_CORNER, _RAIL, _ROWS, _BETWEEN, _BOW = 0.012, 0.03, 0.7, 0.37, 0.12, 0.03
 
 
 def rack(size: Rack) -> Form:
-    """A rack of bent wire: a low frame, a high one, posts, bars along the floor and pairs of prongs across."""
+    """A low rack of bent wire: a floor with a rail round it, two rows of tines, and a bow at each end to lift it by."""
     r = size.wire / 2
     x, y, height = size.size[0] / 2 - r, size.size[1] / 2 - r, size.size[2]
-    floor = 0.012
-    corner = 0.03
-    frames = [outline(x, y, corner, z, 5) for z in (floor, height * 0.62)]
     pieces, collision = [], list[Plain]()
 
-    def wire(path: Array, role: str = "body") -> None:
+    def wire(path: Array) -> None:
         way = np.asarray(path, float)
         side = (
             (0.31, 0.17, 0.93) if abs(way[-1, 2] - way[0, 2]) < 0.5 * np.ptp(way[:, :2], axis=0).max() else (1, 0.1, 0)
         )
-        pieces.append(Piece(role, tube(way, r, r, side, 8)))
+        pieces.append(Piece("body", tube(way, r, r, side, 8)))
         collision.extend(capsules(way, r))
 
-    for frame in frames:
+    for z in (_RACK_FLOOR, _RAIL * size.tine):
+        frame = outline(x, y, _RACK_CORNER, z, 5)
         wire(np.concatenate([frame, frame[:1]]))
     for sx in (-1, 1):
-        for sy in (-1, 1):
-            # A foot, and the post above it.
-            wire(np.array([[sx * (x - corner), sy * y, r], [sx * (x - corner), sy * y, height * 0.62]]))
-    middle = size.slots * size.slot / 2
+        wire(_bow(sx * x, y - _RACK_CORNER, r, height - r))
+    rows = (-_ROWS * y, _ROWS * y)
     for k in range(size.slots + 1):
-        at = -middle + k * size.slot
-        for sy in (-1, 1):
-            wire(np.array([[at, sy * 0.045, floor], [at, sy * 0.045, height - r]]))
-        wire(np.array([[at, -y, floor], [at, y, floor]]))
-    for sy in (-1, 1):
-        wire(np.array([[-x, sy * 0.045, floor], [x, sy * 0.045, floor]]))
-    z = round(height * 0.62 - 0.001, 4)
+        at = (k - size.slots / 2) * size.slot
+        wire(np.array([[at, -y, _RACK_FLOOR], [at, y, _RACK_FLOOR]]))
+        for row in rows:
+            wire(np.array([[at, row, _RACK_FLOOR], [at, row, size.tine - r]]))
+    for along in (*rows, -_BETWEEN * y, _BETWEEN * y):
+        wire(np.array([[-x, along, _RACK_FLOOR], [x, along, _RACK_FLOOR]]))
+    z = round(height - r, 4)
     holds = (Hold("edge", (round(x, 4), 0.0, z), 0.0, size.wire), Hold("edge", (round(-x, 4), 0.0, z), 0.0, size.wire))
     return Form(tuple(pieces), tuple(collision), holds)
+
+
+def _bow(x: float, half: float, foot: float, top: float) -> Array:
+    """The way (n, 3) of an upright bow at one end: a foot at each side, and a bar above."""
+    turn = np.linspace(0, np.pi / 2, 4)
+    across, up = half - _BOW + _BOW * np.cos(turn), top - _BOW + _BOW * np.sin(turn)
+    side = np.concatenate([[[half, foot]], np.column_stack([across, up])])
+    both = np.concatenate([side, side[::-1] * (-1.0, 1.0)])
+    return np.column_stack([np.full(len(both), x), both])
