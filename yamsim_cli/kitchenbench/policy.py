@@ -174,16 +174,15 @@ def actions_of(bench: Bench, segment: Segment, ticks: int) -> Iterator[Array]:
     Between two actions references go straight. So where a path has a bend, they come closer together, and the arm is
     slower there.
     """
+    fingers_of_both = hands([hand.arm for hand in bench.hands])
     joints_of_both = np.concatenate([path.joints for path in segment.paths], axis=1)
     tick = 0
     while tick < segment.ticks:
         tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
         parts = []
-        for hand, fingers, path in zip(
-            bench.hands, hands([hand.arm for hand in bench.hands]), segment.paths, strict=True
-        ):
-            # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds. What
-            # it takes to speed up or slow down is none of that: it would stay when the motion is over.
+        for hand, fingers, path in zip(bench.hands, fingers_of_both, segment.paths, strict=True):
+            # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds.
+            # What it takes to speed up or slow down is none of that: it would stay when the motion is over.
             arm = hand.arm
             joints = path.joints[tick] + bench.bearing(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
             told = path.gripper[tick - 1] - 2 * path.grip[tick - 1] / fingers.gain

@@ -115,7 +115,8 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
     """Where a blueprint asks for an object: pose (4, 4) in `world`, at the height of the bench's frame.
 
-    The bench's frame has x to the right, y ahead and z up; it lies on the table, `AHEAD` of the arms' bases.
+    The bench's frame has x to the right, y ahead and z up; it lies on the table, `AHEAD` of the arms' bases and
+    `BESIDE` the middle between them.
     """
     T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(math.radians(item.yaw_deg)))
     if item.parent is None:
