@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..core.attempt.simulator import Simulator
 from ..core.config.program_task import PROGRAM, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
-from ..core.geometry.se3 import Array, pose, quat_from_rotation, rotation_z
+from ..core.geometry.se3 import Array, inverse, pose, quat_from_rotation, rotation_z
 from ..core.goals.cast import Cast
 from ..core.planning.demonstration import start_stands
 from ..core.session import Session
@@ -43,6 +44,10 @@ _EDGE = 0.10
 _OVER, _AWAY, _GAP = 0.5, 2.0, 0.001
 # What gives way to a rack does so in such steps, until it is so far beside it, m.
 _STEP, _BESIDE = 0.002, 0.005
+# The walls of a tray; and so much room beside them, for fingers, has what would lie on one, if there is as much; m.
+_WALL, _FINGERS = 0.005, (0.010, 0.003)
+# So much farther it may lie from where it was asked for, if it lies on nothing else there, m.
+_ALONE = 0.02
 # The floor of our tray's compartments, m.
 _TRAY_FLOOR = 0.005
 
@@ -102,7 +107,7 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
     cast = _cast(blueprint)
     simulator = Simulator(base.with_values(task=task, scene=scene), cast)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
-    free = _clear_of_racks(simulator, blueprint, wanted)
+    free = _clear_of_walls(simulator, blueprint, wanted)
     start = settle(simulator.scene, _let_down(simulator, free), _TIMESTEP)
     qpos = simulator.scene.object_qpos
     offsets = {
@@ -174,9 +179,9 @@ def _regions(blueprint: SceneBlueprint) -> dict[str, Region]:
     return found
 
 
-def _clear_of_racks(simulator: Simulator, blueprint: SceneBlueprint, wanted: Mapping[str, Array]) -> dict[str, Array]:
-    """The same places (4, 4), but of things that would stand in a rack's wire: these are beside it, to its left or
-    right. Large things come first, since others may lie on them.
+def _clear_of_walls(simulator: Simulator, blueprint: SceneBlueprint, wanted: Mapping[str, Array]) -> dict[str, Array]:
+    """The same places (4, 4), but of things that would stand in a rack's wire, or lie on a tray's wall: these are
+    beside it. Large things come first, since others may lie on them.
     """
     world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, (), list(wanted))
     room = {name: world.block(name) for name in wanted}
@@ -189,7 +194,48 @@ def _clear_of_racks(simulator: Simulator, blueprint: SceneBlueprint, wanted: Map
             away = math.copysign(_STEP, T[1, 3] - places[rack][1, 3])
             while gap(outline(room[name], T), outline(room[rack], places[rack])) < _BESIDE:
                 T[1, 3] += away
+    for tray in blueprint.roles.get("tray", ()):
+        middles = [item.x_cm / 100 for item in blueprint.objects if item.parent == tray]
+        for name in places:
+            free = [] if name == tray else _beside_walls(places[name], room[name], places[tray], room[tray], middles)
+            if free:
+                others = [outline(room[other], places[other]) for other in places if other not in (name, tray)]
+                places[name] = min(free, key=partial(_trouble, places[name], room[name], others))
     return places
+
+
+def _trouble(T_asked: Array, block: Array, others: Sequence[Array], T: Array) -> float:
+    """How far a thing at (4, 4) is from where it was asked for, m, and more for each other thing that it lies on."""
+    overlaps = sum(gap(outline(block, T), other) < 0 for other in others)
+    return float(np.linalg.norm(T[:2, 3] - T_asked[:2, 3])) + _ALONE * overlaps
+
+
+def _beside_walls(T: Array, block: Array, T_tray: Array, tray: Array, middles: Sequence[float]) -> list[Array]:
+    """Where a thing (4, 4) can lie that would lie on a wall of a tray: in its cells, or beside it; the nearest first.
+
+    Args:
+        T: where it is asked for (4, 4). Where that is beside all walls, there is no need for others.
+        block, tray: corners (2, 3) of the blocks around both, in their frames, m.
+        middles: of the tray's cells, x in its frame, m.
+    """
+    T_in_tray = inverse(T_tray) @ T
+    half = np.abs(T_in_tray[:2, :2]) @ ((block[1] - block[0])[:2] / 2)
+    outer = (tray[1] - tray[0])[:2] / 2
+    cell = np.array([outer[0] / len(middles), outer[1]]) - _WALL
+    place, cells = T_in_tray[:2, 3], [np.array((middle, 0.0)) for middle in middles]
+    if (np.abs(place) >= outer + half).any() or any((np.abs(place - middle) <= cell - half).all() for middle in cells):
+        return []
+    free = []
+    for fingers in _FINGERS:
+        room = np.maximum(cell - half - fingers, 0.0)
+        free += [np.clip(place, middle - room, middle + room) for middle in cells]
+        free += [np.array((side * (outer[0] + half[0] + fingers), place[1])) for side in (-1.0, 1.0)]
+    found = []
+    for there in sorted(free, key=lambda there: float(np.linalg.norm(there - place))):
+        moved = T.copy()
+        moved[:2, 3] += T_tray[:2, :2] @ (there - place)
+        found.append(moved)
+    return found
 
 
 def _let_down(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
