@@ -37,8 +37,8 @@ _SAME = 1e-6
 # So far may a joint come off its path between two actions, rad: at an arm's length, 5 mm.
 _OFF_PATH = 0.01
 
-# Arms are at rest that are slower than this, rad/s; they are waited for by so many actions at most.
-_AT_REST, _WAITS = 0.15, 2
+# After a motion, what still moves is waited for by so many actions at most.
+_WAITS = 2
 
 _LOG = logging.getLogger("yamsim")
 
@@ -125,14 +125,14 @@ class Twin:
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
         segment = self._next_segment()
-        while segment is not None and is_still(segment) and self.motion.speed() <= _AT_REST:
+        while segment is not None and is_still(segment) and self.motion.at_rest():
             segment = self._next_segment()
         actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
         most = len(actions) + _WAITS
         # References end a motion at once, and arms come after them: what is looked at next shall not move any more.
-        while self.motion.speed() > _AT_REST and len(actions) < most:
+        while not self.motion.at_rest() and len(actions) < most:
             actions.append(self.motion.reference)
             self.motion.act(actions[-1])
         return actions

@@ -29,6 +29,9 @@ from .catalog import COMPARTMENT, thing_of
 #: Kinds of goals whose things are rigid.
 RIGID_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort"})
 
+# The kind of goal for which a cup goes into nothing.
+_HANDED_OVER = "handoff"
+
 #: The bench's origin lies so far ahead of the middle between the arms' bases, and so far to its left, m. Its scenes
 #: begin there, and go on to the right: so both arms' bases are where most of the things are, each on its side of x = 0.
 AHEAD, BESIDE = 0.35, 0.25
@@ -100,7 +103,8 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
             f"those are: {', '.join(sorted(RIGID_KINDS))}"
         )
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
-    objects = [thing_of(item, blueprint.conditions, base.locations) for item in things]
+    nests = blueprint.target_kind != _HANDED_OVER
+    objects = [thing_of(item, blueprint.conditions, base.locations, nests) for item in things]
     config = base.config
     task = _task(blueprint, config, {item.name: item for item in objects})
     scene = config.scene.model_copy(update={"table": _table(config, things)})
