@@ -45,7 +45,7 @@ _TIMESTEP = 1.0 / (TICK_HZ * _STEPS)
 _EDGE = 0.10
 # Things are let down from so high over the table, wait for that so far apart above it, and fall the last bit, m.
 _OVER, _AWAY, _GAP = 0.5, 2.0, 0.001
-# What gives way to a rack does so in such steps, until it is so far beside it, m.
+# What gives way to something does so in such steps, to a rack until it is so far beside it, m.
 _STEP, _BESIDE = 0.002, 0.005
 # The walls of a tray; and so much room beside them, for fingers, has what would lie on one, if there is as much; m.
 _WALL, _FINGERS = 0.005, (0.010, 0.003)
@@ -205,7 +205,24 @@ def _clear_of_walls(simulator: Simulator, blueprint: SceneBlueprint, wanted: Map
             if free:
                 others = [outline(room[other], places[other]) for other in places if other not in (name, tray)]
                 places[name] = min(free, key=partial(_trouble, places[name], room[name], others))
+                _make_room(name, places, wanted, room, tray)
     return places
+
+
+def _make_room(
+    name: str, places: dict[str, Array], wanted: Mapping[str, Array], room: Mapping[str, Array], tray: str
+) -> None:
+    """Move those beside a tray that would now lie under a thing, and were not asked to, until they lie beside it."""
+    for other, T in places.items():
+        if other in (name, tray) or gap(outline(room[other], T), outline(room[tray], places[tray])) < 0:
+            continue
+        if gap(outline(room[other], wanted[other]), outline(room[name], wanted[name])) < 0:
+            continue
+        before, away = T[1, 3], math.copysign(_STEP, T[1, 3] - places[name][1, 3])
+        while gap(outline(room[other], T), outline(room[name], places[name])) < _STEP:
+            T[1, 3] += away
+        if T[1, 3] != before:
+            _make_room(other, places, wanted, room, tray)
 
 
 def _trouble(T_asked: Array, block: Array, others: Sequence[Array], T: Array) -> float:
