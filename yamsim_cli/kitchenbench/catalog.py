@@ -35,11 +35,12 @@ _UNDER_RIM = 0.012
 _NO_SLOTS = 40.0
 
 
-def thing_of(item: SceneObject, conditions: Mapping[str, Any], where: Locations) -> ObjectConfig:
+def thing_of(item: SceneObject, conditions: Mapping[str, Any], where: Locations, nests: bool = True) -> ObjectConfig:
     """What an object of a blueprint is here, by its own name.
 
     Args:
         conditions: of the scene; `slot_width_cm` is realized by the rack.
+        nests: whether a cup may have to go into another thing: then it is held just under its rim first.
 
     Raises:
         LookupError: there is no such thing here.
@@ -55,7 +56,7 @@ def thing_of(item: SceneObject, conditions: Mapping[str, Any], where: Locations)
     checked = ObjectConfig.model_validate({**ours.model_dump(mode="json", exclude_none=True), **data})
     assert checked.shape is not None
     made = made_object(item.name, checked.shape)
-    if item.asset == "cup":
+    if item.asset == "cup" and nests:
         made["grasp"] = _at_the_top(made["grasp"], shape)
     return ObjectConfig.model_validate({**data, **made})
 

@@ -20,6 +20,8 @@ ACTION_DIM = 2 * _ARM
 
 #: Fingers cross all of their way in so many seconds.
 CLOSING = 0.35
+# What is slower than this is at rest, rad/s and m/s; fingers, which close slowly, m/s.
+_SLOW, _FINGERS_SLOW = 0.15, 0.01
 # Below this share, a gripper that closes on something presses: at 0 with all that its drive gives.
 _PRESSES = 0.05
 
@@ -62,9 +64,10 @@ class Motion:
         """Where the last action left the references (14,), as in `state`."""
         return self._reference.copy()
 
-    def speed(self) -> float:
-        """The greatest of all: of joints and of what turns in rad/s, of what slides and of what lies around in m/s."""
-        return float(np.abs(self.data.qvel).max())
+    def at_rest(self) -> bool:
+        """Whether arms, fingers and things are as good as still."""
+        fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in hands(self._scene.arms))
+        return float(np.abs(self.data.qvel).max()) <= _SLOW and fingers <= _FINGERS_SLOW
 
     def act(self, action: Array) -> None:
         """Let an action (14,) act."""

@@ -37,8 +37,8 @@ _SAME = 1e-6
 # So far may a joint come off its path between two actions, rad: at an arm's length, 5 mm.
 _OFF_PATH = 0.01
 
-# Arms are at rest that are slower than this, rad/s; they are waited for by so many actions at most.
-_AT_REST, _WAITS = 0.15, 2
+# After a motion, what still moves is waited for by so many actions at most.
+_WAITS = 2
 
 _LOG = logging.getLogger("yamsim")
 
@@ -127,14 +127,14 @@ class Twin:
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
         segment = self._next_segment()
-        while segment is not None and is_still(segment) and self.motion.speed() <= _AT_REST:
+        while segment is not None and is_still(segment) and self.motion.at_rest():
             segment = self._next_segment()
         actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
         most = len(actions) + _WAITS
         # References end a motion at once, and arms come after them: what is looked at next shall not move any more.
-        while self.motion.speed() > _AT_REST and len(actions) < most:
+        while not self.motion.at_rest() and len(actions) < most:
             actions.append(self.motion.reference)
             self.motion.act(actions[-1])
         return actions
@@ -176,16 +176,15 @@ def actions_of(bench: Bench, segment: Segment, ticks: int) -> Iterator[Array]:
     Between two actions references go straight. So where a path has a bend, they come closer together, and the arm is
     slower there.
     """
+    fingers_of_both = hands([hand.arm for hand in bench.hands])
     joints_of_both = np.concatenate([path.joints for path in segment.paths], axis=1)
     tick = 0
     while tick < segment.ticks:
         tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
         parts = []
-        for hand, fingers, path in zip(
-            bench.hands, hands([hand.arm for hand in bench.hands]), segment.paths, strict=True
-        ):
-            # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds. What
-            # it takes to speed up or slow down is none of that: it would stay when the motion is over.
+        for hand, fingers, path in zip(bench.hands, fingers_of_both, segment.paths, strict=True):
+            # A drive is a spring towards what it is told: it is told so much more as it takes to bear what it holds.
+            # What it takes to speed up or slow down is none of that: it would stay when the motion is over.
             arm = hand.arm
             joints = path.joints[tick] + bench.bearing(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
             told = path.gripper[tick - 1] - 2 * path.grip[tick - 1] / fingers.gain

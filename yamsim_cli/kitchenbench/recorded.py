@@ -22,8 +22,9 @@ from ..core.skills.base import Skill
 from ..core.skills.program import SKILLS
 from .catalog import thing_of
 from .embodiment import STATION, open_base
+from .places import free_places
 from .programs import program_of
-from .scene import STEPS, TIMESTEP, free_places, realize, table_of
+from .scene import HANDED_OVER, STEPS, TIMESTEP, realize, table_of
 
 # A task has at most so many of a scene's realizations, among so many of the benchmark's epochs.
 _MOST, _EPOCHS = 100, 600
@@ -71,7 +72,9 @@ def task_of(name: str, where: Locations) -> dict[str, Any]:
             )
     finally:
         realized.simulator.close()
-    items = {item.name: thing_of(item, first.conditions, where) for item in first.objects}
+    bases = [arm.T_base_in_world[:2, 3] for arm in realized.simulator.scene.arms]
+    nests = first.target_kind != HANDED_OVER
+    items = {item.name: thing_of(item, first.conditions, where, nests) for item in first.objects}
     return {
         "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
         "kind": PROGRAM,
@@ -81,7 +84,7 @@ def task_of(name: str, where: Locations) -> dict[str, Any]:
         "arrangements": arrangements,
         "phrasings": {"training": [first.instruction]},
         "goal": {"all": [_goal(first)], "for_s": _FOR_S},
-        "expert": [_step(skill) for skill in program_of(first)],
+        "expert": [_step(skill) for skill in program_of(first, items, bases)],
         "timing": {"physics_steps_per_tick": STEPS, "timestep": TIMESTEP},
     }
 

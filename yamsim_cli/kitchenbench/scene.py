@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
+from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
 
 from ..core.attempt.expert import sides
 from ..core.attempt.simulator import Simulator
@@ -20,17 +20,16 @@ from ..core.goals.cast import Cast
 from ..core.planning.demonstration import start_stands
 from ..core.session import Session
 from ..core.sim.watched import settle
-from ..core.sim.world import Region, SimWorld
-from ..core.tasks.casting import gap, outline
+from ..core.sim.world import Region
 from ..core.types import Layout
 from .catalog import COMPARTMENT, thing_of
+from .places import BESIDE, T_in_world, free_places
 
 #: Kinds of goals whose things are rigid.
 RIGID_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort"})
 
-#: The bench's origin lies so far ahead of the middle between the arms' bases, and so far to its left, m. Its scenes
-#: begin there, and go on to the right: so both arms' bases are where most of the things are, each on its side of x = 0.
-AHEAD, BESIDE = 0.35, 0.25
+#: The kind of goal for which a cup goes into nothing.
+HANDED_OVER = "handoff"
 
 #: The rate of control ticks, Hz, and what makes one of them, physics steps and s.
 TICK_HZ = 30
@@ -41,8 +40,6 @@ TIMESTEP = 1.0 / (TICK_HZ * STEPS)
 _EDGE = 0.10
 # Things are let down from so high over the table, wait for that so far apart above it, and fall the last bit, m.
 _OVER, _AWAY, _GAP = 0.5, 2.0, 0.001
-# What gives way to a rack does so in such steps, until it is so far beside it, m.
-_STEP, _BESIDE = 0.002, 0.005
 # The floor of our tray's compartments, m.
 _TRAY_FLOOR = 0.005
 
@@ -95,7 +92,8 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
             f"those are: {', '.join(sorted(RIGID_KINDS))}"
         )
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
-    objects = [thing_of(item, blueprint.conditions, base.locations) for item in things]
+    nests = blueprint.target_kind != HANDED_OVER
+    objects = [thing_of(item, blueprint.conditions, base.locations, nests) for item in things]
     config = base.config
     task = _task(blueprint, config, {item.name: item for item in objects})
     scene = config.scene.model_copy(update={"table": table_of(config, blueprint)})
@@ -109,18 +107,6 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
         for name, T in wanted.items()
     }
     return Realization(blueprint, simulator, start, _regions(blueprint), offsets, _unrealized(blueprint, offsets))
-
-
-def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
-    """Where a blueprint asks for an object: pose (4, 4) in `world`, at the height of the bench's frame.
-
-    The bench's frame has x to the right, y ahead and z up; it lies on the table, `AHEAD` of the arms' bases.
-    """
-    T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(math.radians(item.yaw_deg)))
-    if item.parent is None:
-        return pose((AHEAD, BESIDE, 0.0), rotation_z(-math.pi / 2)) @ T_item
-    parent = next(other for other in blueprint.objects if other.name == item.parent)
-    return T_in_world(parent, blueprint) @ T_item
 
 
 def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, Any]) -> ProgramTask:
@@ -171,28 +157,6 @@ def _regions(blueprint: SceneBlueprint) -> dict[str, Region]:
             T = pose((item.x_cm / 100, item.y_cm / 100, _TRAY_FLOOR), rotation_z(math.radians(item.yaw_deg)))
             found[item.name] = Region(item.parent, T, size)
     return found
-
-
-def free_places(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Array]:
-    """Where a blueprint asks for its things (4, 4), but of those that would stand in a rack's wire: these are beside
-    it, to its left or right. Large things come first, since others may lie on them.
-
-    Args:
-        simulator: of a scene with the same things.
-    """
-    wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
-    world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, (), list(wanted))
-    room = {name: world.block(name) for name in wanted}
-    area = {name: float(np.prod((block[1] - block[0])[:2])) for name, block in room.items()}
-    places = {name: wanted[name].copy() for name in sorted(wanted, key=lambda name: -area[name])}
-    for rack in blueprint.roles.get("rack", ()):
-        for name, T in places.items():
-            if name == rack:
-                continue
-            away = math.copysign(_STEP, T[1, 3] - places[rack][1, 3])
-            while gap(outline(room[name], T), outline(room[rack], places[rack])) < _BESIDE:
-                T[1, 3] += away
-    return places
 
 
 def _let_down(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:

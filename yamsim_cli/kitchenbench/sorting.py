@@ -21,8 +21,8 @@ _LOG = logging.getLogger("yamsim")
 
 # So much of a thing's volume is to be in its compartment, from 0 to 1: a little more than the benchmark asks.
 _INSIDE = 0.85
-# How often each thing is tried.
-_TRIES = 2
+# How often each thing is tried, and at which time it is put aside first, or handed over.
+_TRIES, _ASIDE, _HANDED = 3, 2, 3
 # So high cutlery clears the tray's wall, also as it hangs in the fingers, m; and hands meet so high over the table.
 _LIFT, _MEETING = 0.06, 0.25
 
@@ -49,12 +49,13 @@ class Sort(Skill):
             if tries.get(name, 0) == _TRIES:
                 _LOG.warning("the expert leaves the %s where it is: %s", name, said)
                 return
+            number = tries[name] = tries.get(name, 0) + 1
             try:
-                yield from self._bring(bench, cast, name, self.into[cast.kinds[name]], handed=tries.get(name, 0) > 0)
+                yield from self._bring(bench, cast, name, number)
             except SkillFailedError as error:
                 said = str(error)
-                tries[name] = tries.get(name, 0) + 1
-                yield from self._put_down(bench, cast, name)
+                if holder_of(bench, name) is not None:
+                    yield from PutAside(thing=name).run(bench, cast, ())
                 yield from recover(bench)
 
     def left(self, world: World, cast: Cast) -> list[str]:
@@ -64,18 +65,19 @@ class Sort(Skill):
         ]
         return sorted(found, key=lambda name: -float(world.bounds(name)[1][2]))
 
-    def _bring(self, bench: Bench, cast: Cast, name: str, into: str, handed: bool) -> Iterator[Segment]:
-        """By the arm that reaches both; at the second time, by the other one's hand if need be."""
-        pick, put = Pick(thing=name, lift=_LIFT), Insert(thing=name, into=into)
-        if not handed:
+    def _bring(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
+        """By the arm that reaches both; at the second time to where there is room, to be taken from there another way;
+        at the third by the other one's hand.
+        """
+        pick, put = Pick(thing=name, lift=_LIFT), Insert(thing=name, into=self.into[cast.kinds[name]])
+        give, aside = Handover(thing=name, height=_MEETING), PutAside(thing=name)
+        if number == _ASIDE:
+            yield from pick.run(bench, cast, (aside,))
+            yield from aside.run(bench, cast, ())
             yield from pick.run(bench, cast, (put,))
-        else:
-            give = Handover(thing=name, height=_MEETING)
+        elif number == _HANDED:
             yield from pick.run(bench, cast, (give, put))
             yield from give.run(bench, cast, (put,))
+        else:
+            yield from pick.run(bench, cast, (put,))
         yield from put.run(bench, cast, ())
-
-    def _put_down(self, bench: Bench, cast: Cast, name: str) -> Iterator[Segment]:
-        """What a hand holds, and could not put where it belongs, is put where there is room."""
-        if holder_of(bench, name) is not None:
-            yield from PutAside(thing=name).run(bench, cast, ())

@@ -17,8 +17,8 @@ from ..sim.antipodal import Span
 _LEANS = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90))
 
 # How far a hand may lean to the side, along the axis on which its fingers close, about something as narrow as this, as
-# half its width, m: it turns in the pads until it lies flat in them. So a wall beside it leaves room for the hand, which
-# comes with its fingers but so far from it, m, and holds it so much higher.
+# half its width, m: it turns in the pads until it lies flat in them. So a wall beside it leaves room for the hand. Its
+# fingers come but so far from the thing, m, and hold it so much higher.
 _SIDEWAYS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35, 50, -50, 70, -70, 90, -90))
 _NARROW, _CLOSE, _HIGHER = 0.010, 0.004, 0.004
 
