@@ -14,6 +14,7 @@ from ..goals.cast import Cast
 from .base import Skill
 from .bench import Bench, Segment
 from .errors import SkillFailedError
+from .fold import Fold
 from .handover import Handover
 from .insert import Insert
 from .lift import Lift
@@ -38,6 +39,7 @@ SKILLS: Mapping[str, type[Skill]] = {
     "regrasp": Regrasp,
     "operate": Operate,
     "lift": Lift,
+    "fold": Fold,
 }
 
 # What goes through the things of a role: `each: {of: cup, do: [...]}`.

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from .above import Above
 from .base import Predicate as Predicate
+from .folded import Folded
 from .handed_over import HandedOver
 from .held_by import HeldBy
 from .inside import Inside
@@ -29,4 +30,5 @@ PREDICATES: Mapping[str, type[Predicate]] = {
     "sorted": Sorted,
     "open": Open,
     "swapped": Swapped,
+    "folded": Folded,
 }

@@ -1,0 +1,71 @@
+"""Which points of a folded sheet lie on each other."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .se3 import Array
+
+Fold = Literal["half", "diagonal", "thirds"]
+
+# The share of a flat sheet that it covers once it is folded.
+COVERED: dict[Fold, float] = {"half": 1 / 2, "diagonal": 1 / 2, "thirds": 1 / 3}
+
+# Of every layer of a folded sheet, row and column of its points (n, 2): the k-th of each lie on each other.
+Layers = tuple[NDArray[np.int_], ...]
+
+
+def ways_to_fold(how: Fold, rows: int, columns: int) -> list[Layers]:
+    """The layers of each way in which a grid of points can be folded; none where the grid does not allow it.
+
+    Points on a crease are left out of `half` and `diagonal`, and are in two layers of `thirds`.
+    """
+    if how == "diagonal":
+        if rows != columns:
+            return []
+        above = np.argwhere(np.triu(np.ones((rows, rows), bool), 1))
+        below = above[:, ::-1]
+        return [(above, below), (above * (1, -1) + (0, rows - 1), below * (1, -1) + (0, rows - 1))]
+    found = []
+    for axis, (along, across) in enumerate(((rows, columns), (columns, rows))):
+        if how == "half":
+            steps = np.arange(along // 2)
+            lines = (steps, along - 1 - steps)
+        elif (along - 1) % 3 == 0:
+            third = (along - 1) // 3
+            steps = np.arange(third + 1)
+            lines = (third - steps, third + steps, 3 * third - steps)
+        else:
+            continue
+        grids = [np.stack(np.meshgrid(line, np.arange(across), indexing="ij"), -1).reshape(-1, 2) for line in lines]
+        found.append(tuple(grid if axis == 0 else grid[:, ::-1] for grid in grids))
+    return found
+
+
+def sheet_area(points: Array) -> float:
+    """Area of a sheet of points (rows, columns, 3), folded or not, m2."""
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
+    halves = [np.linalg.norm(np.cross(p - o, q - o), axis=-1).sum() / 2 for o, p, q in ((a, b, c), (d, b, c))]
+    return float(sum(halves))
+
+
+def outline_area(places: Array) -> float:
+    """Area of the convex outline around places (n, 2), m2."""
+    ordered = places[np.lexsort(places.T[::-1])]
+    outline: list[Array] = []
+    for points in (ordered, ordered[::-1]):
+        side: list[Array] = []
+        for place in points:
+            while len(side) > 1 and _turn(side[-2], side[-1], place) <= 0:
+                side.pop()
+            side.append(place)
+        outline += side[:-1]
+    x, y = np.array(outline).T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
+
+
+def _turn(a: Array, b: Array, c: Array) -> float:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

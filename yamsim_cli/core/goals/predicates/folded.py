@@ -1,0 +1,80 @@
+"""Whether cloth is folded."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from ...documents.units import Distance, Share
+from ...geometry.folding import COVERED, Fold, Layers, outline_area, sheet_area, ways_to_fold
+from ...geometry.se3 import Array
+from ..cast import Cast
+from ..measure import Measure, either
+from ..world import World
+from .base import Predicate
+
+
+class Folded(Predicate):
+    """Each cloth is folded once in half, along a diagonal or in thirds, lies flat, and no hand holds it.
+
+    Attributes:
+        thing: a role, which cloth plays.
+        how: `half` and `thirds` along either side, `diagonal` along either diagonal.
+        error: how far apart two points may be, seen from above, that lie on each other when it is folded exactly, m.
+        area: by how much the share of its area that its outline covers may differ from that of an exact fold.
+        height: how high any point may be over the lowest, m.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    thing: str
+    how: Fold = "half"
+    error: Annotated[Distance, Field(gt=0)] = 0.02
+    area: Annotated[Share, Field(gt=0)] = 0.1
+    height: Annotated[Distance, Field(gt=0)] = 0.03
+
+    def measures(self, world: World, cast: Cast) -> list[Measure]:
+        """See `Predicate`."""
+        return [measure for thing in cast.of(self.thing) for measure in self._measures(world, thing)]
+
+    def _measures(self, world: World, thing: str) -> list[Measure]:
+        what = f"folded({thing}, {self.how})"
+        if holders := world.holders(thing):
+            return [either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")]
+        points = world.points(thing)
+        ways = ways_to_fold(self.how, *points.shape[:2])
+        if not ways:
+            return [either(what, False, "its grid of points does not allow it")]
+        folded = min(ways, key=lambda layers: _error(points, layers))
+        error, covered = _error(points, folded), outline_area(points[..., :2].reshape(-1, 2)) / sheet_area(points)
+        high, order = float(np.ptp(points[..., 2])), _order(points, folded)
+        off = abs(covered - COVERED[self.how])
+        return [
+            Measure(what, self.error - error, "m", f"what lies on each other is {error * 1000:.1f} mm apart at most"),
+            Measure(f"{what}: area", self.area - off, "share", f"it covers {covered:.1%} of its area"),
+            Measure(f"{what}: layers", order, "m", f"the upper layer is {order * 1000:.1f} mm higher at least"),
+            Measure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
+        ]
+
+
+def _at(points: Array, layer: Array) -> Array:
+    there: Array = points[layer[:, 0], layer[:, 1]]
+    return there
+
+
+def _error(points: Array, layers: Layers) -> float:
+    """How far apart what lies on each other is at most, seen from above, m."""
+    places = [_at(points, layer)[:, :2] for layer in layers]
+    return max(float(np.linalg.norm(a - b, axis=1).max()) for a, b in itertools.combinations(places, 2))
+
+
+def _order(points: Array, layers: Layers) -> float:
+    """How much higher one layer is than another where it is least so, m; negative where layers go through each other."""
+    least = []
+    for one, other in itertools.combinations(layers, 2):
+        apart = (one != other).any(axis=1)
+        over = (_at(points, one) - _at(points, other))[apart, 2]
+        least.append(max(float(over.min()), float((-over).min())))
+    return min(least)
