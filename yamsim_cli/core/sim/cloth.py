@@ -17,8 +17,8 @@ _CLOSED = 0.006
 _PRESSING = 2.0
 _OPENING = 0.002
 
-# Cloth is between the pads from so far behind the pinch frame's origin to as far before it, and half as wide, m. A pad is
-# 14.4 mm wide and 16.4 mm long. Cloth under the tips is pressed down by so much more than its own thickness.
+# Half of how wide and how long a pad is, m. Cloth under the tips, which they press down, is so much farther from them
+# at most than it is thick, m.
 _PAD_WIDTH = 0.0072
 _PAD_LENGTH = 0.0082
 _UNDER = 0.002
@@ -122,7 +122,7 @@ class ClothGrips:
             return False
         if opening > _CLOSED or (opening - told) * fingers.gain < 2 * _PRESSING:
             return False
-        return any([self._take(data, number, cloth) for cloth in self._scene.cloths.values()])
+        return any(self._take(data, number, cloth) for cloth in self._scene.cloths.values())
 
     def _take(self, data: mujoco.MjData, number: int, cloth: SceneCloth) -> bool:
         touching = (data.contact.flex == cloth.flex).any(axis=1)

@@ -134,9 +134,7 @@ def _reached(bench: Bench, thing: str, move: _Move) -> list[_Taken] | None:
     return None
 
 
-def _taken(
-    bench: Bench, hand: Hand, points: Array, pair: tuple[tuple[int, int], tuple[int, int]]
-) -> _Taken | None:
+def _taken(bench: Bench, hand: Hand, points: Array, pair: tuple[tuple[int, int], tuple[int, int]]) -> _Taken | None:
     """A hand at a corner, leaning towards its arm as little as it reaches so; None where it does not reach it."""
     corner, onto = pair
     place, way = points[corner], points[onto] - points[corner]

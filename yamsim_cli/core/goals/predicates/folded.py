@@ -71,7 +71,7 @@ def _error(points: Array, layers: Layers) -> float:
 
 
 def _order(points: Array, layers: Layers) -> float:
-    """How much higher one layer is than another where it is least so, m; negative where layers go through each other."""
+    """How much higher one layer is than another where it is least so, m; negative where they go through each other."""
     least = []
     for one, other in itertools.combinations(layers, 2):
         apart = (one != other).any(axis=1)
