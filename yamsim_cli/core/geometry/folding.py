@@ -48,8 +48,14 @@ def ways_to_fold(how: Fold, rows: int, columns: int) -> list[Layers]:
 def sheet_area(points: Array) -> float:
     """Area of a sheet of points (rows, columns, 3), folded or not, m2."""
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
-    halves = [np.linalg.norm(np.cross(p - o, q - o), axis=-1).sum() / 2 for o, p, q in ((a, b, c), (d, b, c))]
-    return float(sum(halves))
+
+    def triangle(o: Array, p: Array, q: Array) -> Array:
+        area: Array = np.linalg.norm(np.cross(p - o, q - o), axis=-1) / 2
+        return area
+
+    # A cell that is folded along one of its diagonals has its area in the two triangles beside that one alone.
+    cells = np.maximum(triangle(a, b, c) + triangle(d, b, c), triangle(b, a, d) + triangle(c, a, d))
+    return float(cells.sum())
 
 
 def outline_area(places: Array) -> float:
