@@ -63,7 +63,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
             *(np.concatenate([getattr(state.actions, key) for state in states]) for key in ("ctrl", "magnet", "joints"))
         )
         held = np.flatnonzero(acting.magnet.all(axis=1))
-        assert 0 < held[0] and held[-1] < len(acting.magnet) - 1
+        assert held[0] > 0 and held[-1] < len(acting.magnet) - 1
         assert not acting.magnet[[0, -1]].any()
 
         again = repeat_program(simulator, attempt, replace(acting, magnet=np.zeros_like(acting.magnet)), planned=True)
@@ -90,6 +90,15 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
     [
         (FOLD, {"truth": True}, "no ground truth of cloth"),
         (changed({("things", "napkin", "of"): "soft_nakin"}, FOLD), {}, "soft_napkin"),
+        (changed({("expert",): [{"pick": {"thing": "napkin"}}]}, FOLD), {}, "it can only be folded"),
+        (changed({("things", "napkin", "of"): "cube_red"}, FOLD), {}, "is no cloth"),
+        (
+            changed({("expert",): [{"fold": {"thing": "napkin", "how": "thirds"}}]}, FOLD),
+            {},
+            "3 n \\+ 1 points, and it has 9 x 9",
+        ),
+        (changed({("rig",): "single_linear"}, FOLD), {}, "takes two arms"),
+        (changed({("starts", "napkin", "attitudes"): ["lying"]}, FOLD), {}, "starts flat"),
         (changed({("starts", "napkin", "open"): {"lid": [0, 1]}}, FOLD), {}, "no part"),
     ],
 )

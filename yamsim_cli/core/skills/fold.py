@@ -72,8 +72,19 @@ class Fold(Skill):
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS: ClassVar[bool | None] = False
+    OF_CLOTH: ClassVar[bool] = True
     thing: str
     how: Way = "half"
+
+    @property
+    def hands(self) -> int:
+        """How many it takes."""
+        return 1 if self.how == "diagonal" else 2
+
+    @property
+    def said(self) -> str:
+        """Which way, in words."""
+        return {"half": "in half", "diagonal": "along a diagonal", "thirds": "in thirds"}[self.how]
 
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""

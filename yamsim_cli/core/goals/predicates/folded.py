@@ -29,6 +29,7 @@ class Folded(Predicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    OF_CLOTH: ClassVar[bool] = True
     thing: str
     how: Fold = "half"
     error: Annotated[Distance, Field(gt=0)] = 0.02
