@@ -121,7 +121,6 @@ def test_what_a_hand_holds_rests_on_nothing() -> None:
     [
         ("half", folded_sheet(apart=0.004, off=0.021), "folded(cup, half)"),
         ("half", folded_sheet(apart=0.031), "folded(cup, half): flat"),
-        ("thirds", folded_sheet(apart=0.004), "folded(cup, thirds)"),
         ("diagonal", folded_sheet(apart=0.004), "folded(cup, diagonal)"),
     ],
 )

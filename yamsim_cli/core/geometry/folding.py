@@ -9,19 +9,18 @@ from numpy.typing import NDArray
 
 from .se3 import Array
 
-Fold = Literal["half", "diagonal", "thirds"]
+Fold = Literal["half", "diagonal"]
 
 # The share of a flat sheet that it covers once it is folded.
-COVERED: dict[Fold, float] = {"half": 1 / 2, "diagonal": 1 / 2, "thirds": 1 / 3}
+COVERED = 0.5
 
-# Of every layer of a folded sheet, row and column of its points (n, 2): the k-th of each lie on each other.
-Layers = tuple[NDArray[np.int_], ...]
+# Of the two layers of a folded sheet, row and column of their points (n, 2): the k-th of each lie on each other.
+Layers = tuple[NDArray[np.int_], NDArray[np.int_]]
 
 
 def ways_to_fold(how: Fold, rows: int, columns: int) -> list[Layers]:
-    """The layers of each way in which a grid of points can be folded; none where the grid does not allow it.
-
-    Points on a crease are left out of `half` and `diagonal`, and are in two layers of `thirds`.
+    """The layers of each way in which a grid of points can be folded once, points on the crease left out: in half along
+    either side, or along either diagonal, which takes as many points along both sides.
     """
     if how == "diagonal":
         if rows != columns:
@@ -29,20 +28,16 @@ def ways_to_fold(how: Fold, rows: int, columns: int) -> list[Layers]:
         above = np.argwhere(np.triu(np.ones((rows, rows), bool), 1))
         below = above[:, ::-1]
         return [(above, below), (above * (1, -1) + (0, rows - 1), below * (1, -1) + (0, rows - 1))]
-    found = []
-    for axis, (along, across) in enumerate(((rows, columns), (columns, rows))):
-        if how == "half":
-            steps = np.arange(along // 2)
-            lines = (steps, along - 1 - steps)
-        elif (along - 1) % 3 == 0:
-            third = (along - 1) // 3
-            steps = np.arange(third + 1)
-            lines = (third - steps, third + steps, 3 * third - steps)
-        else:
-            continue
-        grids = [np.stack(np.meshgrid(line, np.arange(across), indexing="ij"), -1).reshape(-1, 2) for line in lines]
-        found.append(tuple(grid if axis == 0 else grid[:, ::-1] for grid in grids))
-    return found
+    row, column = (np.stack(np.meshgrid(*way, indexing="ij"), -1).reshape(-1, 2) for way in _halves(rows, columns))
+    return [
+        (row, row * (-1, 1) + (rows - 1, 0)),
+        (column, column * (1, -1) + (0, columns - 1)),
+    ]
+
+
+def _halves(rows: int, columns: int) -> tuple[tuple[range, range], tuple[range, range]]:
+    """Rows and columns of the half that begins each side."""
+    return (range(rows // 2), range(columns)), (range(rows), range(columns // 2))
 
 
 def sheet_area(points: Array) -> float:

@@ -71,11 +71,8 @@ def _check_fold(task: ProgramTask, cast: Cast, skill: Fold, arms: int, path: tup
     thing = cast.one(skill.thing)
     for item in next(one.of for role, one in task.things.items() if thing in cast.of(role)):
         if item.cloth is not None and not ways_to_fold(skill.how, *reversed(item.cloth.grid)):
-            need = (
-                "the same number of points along both sides" if skill.how == "diagonal" else "a grid of 3 n + 1 points"
-            )
             raise ConflictError(
-                f"the {item.name} cannot be folded {skill.said}: that takes {need}, and it has "
+                f"the {item.name} cannot be folded {skill.said}: that takes as many points along both sides, not "
                 f"{' x '.join(map(str, item.cloth.grid))}",
                 (*path, "how"),
             )

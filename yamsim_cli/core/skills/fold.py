@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -63,7 +64,7 @@ class _Taken:
 
 
 class Fold(Skill):
-    """Fold cloth that lies flat: in half and in thirds with two hands, along a diagonal with one.
+    """Fold cloth that lies flat once: in half with two hands, along a diagonal with one.
 
     Attributes:
         thing: a role, which cloth plays.
@@ -84,47 +85,28 @@ class Fold(Skill):
     @property
     def said(self) -> str:
         """Which way, in words."""
-        return {"half": "in half", "diagonal": "along a diagonal", "thirds": "in thirds"}[self.how]
+        return {"half": "in half", "diagonal": "along a diagonal"}[self.how]
 
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
         rows, columns = bench.world.points(thing).shape[:2]
-        for moves in _ways(self.how, rows, columns):
-            taken = _reached(bench, thing, moves[0])
-            if taken is None:
-                continue
-            yield from _fold(bench, thing, taken)
-            for move in moves[1:]:
-                again = _reached(bench, thing, move)
-                if again is None:
-                    raise SkillFailedError(Cause.UNREACHABLE, f"no hands reach the other corners of the {thing}")
-                yield from _fold(bench, thing, again)
-            return
+        for move in _moves(self.how, rows, columns):
+            if taken := _reached(bench, thing, move):
+                yield from _fold(bench, thing, taken)
+                return
         raise SkillFailedError(Cause.UNREACHABLE, f"no hands reach corners of the {thing} and where they are to lie")
 
 
-def _ways(how: Way, rows: int, columns: int) -> list[list[_Move]]:
-    """What to do, one move after the other, in each way in which a grid of points can be folded so."""
+def _moves(how: Way, rows: int, columns: int) -> list[_Move]:
+    """The moves that fold a grid of points so, each in its own way."""
     last = (rows - 1, columns - 1)
     if how == "diagonal":
         corners = [(0, 0), (0, last[1]), (last[0], 0), last]
-        return [[_Move((one,), ((last[0] - one[0], last[1] - one[1]),))] for one in corners]
-    found = []
-    for axis in (0, 1):
-        count = (rows, columns)[axis]
-
-        def edge(line: int, axis: int = axis) -> tuple[tuple[int, int], ...]:
-            ends = (0, last[1 - axis])
-            return tuple((line, end) if axis == 0 else (end, line) for end in ends)
-
-        if how == "half":
-            found += [[_Move(edge(0), edge(count - 1))], [_Move(edge(count - 1), edge(0))]]
-        elif (count - 1) % 3 == 0:
-            third = (count - 1) // 3
-            first, second = _Move(edge(0), edge(2 * third)), _Move(edge(3 * third), edge(third))
-            found += [[first, second], [second, first]]
-    return found
+        return [_Move((one,), ((last[0] - one[0], last[1] - one[1]),)) for one in corners]
+    low, high = ((0, 0), (0, last[1])), ((last[0], 0), last)
+    left, right = ((0, 0), (last[0], 0)), ((0, last[1]), last)
+    return [_Move(low, high), _Move(high, low), _Move(left, right), _Move(right, left)]
 
 
 def _reached(bench: Bench, thing: str, move: _Move) -> list[_Taken] | None:
@@ -210,18 +192,19 @@ def _fold(bench: Bench, thing: str, taken: Sequence[_Taken]) -> Iterator[Segment
 def _arches(bench: Bench, thing: str, taken: Sequence[_Taken]) -> dict[Hand, Array]:
     """Every hand's motion (n + 1, dof) with its corner, from where that is now to where it is to lie."""
     points = bench.world.points(thing)
-    thickness = float(bench.world.block(thing)[1][2] - bench.world.block(thing)[0][2])
-    ways = {one: points[one.onto] - points[one.corner] + (0.0, 0.0, thickness + _OVER) for one in taken}
+    low, high = bench.world.block(thing)
+    end_over = np.array([0.0, 0.0, high[2] - low[2] + _OVER])
+    ways = {one.hand: points[one.onto] - points[one.corner] + end_over for one in taken}
     length = max(float(np.linalg.norm(way[:2])) for way in ways.values())
+    return {
+        hand: bench.curve(hand, partial(_arch, hand.pinch_at(hand.joints), way, _ARCH * length), length / _SPEED)
+        for hand, way in ways.items()
+    }
 
-    def arch(T_start: Array, way: Array, share: float) -> Array:
-        T = T_start.copy()
-        T[:2, 3] += way[:2] * (1 - math.cos(math.pi * share)) / 2
-        T[2, 3] += way[2] * share + _ARCH * length * math.sin(math.pi * share)
-        return T
 
-    found = {}
-    for one, way in ways.items():
-        T_start = one.hand.pinch_at(one.hand.joints)
-        found[one.hand] = bench.curve(one.hand, lambda share, T=T_start, w=way: arch(T, w, share), length / _SPEED)
-    return found
+def _arch(T_start: Array, way: Array, height: float, share: float) -> Array:
+    """A frame (4, 4) on its way over an arch so high, m."""
+    T = T_start.copy()
+    T[:2, 3] += way[:2] * (1 - math.cos(math.pi * share)) / 2
+    T[2, 3] += way[2] * share + height * math.sin(math.pi * share)
+    return T

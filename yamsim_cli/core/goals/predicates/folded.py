@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from ...documents.units import Distance, Share
@@ -18,11 +18,11 @@ from .base import Predicate
 
 
 class Folded(Predicate):
-    """Each cloth is folded once in half, along a diagonal or in thirds, lies flat, and no hand holds it.
+    """Each cloth is folded once, lies flat, and no hand holds it.
 
     Attributes:
         thing: a role, which cloth plays.
-        how: `half` and `thirds` along either side, `diagonal` along either diagonal.
+        how: `half`, along either side, or `diagonal`, along either one.
         error: how far apart two points may be, seen from above, that lie on each other when it is folded exactly, m.
         area: by how much the share of its area that its outline covers may differ from that of an exact fold.
         height: how high any point may be over the lowest, m.
@@ -51,7 +51,7 @@ class Folded(Predicate):
         folded = min(ways, key=lambda layers: _error(points, layers))
         error, covered = _error(points, folded), outline_area(points[..., :2].reshape(-1, 2)) / sheet_area(points)
         high, order = float(np.ptp(points[..., 2])), _order(points, folded)
-        off = abs(covered - COVERED[self.how])
+        off = abs(covered - COVERED)
         return [
             Measure(what, self.error - error, "m", f"what lies on each other is {error * 1000:.1f} mm apart at most"),
             Measure(f"{what}: area", self.area - off, "share", f"it covers {covered:.1%} of its area"),
@@ -60,22 +60,18 @@ class Folded(Predicate):
         ]
 
 
-def _at(points: Array, layer: Array) -> Array:
+def _at(points: Array, layer: NDArray[np.int_]) -> Array:
     there: Array = points[layer[:, 0], layer[:, 1]]
     return there
 
 
 def _error(points: Array, layers: Layers) -> float:
     """How far apart what lies on each other is at most, seen from above, m."""
-    places = [_at(points, layer)[:, :2] for layer in layers]
-    return max(float(np.linalg.norm(a - b, axis=1).max()) for a, b in itertools.combinations(places, 2))
+    one, other = (_at(points, layer)[:, :2] for layer in layers)
+    return float(np.linalg.norm(one - other, axis=1).max())
 
 
 def _order(points: Array, layers: Layers) -> float:
-    """How much higher one layer is than another where it is least so, m; negative where they go through each other."""
-    least = []
-    for one, other in itertools.combinations(layers, 2):
-        apart = (one != other).any(axis=1)
-        over = (_at(points, one) - _at(points, other))[apart, 2]
-        least.append(max(float(over.min()), float((-over).min())))
-    return min(least)
+    """How much higher one layer is than the other at least, m; negative where they go through each other."""
+    one, other = (_at(points, layer)[:, 2] for layer in layers)
+    return max(float((one - other).min()), float((other - one).min()))
