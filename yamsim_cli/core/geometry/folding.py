@@ -28,16 +28,15 @@ def ways_to_fold(how: Fold, rows: int, columns: int) -> list[Layers]:
         above = np.argwhere(np.triu(np.ones((rows, rows), bool), 1))
         below = above[:, ::-1]
         return [(above, below), (above * (1, -1) + (0, rows - 1), below * (1, -1) + (0, rows - 1))]
-    row, column = (np.stack(np.meshgrid(*way, indexing="ij"), -1).reshape(-1, 2) for way in _halves(rows, columns))
+    upper, left = np.mgrid[: rows // 2, :columns], np.mgrid[:rows, : columns // 2]
     return [
-        (row, row * (-1, 1) + (rows - 1, 0)),
-        (column, column * (1, -1) + (0, columns - 1)),
+        (_pairs(*upper), _pairs(rows - 1 - upper[0], upper[1])),
+        (_pairs(*left), _pairs(left[0], columns - 1 - left[1])),
     ]
 
 
-def _halves(rows: int, columns: int) -> tuple[tuple[range, range], tuple[range, range]]:
-    """Rows and columns of the half that begins each side."""
-    return (range(rows // 2), range(columns)), (range(rows), range(columns // 2))
+def _pairs(rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[np.int_]:
+    return np.column_stack([rows.ravel(), columns.ravel()])
 
 
 def sheet_area(points: Array) -> float:
