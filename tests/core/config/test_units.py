@@ -145,7 +145,7 @@ PLAIN = {
     "rgba", "quat", "x_axis", "y_axis", "direction", "diffuse", "specular", "shininess", "reflectance", "ambient",
     "sky", "axis", "approach",
     "floor_rgba", "friction", "intensity", "tint", "tilt_deg", "rotation_deg", "hue_deg", "saturation", "value",
-    "contrast",
+    "contrast", "colours",
     "salt_pepper", "textures", "mass", "K", "distortion", "focal_sigma", "supersampling", "constants",
 }  # fmt: skip
 

@@ -26,6 +26,7 @@ class StillWorld:
         openings: (thing, joint) -> share open.
         starts: thing -> where it began.
         marks: (thing, handle) -> the handle's pose.
+        sheets: cloth -> its points (along y, along x, 3).
     """
 
     places: Mapping[str, tuple[float, float, float]]
@@ -36,7 +37,7 @@ class StillWorld:
     shares: Mapping[tuple[str, str], float] = field(default_factory=dict)
     openings: Mapping[tuple[str, str], float] = field(default_factory=dict)
     starts: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-
+    sheets: Mapping[str, Array] = field(default_factory=dict)
     marks: Mapping[tuple[str, str], Array] = field(default_factory=dict)
 
     def mark(self, thing: str, handle: str) -> Array:
@@ -69,5 +70,20 @@ class StillWorld:
     def share_inside(self, thing: str, container: str) -> float:
         return self.shares[thing, container]
 
+    def points(self, thing: str) -> Array:
+        return self.sheets[thing]
+
     def opening(self, thing: str, joint: str) -> float:
         return self.openings[thing, joint]
+
+
+def folded_sheet(apart: float, off: float = 0.0, through: float = 0.0) -> Array:
+    """Points (6, 7, 3) of a sheet of 20 cm by 30, its upper half `apart` over the lower one and `off` along y, and one
+    corner of it `through` below the lower one, m.
+    """
+    x, y = np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.2, 6))
+    upper = y > 0.1
+    points = np.stack([x, np.where(upper, 0.2 - y + off, y), np.where(upper, apart, 0.0)], axis=-1)
+    if through:
+        points[-1, -1, 2] = -through
+    return points

@@ -7,12 +7,12 @@ import math
 import pytest
 from pydantic import ValidationError
 
-from yamsim_cli.core.geometry.se3 import pose
+from yamsim_cli.core.geometry.se3 import Array, pose
 from yamsim_cli.core.goals.cast import Cast
 from yamsim_cli.core.goals.goal import Goal, judge
 from yamsim_cli.core.goals.predicates import PREDICATES
 
-from .still_world import StillWorld
+from .still_world import StillWorld, folded_sheet
 
 CAST = Cast({"cup": ("cup",), "plate": ("plate",), "cube": ("cube_1", "cube_2")}, {"cube_1": "red", "cube_2": "blue"})
 ON_PLATE = StillWorld({"cup": (0.3, 0.01, 0.06), "plate": (0.3, 0.0, 0.02)}, touches=[("cup", "plate")])
@@ -94,6 +94,12 @@ CASES = {
         0.012,
         StillWorld({}, marks={("plate", "peg"): pose(), ("cup", "eye"): pose((0.030, 0, 0.05))}),
     ),
+    "folded": (
+        {"thing": "cup", "how": "half"},
+        StillWorld({}, sheets={"cup": folded_sheet(apart=0.004)}),
+        0.004,
+        StillWorld({}, sheets={"cup": folded_sheet(apart=0.004, through=0.001)}),
+    ),
 }
 
 
@@ -144,6 +150,22 @@ def test_what_is_not_hung_says_why(
     verdict = judge(Goal.model_validate({"hung": {"thing": "cup", "onto": "plate"}}), world, CAST)
     assert not verdict.reached
     assert said in verdict.worst.detail
+
+
+@pytest.mark.parametrize(
+    ("how", "sheet", "said"),
+    [
+        ("half", folded_sheet(apart=0.004, off=0.021), "folded(cup, half)"),
+        ("half", folded_sheet(apart=0.031), "folded(cup, half): flat"),
+        ("diagonal", folded_sheet(apart=0.004), "folded(cup, diagonal)"),
+    ],
+)
+def test_cloth_that_is_folded_otherwise_is_not_folded_so(how: str, sheet: Array, said: str) -> None:
+    verdict = judge(
+        Goal.model_validate({"folded": {"thing": "cup", "how": how}}), StillWorld({}, sheets={"cup": sheet}), CAST
+    )
+    assert not verdict.reached
+    assert verdict.worst.what == said
 
 
 def test_all_any_and_the_worst() -> None:

@@ -122,10 +122,19 @@ TASKS: dict[str, dict[str, Any]] = {
         things=TRAY,
         starts=TRAY_HERE,
     ),
+    "fold": {
+        **_task(
+            [{"fold": {"thing": "napkin"}}],
+            {"folded": {"thing": "napkin"}},
+            things={"cube": None, "napkin": {"of": "soft_napkin"}},
+            starts={"cube": None, "napkin": {"x": [0.35, 0.37], "y": [-0.01, 0.01], "yaw_deg": [-5, 5]}},
+        ),
+        "timing": {"timestep": 0.004, "physics_steps_per_tick": 8},
+    },
 }
 
 # What takes more than two seconds.
-SLOW = ("set_upright", "turn")
+SLOW = ("set_upright", "turn", "fold")
 
 
 @pytest.mark.parametrize(

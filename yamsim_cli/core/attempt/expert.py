@@ -26,7 +26,7 @@ class ExpertTools:
         geoms = [
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
-        self._obstacles = Obstacles(scene.model, scene.arms, list(scene.object_qpos), geoms)
+        self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms)
         self._quick = [QuickReach(bare_arm(config.rig.arms[arm.number]), arm.T_base_in_world) for arm in scene.arms]
 
     def reaches(self, T_pinch_in_world: Array) -> bool:

@@ -37,6 +37,7 @@ def _frame(simulator: Simulator, attempt: Attempt, state: StepState) -> dict[str
         extrinsics={name: replica.T_cam_in_base(name) for name in scene.cameras},
         object_poses={item.name: replica.T_object_in_base(item.name) for item in task.objects},
         object_joints=_joints(simulator),
+        cloth_points=replica.cloth_points(),
         ee_pose=replica.T_grasp_in_base(),
         ctrl=acting.ctrl[0][scene.drives],
         action_joints=acting.joints[0],

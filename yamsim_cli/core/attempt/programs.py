@@ -9,13 +9,12 @@ from ..config.program_task import ProgramTask
 from ..documents.base import ConflictError
 from ..documents.explain import dotted
 from ..errors import ConfigError
-from ..geometry.se3 import Array, pose, quat_from_rotation
+from ..geometry.se3 import Array, pose
 from ..goals.cast import Cast
 from ..planning.demonstration import start_stands
 from ..scene.compiled import CompiledScene
 from ..sim.rollout import path_actions
-from ..sim.watched import See, Watched, WatchedLoop, settle
-from ..sim.world import SimWorld
+from ..sim.watched import See, Watched, WatchedLoop, settle, world_of
 from ..skills.base import Skill
 from ..skills.errors import SkillFailedError
 from ..skills.program import Diary, read_program, run_program
@@ -50,7 +49,7 @@ def sample_program(simulator: Simulator, job: EpisodeJob, variation: Variation) 
         start = settle(scene, _let_down(simulator, places), task.timing.timestep)
         loop = WatchedLoop(scene, start, task, cast, sides(config))
         if not loop.judged().reached:
-            poses = {name: loop.world.pose(name) for name in scene.object_qpos}
+            poses = {name: loop.world.pose(name) for name in scene.things}
             return replace(attempt, layout=Layout(poses, upright=False), start=start)
     return attempt
 
@@ -142,8 +141,8 @@ def _program(task: ProgramTask, cast: Cast) -> list[Skill]:
 
 def _blocks(simulator: Simulator) -> dict[str, Array]:
     scene, replica = simulator.scene, simulator.replica
-    world = SimWorld(scene.model, replica.data, scene.arms, sides(simulator.config), list(scene.object_qpos))
-    return {name: world.block(name) for name in scene.object_qpos}
+    world = world_of(scene, replica.data, sides(simulator.config))
+    return {name: world.block(name) for name in scene.things}
 
 
 def _let_down(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
@@ -158,11 +157,12 @@ def _let_down(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
             low, high = joint.range
             qpos[joint.qposadr[0]] = low + share * (high - low)
         T = placed.T.copy()
-        T[2, 3] = top + _OVER
-        T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _OVER) + SPAWN_GAP
-        address = scene.object_qpos[name]
-        qpos[address : address + 3] = T[:3, 3]
-        qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+        if name in scene.cloths:
+            T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP
+        else:
+            T[2, 3] = top + _OVER
+            T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _OVER) + SPAWN_GAP
+        scene.put(qpos, name, T)
     return qpos
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..config.scene import FixedCamera, Light
 from ..config.things import ObjectConfig
-from ..errors import ResourceError
+from ..errors import ResourceError, UsageError
 from ..geometry.loft import Surface, joined, welded
 from ..geometry.se3 import Array, pose_from_quat
 from ..resources import Locations
@@ -64,7 +64,10 @@ def subject(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Lo
 
     Raises:
         ResourceError: a mesh cannot be read, or it collides by files that are not here.
+        UsageError: it is cloth.
     """
+    if item.cloth is not None:
+        raise UsageError(f"{item.name} is cloth, and certificates are of stiff things; give another object")
     model = compiled(bare_spec(item, meshes))
     looks, touching = [], []
     here = all(meshes.get(name) is not None for name in item.mesh_sets)

@@ -1,4 +1,4 @@
-"""Whether friction alone can hold what a task moves."""
+"""Whether fingers with pads can hold what a task moves."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from .task import TaskConfig
 _WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")
 
 
-def check_friction(rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig | ProgramTask) -> None:
+def check_friction(kind: str, rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig | ProgramTask) -> None:
     """Make sure that the arms that do a task have pads, and that its object says how they hold it.
+
+    Args:
+        kind: the grasp that was asked for, for messages.
 
     Raises:
         ConflictError: they cannot hold it; its paths are where, from a recording's config.
@@ -22,7 +25,7 @@ def check_friction(rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig |
     for arm in arms:
         if arm.gripper.fingers is None or not arm.gripper.fingers.pads:
             raise ConflictError(
-                f"grasp 'contact' needs a gripper with pads, and {arm.name} of rig {rig.name!r} has "
+                f"grasp {kind!r} needs a gripper with pads, and {arm.name} of rig {rig.name!r} has "
                 f"{arm.gripper.name}; use --rig {_WITH_PADS[len(rig.arms) > 1]}, or grasp: weld",
                 ("grasp",),
                 ("rig",),

@@ -235,6 +235,23 @@ class ProgramTask(Config):
         return self
 
     @model_validator(mode="after")
+    def _cloth_can_be_so(self) -> ProgramTask:
+        for role, start in self.starts.items():
+            if self.of_cloth(role) and set(start.attitudes) != {"upright"}:
+                raise ConflictError(
+                    f"the {role} is cloth, which starts flat; leave this out", ("starts", role, "attitudes")
+                )
+            if self.of_cloth(start.on):
+                raise ConflictError(f"nothing starts on cloth, and the {start.on} is some", ("starts", role, "on"))
+        for path, predicate in self.goal.predicates():
+            for argument, role in predicate.roles():
+                if predicate.OF_CLOTH and not self.of_cloth(role):
+                    raise ConflictError(
+                        f"the {role} is no cloth; give a role that cloth plays", ("goal", *path, *argument.split("."))
+                    )
+        return self
+
+    @model_validator(mode="after")
     def _names_mean_one_thing(self) -> ProgramTask:
         known: dict[str, ObjectConfig] = {}
         for role, played in self.things.items():
@@ -259,6 +276,11 @@ class ProgramTask(Config):
                             f"a range is [low, high], so {low} must not be above {high}", ("starts", role, "open", part)
                         )
         return self
+
+    def of_cloth(self, name: str) -> bool:
+        """Whether cloth may play a role, or the thing of a role."""
+        names = {thing: role for role, one in self.things.items() for thing in (role, *names_of(role, one.count))}
+        return name in names and any(item.cloth is not None for item in self.things[names[name]].of)
 
     @property
     def objects(self) -> tuple[ObjectConfig, ...]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, FiniteFloat
+from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
-from ..documents.base import Config, Name, Positive, Range, Reference, ordered
+from ..documents.base import Config, ConflictError, Name, Positive, Range, Reference, ordered
 from ..documents.units import ReachRange, Within
 from .things import ObjectConfig
 
@@ -106,6 +106,13 @@ class Distractors(Config):
     x: ReachRange
     y: ReachRange
     clearance: Annotated[FiniteFloat, Within("m", 1e-4, 1)]
+
+    @model_validator(mode="after")
+    def _are_stiff(self) -> Distractors:
+        for k, item in enumerate(self.objects):
+            if item.cloth is not None:
+                raise ConflictError(f"{item.name!r} is cloth, and distractors are stiff; take another", ("objects", k))
+        return self
 
 
 class PictureRanges(Config):

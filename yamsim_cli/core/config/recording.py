@@ -71,7 +71,7 @@ class RenderConfig(Config):
 # What recordings call the camera of their scene.
 SCENE_CAMERA = "scene_camera"
 
-GraspKind = Literal["weld", "contact"]
+GraspKind = Literal["weld", "contact", "cloth_constraint"]
 
 # What frames hold of the actions: what all drives and the weld are told; or also `state` and `action` as real YAM
 # stations record them, which are of each arm its joints and how far its gripper is open, as a share.
@@ -104,7 +104,8 @@ class RecordConfig(Config):
     Attributes:
         arm: which of two arms does the task, or begins it; a rig's only arm does it in any case.
         grasp: "weld" holds the object by a constraint switched on at the grasp, as the lab's magnet does; "contact" by
-            friction between a gripper's pads alone.
+            friction between a gripper's pads alone; "cloth_constraint", which tasks with cloth have and no others, by
+            friction, and cloth by a constraint where both fingers close on it, see `core.sim.cloth`.
         episodes: how many successful episodes to record, or trials to run.
         workers: how many processes; it never changes the data.
         action: "joints" records `state` and `action` too, see `core.dataset.lowdim.frame_data`.
@@ -226,10 +227,28 @@ class RecordConfig(Config):
     @model_validator(mode="after")
     def _can_be_held(self) -> RecordConfig:
         if isinstance(self.task, ProgramTask):
-            # Skills hold by friction alone.
-            self = self.model_copy(update={"grasp": "contact"})
-        if self.grasp == "contact":
-            check_friction(self.rig, self.acting_arms, self.task)
+            # Skills hold by friction alone; it does not hold cloth.
+            cloth = any(item.cloth for item in self.task.objects)
+            self = self.model_copy(update={"grasp": "cloth_constraint" if cloth else "contact"})
+        elif self.grasp == "cloth_constraint":
+            raise ConflictError(
+                "grasp 'cloth_constraint' is that of tasks with cloth alone; use grasp: contact, or weld",
+                ("grasp",),
+                ("task",),
+            )
+        if self.grasp != "weld":
+            check_friction(self.grasp, self.rig, self.acting_arms, self.task)
+        return self
+
+    @model_validator(mode="after")
+    def _shows_no_cloth_by_label(self) -> RecordConfig:
+        if self.truth and (cloth := next((item.name for item in self.task.objects if item.cloth), None)):
+            raise ConflictError(
+                f"there is no ground truth of cloth, and task {self.task.name!r} has {cloth!r}; leave `truth` out: "
+                "every frame has the cloth's points",
+                ("truth",),
+                ("task",),
+            )
         return self
 
     @model_validator(mode="after")

@@ -158,6 +158,12 @@ class TaskConfig(Config):
 
     @model_validator(mode="after")
     def _graspable(self) -> TaskConfig:
+        for key, item in (("object", self.object), ("target", self.target)):
+            if item.cloth is not None:
+                raise ConflictError(
+                    f"{item.name!r} is cloth, which only a task of the kind 'program' can have; take a stiff thing",
+                    (key,),
+                )
         if self.object.grasp is None:
             raise ConflictError(f"object {self.object.name!r} has no `grasp`, so it cannot be picked up", ("object",))
         if self.object.name == self.target.name:

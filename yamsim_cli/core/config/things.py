@@ -13,6 +13,7 @@ from ..documents.document import Document
 from ..documents.units import Distance, Heading, OffsetPoint, Within
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .articulation import Handle, Link
+from .cloth import Cloth, cloth_object
 from .made import MADE, made_from
 from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
 from .shapes import Shape
@@ -109,6 +110,7 @@ class ObjectConfig(Config):
     Attributes:
         shape: the sizes that it is made from, if it is. Whatever else a file leaves out follows from them when it is
             read; what a dataset holds says it all, and only what is seen is made from the sizes again.
+        cloth: rather what fabric it is of: it bends and folds, and what stands here of a stiff thing follows from it.
         mesh, meshes: what is seen, each with its own material.
         rest_height: of the origin over the surface it lies on, m.
         support: height over the origin of the surface on which something put into its middle comes to lie, m; without,
@@ -122,6 +124,7 @@ class ObjectConfig(Config):
 
     name: Name
     shape: Annotated[Shape | None, Field(exclude_if=lambda shape: shape is None)] = None
+    cloth: Annotated[Cloth | None, Field(exclude_if=lambda cloth: cloth is None)] = None
     mesh: ObjectMesh
     meshes: Annotated[tuple[ObjectMesh, ...], _UNLESS_EMPTY] = ()
     inertia: Inertia
@@ -141,9 +144,10 @@ class ObjectConfig(Config):
         """A file of an object, completed from its sizes where it gives any. Raises as `load_yaml`."""
         document = super().read(path)
         document.data.setdefault("name", path.stem)
-        for key, value in made_from(document.data).items():
-            if key not in document.data:
-                document.set((key,), value, document.place(("shape",)))
+        for source, made in (("shape", made_from(document.data)), ("cloth", cloth_object(document.data))):
+            for key, value in made.items():
+                if key not in document.data:
+                    document.set((key,), value, document.place((source,)))
         return document
 
     @model_validator(mode="after")
@@ -165,6 +169,12 @@ class ObjectConfig(Config):
                         _PART.check(number, info)
                     except ValueError as error:
                         raise ConflictError(f"{number:g} is not valid: {error}", (*path, name)) from None
+        return self
+
+    @model_validator(mode="after")
+    def _one_kind_of_thing(self) -> ObjectConfig:
+        if self.cloth is not None and (self.shape is not None or self.links or self.base == "fixed"):
+            raise ConflictError("cloth has no `shape`, no `links` and no fixed `base`; leave them out", ("cloth",))
         return self
 
     @model_validator(mode="after")

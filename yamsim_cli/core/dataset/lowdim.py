@@ -26,6 +26,9 @@ BETWEEN_BASES = "T_right_base_in_left_base"
 # What only frames have whose actions are joints.
 STATE, ACTION = "state", "action"
 
+# What frames with cloth say of how it is held, under which key: friction does not hold it, see `sim.cloth`.
+GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"
+
 # Key -> dtype and number of dimensions, for the keys that only simulated frames have. A frame has all of them or none.
 # Each entry of `sim_magnet` has the shape of `magnet`.
 SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
@@ -86,6 +89,7 @@ def frame_data(
     full_openings: Sequence[float] | None = None,
     simulation: SimulationData | None = None,
     object_joints: Mapping[str, ArrayLike] | None = None,
+    cloth_points: Mapping[str, ArrayLike] | None = None,
 ) -> dict[str, Any]:
     """One frame's dictionary, its keys always in the same order.
 
@@ -109,6 +113,8 @@ def frame_data(
             `joints` and `ctrl` with each opening as a share of that: 0 closed, 1 open.
         simulation: the numbers that make the frame repeatable in physics; None for a real recording.
         object_joints: articulated object -> positions of its joints (n,), m or rad, stored as `<object>_joints`.
+        cloth_points: cloth -> where its points (n, 3) are in the robot's base, m, stored as `<object>_points`; there is
+            a `grasp` then too.
     """
     data: dict[str, Any] = {
         "joints": _f32(joints.ravel()),
@@ -118,6 +124,7 @@ def frame_data(
     }
     data |= {f"{name}_pose": _f32(T) for name, T in object_poses.items()}
     data |= {f"{name}_joints": _f32(joints) for name, joints in (object_joints or {}).items()}
+    data |= {f"{name}_points": _f32(points) for name, points in (cloth_points or {}).items()}
     data |= {
         "ee_pose": _f32(_squeezed(ee_pose)),
         "ctrl": _f32(ctrl.ravel()),
@@ -126,6 +133,8 @@ def frame_data(
         "language_task": language_task,
         "language_prompt": language_prompt,
     }
+    if cloth_points:
+        data[GRASP] = CLOTH_GRASP
     if wrist_camera is not None:
         data["K_wrist"] = _f32(intrinsics[wrist_camera])
     if T_right_base_in_left_base is not None:

@@ -79,6 +79,7 @@ class StoredEpisode:
             record.drives,
             record.joints,
             joint_actions=record.joint_actions,
+            cloths=record.cloths,
         )
         if faults:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")

@@ -173,6 +173,8 @@ class EpisodeRecord(Record):
     phrasing: Annotated[str, _UNLESS_EMPTY] = ""
     # Articulated thing -> names of its joints, in the order of `<thing>_joints`.
     joints: Annotated[dict[str, tuple[str, ...]], _UNLESS_EMPTY] = Field(default_factory=dict)
+    # Cloth -> how many points lie along its x axis and along its y axis, of `<thing>_points`.
+    cloths: Annotated[dict[str, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
     # Asset set -> what was shown of it, see `core.shown_meshes`; earlier versions did not say.

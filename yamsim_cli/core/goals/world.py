@@ -52,6 +52,10 @@ class World(Protocol):
         """The share, 0..1, of a thing's volume that lies in a container's interior."""
         ...
 
+    def points(self, thing: str) -> Array:
+        """Where the points of a cloth are (along y, along x, 3), by rows along its own x axis."""
+        ...
+
     def opening(self, thing: str, joint: str) -> float:
         """How far a joint of an articulated thing is open: 0 at the lower end of its range, 1 at the upper end."""
         ...

@@ -68,6 +68,8 @@ class Obstacles:
             self._thing_of[root == model.body(name).id] = k
         self._finger = np.isin(np.arange(model.ngeom), np.concatenate(list(fingers)))
         self._table = np.arange(model.ngeom) == model.geom(TABLE).id
+        # Cloth gives way to whatever comes.
+        self._model.flex_contype[:] = self._model.flex_conaffinity[:] = self._model.flex_selfcollide[:] = 0
         self._model.geom_margin[self._arm_of >= 0] = _ARM_DISTANCE
         self._model.geom_margin[self._thing_of >= 0] = _THING_DISTANCE
 

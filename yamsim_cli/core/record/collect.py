@@ -303,12 +303,20 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
         cast=attempt.cast,
         phrasing=attempt.phrasing,
         joints=_joints(program, attempt) if program else {},
+        cloths=_cloths(program, attempt) if program else {},
         versions=dict(payload.versions),
         renderer=payload.renderer,
         meshes=None if config.meshes is None else dict(config.meshes),
         content_sha256=payload.content_sha256,
         files=file_hashes(payload.files),
     )
+
+
+def _cloths(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[int, int]]:
+    """Cloth -> how many points lie along its x axis and along its y axis."""
+    cloths = {item.name: item.cloth for item in task.objects}
+    kinds = attempt.cast.kinds if attempt.cast else {}
+    return {thing: cloth.grid for thing, kind in kinds.items() if (cloth := cloths[kind]) is not None}
 
 
 def _joints(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[str, ...]]:

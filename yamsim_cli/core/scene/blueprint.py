@@ -112,6 +112,6 @@ def _carried(config: RecordConfig) -> str | None:
 
 
 def _impratio(config: RecordConfig) -> float | None:
-    if config.grasp != "contact":
+    if config.grasp == "weld":
         return None
     return _IMPRATIO if config.program or config.pair.exchange is None else _IMPRATIO_AT_THE_END

@@ -7,10 +7,12 @@ import numpy as np
 
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig
+from ..config.things import ObjectConfig
 from ..robots.models import Fingers
 from ..session import Session
 from .blueprint import recording_blueprint
-from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneFingers
+from .cloth import grip_name, rest_points
+from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFingers
 from .compose import WELD, compile_spec, compose
 from .composed_meshes import composed_meshes
 
@@ -26,7 +28,7 @@ def build_scene(session: Session) -> CompiledScene:
     spec = compose(blueprint, locations)
     shown = composed_meshes(spec, blueprint, locations.meshes)
     model = compile_spec(spec)
-    objects = [item.name for item in config.task.objects]
+    objects = [item.name for item in config.task.objects if item.cloth is None]
     geom_kind, geom_arm = _geoms(model, config)
     return CompiledScene(
         model=model,
@@ -37,6 +39,7 @@ def build_scene(session: Session) -> CompiledScene:
         geom_kind=geom_kind,
         geom_arm=geom_arm,
         shown_meshes=shown,
+        cloths={item.name: _cloth_addresses(model, config, item) for item in config.task.objects if item.cloth},
     )
 
 
@@ -68,6 +71,26 @@ def _arm_addresses(model: mujoco.MjModel, config: RecordConfig, number: int) -> 
         motor_speed=np.array([joint.motor_rad_s for joint in robot.joints]),
         most_torque=model.actuator_forcerange[moving, 1].copy(),
         fingers=None if robot.fingers is None else _finger_addresses(model, arm, robot.fingers),
+    )
+
+
+def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectConfig) -> SceneCloth:
+    cloth, name = item.cloth, item.name
+    assert cloth is not None, "not called for anything else"
+    rest = rest_points(cloth)
+    prefixes = [config.rig.arms[number].prefix for number in config.rig.recorded]
+    joints = [[model.joint(f"{name}_{k}_{axis}") for axis in "xyz"] for k in range(len(rest))]
+    return SceneCloth(
+        flex=int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name)),
+        grid=cloth.grid,
+        rest=rest,
+        qpos=np.array([[joint.qposadr[0] for joint in axes] for axes in joints]),
+        dof=np.array([[joint.dofadr[0] for joint in axes] for axes in joints]),
+        grips=np.array(
+            [[model.equality(grip_name(prefix, name, k)).id for k in range(len(rest))] for prefix in prefixes]
+        ),
+        radius=cloth.radius,
+        spacing=cloth.spacing,
     )
 
 

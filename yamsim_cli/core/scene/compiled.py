@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import mujoco
@@ -118,18 +118,52 @@ class SceneArm:
 
 
 @dataclass(frozen=True)
+class SceneCloth:
+    """Where a cloth's points lie in MuJoCo's arrays. They are in rows along its x axis.
+
+    Attributes:
+        flex: its number among MuJoCo's deformable things.
+        grid: how many points lie along x and along y.
+        rest: where the points (n, 3) lie in its own frame when it is flat, and in `world` where `qpos` is 0, m.
+        qpos, dof: addresses (n, 3) in `qpos` and `qvel`.
+        grips: ids (arms, n) of the equalities by which each hand can hold each point.
+        radius: half its thickness, m.
+        spacing: the larger of the distances between neighbours, m.
+    """
+
+    flex: int
+    grid: tuple[int, int]
+    rest: Array
+    qpos: Ids
+    dof: Ids
+    grips: Ids
+    radius: float
+    spacing: float
+
+    def placed(self, qpos: Array, T_in_world: Array) -> None:
+        """Lay it flat at a pose (4, 4), in MuJoCo's positions (nq,)."""
+        qpos[self.qpos] = self.rest @ T_in_world[:3, :3].T + T_in_world[:3, 3] - self.rest
+
+    def points(self, qpos: Array) -> Array:
+        """Where its points (n, 3) are in `world` at MuJoCo's positions (nq,), m."""
+        found: Array = self.rest + qpos[self.qpos]
+        return found
+
+
+@dataclass(frozen=True)
 class CompiledScene:
     """A model with the addresses that stepping and recording need.
 
     Attributes:
         model: the compiled MuJoCo model; treat as constant outside an attempt (the welds' targets are written into it).
         arms: all of them, in the order in which recordings hold them: the left one first.
-        object_qpos: object name -> address of its free joint in `qpos`.
-        object_dof: object name -> address of its free joint in `qvel`.
+        object_qpos: stiff object's name -> address of its free joint in `qpos`.
+        object_dof: stiff object's name -> address of its free joint in `qvel`.
         cameras: names of the cameras to record, in order.
         geom_kind: `Kind` of every geom (ngeom,).
         geom_arm: number in `arms` of the arm that a geom belongs to, -1 for none (ngeom,).
         shown_meshes: asset set -> what is shown of it, see `core.shown_meshes`.
+        cloths: cloth's name -> where its points are.
     """
 
     model: mujoco.MjModel
@@ -140,11 +174,17 @@ class CompiledScene:
     geom_kind: Ids
     geom_arm: Ids
     shown_meshes: ShownMeshes
+    cloths: Mapping[str, SceneCloth] = field(default_factory=dict)
 
     @property
     def arm(self) -> SceneArm:
         """The first arm: the only one, or the left one of two."""
         return self.arms[0]
+
+    @property
+    def things(self) -> tuple[str, ...]:
+        """Names of all objects, cloths last."""
+        return (*self.object_qpos, *self.cloths)
 
     @property
     def drives(self) -> Ids:
@@ -161,7 +201,8 @@ class CompiledScene:
         kinds, arms = self.geom_kind[geoms], self.geom_arm[geoms]
         two_arms = (arms[:, 0] != arms[:, 1]) & (arms >= 0).all(axis=1)
         found: NDArray[np.bool_] = FORBIDDEN[kinds[:, 0], kinds[:, 1]] | two_arms
-        return found
+        # Cloth has no geoms, and says -1: everything may touch it.
+        return found & (geoms >= 0).all(axis=1) if self.cloths else found
 
     def start(self, data: mujoco.MjData, layout: Layout, stands: Sequence[Stand]) -> None:
         """Reset `data` wholly and put all in place: bit for bit the same however `data` was used before."""
@@ -175,10 +216,17 @@ class CompiledScene:
             if arm.fingers is not None:
                 qpos[arm.fingers.qpos] = stand.opening * arm.fingers.sign
         for name, T in layout.T_in_world.items():
-            address = self.object_qpos[name]
-            qpos[address : address + 3] = T[:3, 3]
-            qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+            self.put(qpos, name, T)
         return qpos
+
+    def put(self, qpos: Array, name: str, T_in_world: Array) -> None:
+        """Put an object at a pose (4, 4), in MuJoCo's positions (nq,); a cloth lies flat there."""
+        if name in self.cloths:
+            self.cloths[name].placed(qpos, T_in_world)
+            return
+        address = self.object_qpos[name]
+        qpos[address : address + 3] = T_in_world[:3, 3]
+        qpos[address + 3 : address + 7] = quat_from_rotation(T_in_world[:3, :3])
 
     def reset(self, data: mujoco.MjData, qpos: Array) -> None:
         """Reset `data` wholly and put everything at rest at `qpos` (nq,), every drive told to hold its place."""

@@ -16,6 +16,7 @@ from ..resources import Locations, Meshes
 from .blueprint import Blueprint, TaskPhysics
 from .breakdown import keep_warnings_quiet
 from .cameras import add_camera
+from .cloth import add_cloth_grips
 from .fiducials import add_base_board
 from .quality import apply_quality
 from .robot import arm_spec, with_looks
@@ -70,6 +71,10 @@ def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
             add_base_board(spec, arm, T)
     for item in blueprint.objects:
         add_object(spec, item, meshes)
+        if item.cloth is not None:
+            # Others do not load the elasticity of sheets.
+            spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+            add_cloth_grips(spec, item, rig)
     _add_surroundings(spec, blueprint, bases)
     add_variable_parts(spec, blueprint.randomization, meshes)
     if blueprint.pictures is not None:

@@ -13,6 +13,7 @@ from ..config.primitives import CollisionPart, Primitive, Ring
 from ..config.thing_parts import Contact, Inertia, ObjectMesh
 from ..config.things import ObjectConfig
 from ..geometry.se3 import quat_from_rotation
+from .cloth import add_cloth
 from .thing_joints import add_handles, add_link_joint, start_pose
 from .thing_looks import MeshFiles, add_look, add_material
 from .thing_shapes import add_collision, add_primitive, add_seen_ring
@@ -24,7 +25,7 @@ _HELD_DAMPING = 1e7
 
 
 def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fixed: bool = False) -> None:
-    """Add a free body named after the object, with its links on it.
+    """Add a free body named after the object, with its links on it; or a cloth.
 
     Args:
         meshes: asset set -> folder; without the sets of its looks the collision primitives are shown instead, with the
@@ -34,6 +35,10 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
     Raises:
         ResourceError: a mesh that it collides by is not here.
     """
+    if item.cloth is not None:
+        assert not fixed, "distractors are stiff"
+        add_cloth(spec, item)
+        return
     if item.shape is not None:
         meshes = {**meshes, MADE: made_files(item.name, item.shape)}
     base = spec.worldbody.add_body(name=item.name, mocap=fixed)

@@ -12,6 +12,7 @@ from ..config.task import Success, Timing
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
 from ..types import Actions, Holds
+from .cloth import ClothGrips
 from .rollout import attach
 
 # Largest distance of the hand from the object's middle at which the magnet takes it, m. The banana's ends are 0.09 m
@@ -34,6 +35,7 @@ class ClosedLoop:
         self._scene, self._carried, self._timing = scene, carried, timing
         self.data = mujoco.MjData(scene.model)
         scene.reset(self.data, start)
+        self._grips = ClothGrips(scene) if scene.cloths else None
         self._ctrl: list[Array] = []
         self._magnet: list[list[bool]] = []
 
@@ -82,16 +84,23 @@ class ClosedLoop:
             magnet: whether each arm's weld is to hold (arms,).
         """
         scene, data = self._scene, self.data
-        holds = [self._switch(arm, bool(on)) for arm, on in zip(scene.arms, magnet, strict=True)]
         told = np.empty(scene.model.nu)
         told[scene.drives] = ctrl
         told = np.clip(told, scene.model.actuator_ctrlrange[:, 0], scene.model.actuator_ctrlrange[:, 1])
+        if self._grips:
+            holds = self._grips.update(data, told)
+        else:
+            holds = [self._switch(arm, bool(on)) for arm, on in zip(scene.arms, magnet, strict=True)]
         data.ctrl[:] = told
         self._ctrl.append(told)
         self._magnet.append(holds)
         mujoco.mj_step(scene.model, data, self._timing.physics_steps_per_tick)
         # After mj_step, poses are those of the step before.
         mujoco.mj_kinematics(scene.model, data)
+        if self._grips:
+            mujoco.mj_comPos(scene.model, data)
+            mujoco.mj_flex(scene.model, data)
+            mujoco.mj_collision(scene.model, data)
 
     def _held(self, arm: SceneArm) -> bool:
         return arm.weld is not None and bool(self.data.eq_active[arm.weld])

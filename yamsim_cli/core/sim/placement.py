@@ -84,6 +84,8 @@ class DistractorPlacer:
             for qpos in positions:
                 data.qpos[:] = qpos
                 mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                mujoco.mj_flex(model, data)
                 mujoco.mj_collision(model, data)
                 if np.isin(data.contact.geom, geoms).any():
                     return False

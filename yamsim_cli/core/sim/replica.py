@@ -11,6 +11,7 @@ from ..config.things import ObjectConfig
 from ..geometry.camera import Intrinsics, opencv_from_mujoco
 from ..geometry.se3 import Array, inverse, pose
 from ..scene.compiled import CompiledScene
+from .cloth import ClothState
 
 
 class Replica:
@@ -20,6 +21,7 @@ class Replica:
         self.scene = scene
         self.data = mujoco.MjData(scene.model)
         self._T_world_in_base = inverse(scene.T_base_in_world)
+        self._cloths = {name: ClothState(cloth, self.data) for name, cloth in scene.cloths.items()}
         self._fixed = np.flatnonzero(scene.model.body_mocapid >= 0)
 
     def show(self, qpos: Array) -> None:
@@ -33,6 +35,7 @@ class Replica:
         mujoco.mj_kinematics(model, self.data)
         mujoco.mj_comPos(model, self.data)
         mujoco.mj_camlight(model, self.data)
+        mujoco.mj_flex(model, self.data)
 
     def joints(self) -> Array:
         """Each arm's joints in rad and the opening of one of its fingers in m, if it has any, (arms, drives)."""
@@ -44,9 +47,16 @@ class Replica:
         return np.array([self.data.qpos[one.qpos[0]] if one else 0.0 for one in fingers])
 
     def T_object_in_base(self, name: str) -> Array:
-        """Pose (4, 4) of a body."""
+        """Pose (4, 4) of a body, or of a cloth, see `ClothState.pose`."""
+        if cloth := self._cloths.get(name):
+            return self._T_world_in_base @ cloth.pose
         body = self.data.body(name)
         return self._T_world_in_base @ pose(body.xpos, body.xmat.reshape(3, 3))
+
+    def cloth_points(self) -> dict[str, Array]:
+        """Cloth -> where its points (n, 3) are, m."""
+        T = self._T_world_in_base
+        return {name: cloth.points @ T[:3, :3].T + T[:3, 3] for name, cloth in self._cloths.items()}
 
     def object_joints(self, item: ObjectConfig) -> Array:
         """Positions of an articulated object's joints (n,), in the order of its links, m or rad."""

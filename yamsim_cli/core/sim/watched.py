@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -14,8 +14,8 @@ from ..goals.cast import Cast
 from ..goals.goal import Verdict, judge
 from ..scene.compiled import CompiledScene
 from ..types import Actions, Margins, Motion, StepState
+from .cloth import ClothGrips
 from .faults import Faults
-from .monitor import object_pose
 from .rollout import Rollout
 from .world import SimWorld
 
@@ -67,7 +67,8 @@ class WatchedLoop:
         self._scene, self._task, self._cast, self._see = scene, task, cast, see
         self.data = mujoco.MjData(scene.model)
         scene.reset(self.data, start)
-        self.world = SimWorld(scene.model, self.data, scene.arms, sides, list(scene.object_qpos))
+        self.world = world_of(scene, self.data, sides)
+        self._grips = ClothGrips(scene) if scene.cloths else None
         self.world.begin()
         self._limits = _Limits(scene)
         self._T_at_start = self._poses()
@@ -94,7 +95,8 @@ class WatchedLoop:
         Args:
             last: whether nothing follows, so that the goal has to hold at their end.
         """
-        self._actions.append(actions)
+        magnet = actions.magnet.copy()
+        self._actions.append(replace(actions, magnet=magnet))
         timing, data, model = self._task.timing, self.data, self._scene.model
         judged_from = len(actions.ctrl) - self._task.hold_ticks if last else len(actions.ctrl)
         for tick, ctrl in enumerate(actions.ctrl):
@@ -102,6 +104,8 @@ class WatchedLoop:
                 self._positions.append((data.time, data.qpos.copy()))
             if tick >= judged_from:
                 self._judge()
+            if self._grips:
+                magnet[tick] = self._grips.update(data, ctrl)
             data.ctrl[:] = ctrl
             for _ in range(timing.physics_steps_per_tick):
                 mujoco.mj_step(model, data)
@@ -111,6 +115,7 @@ class WatchedLoop:
             # After mj_step, poses and contacts are those of the step before.
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
+            mujoco.mj_flex(model, data)
             mujoco.mj_collision(model, data)
             self._limits.end_tick(data)
             self.world.watch()
@@ -140,7 +145,7 @@ class WatchedLoop:
             self._verdict = self.judged()
 
     def _poses(self) -> dict[str, Array]:
-        return {name: object_pose(self.data, name) for name in self._scene.object_qpos}
+        return {name: self.world.pose(name) for name in self._scene.things}
 
     def _states(self) -> tuple[StepState, ...]:
         every = self._task.timing.ticks_per_frame
@@ -185,7 +190,8 @@ def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
     """MuJoCo's positions (nq,) once all things have come to rest, the arms being where they were at `start`."""
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
-    dofs = np.concatenate([np.arange(dof, dof + 6) for dof in scene.object_dof.values()])
+    stiff = [np.arange(dof, dof + 6) for dof in scene.object_dof.values()]
+    dofs = np.concatenate([*stiff, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
     for _ in range(int(_SETTLE_SECONDS / timestep / _SETTLE_STEPS)):
         mujoco.mj_step(scene.model, data, _SETTLE_STEPS)
         if float(np.abs(data.qvel[dofs]).max()) < _AT_REST:
@@ -196,3 +202,12 @@ def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
         if arm.fingers is not None:
             settled[arm.fingers.qpos] = start[arm.fingers.qpos]
     return settled
+
+
+def world_of(scene: CompiledScene, data: mujoco.MjData, sides: Sequence[str]) -> SimWorld:
+    """The things of a scene in a state, by name.
+
+    Args:
+        sides: of the scene's arms.
+    """
+    return SimWorld(scene.model, data, scene.arms, sides, scene.things, cloths=scene.cloths)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..geometry.se3 import Array, inverse, pose
 from ..goals.world import TABLE
-from ..scene.compiled import Ids, SceneArm
+from ..scene.compiled import Ids, SceneArm, SceneCloth
+from .cloth import ClothState
 from .shapes import body_block, geom_bounds, geom_points
 
 # How finely the volume of a thing is sampled. One point more or less is a thousandth of it.
@@ -47,6 +48,7 @@ class SimWorld:
         sides: the arms' sides, "left" or "right", in the order of `arms`.
         interiors: container -> the lowest and highest corner (2, 3) of its interior, in its own frame, m.
         regions: name -> a part of a thing that has a name of its own, such as a tray's compartment.
+        cloths: which of the things are cloth, and where their points are.
     """
 
     def __init__(
@@ -58,10 +60,12 @@ class SimWorld:
         things: Sequence[str],
         interiors: Mapping[str, Array] | None = None,
         regions: Mapping[str, Region] | None = None,
+        cloths: Mapping[str, SceneCloth] | None = None,
     ) -> None:
         self._model, self._data = model, data
         self.arms, self.sides, self.things = tuple(arms), tuple(sides), tuple(things)
         self._interiors, self._regions = interiors or {}, regions or {}
+        self._cloths = {name: ClothState(cloth, data) for name, cloth in (cloths or {}).items()}
         root = model.body_rootid[model.geom_bodyid]
         self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
         self._geoms[TABLE] = np.array([model.geom(TABLE).id])
@@ -82,6 +86,8 @@ class SimWorld:
         """See `World`."""
         if region := self._regions.get(thing):
             return self.pose(region.thing) @ region.T_in_thing
+        if cloth := self._cloths.get(thing):
+            return cloth.pose
         body = self._data.body(self._known(thing))
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
@@ -105,6 +111,8 @@ class SimWorld:
             T = self.pose(thing)
             corners = np.array([T[:3, :3] @ corner + T[:3, 3] for corner in _block_corners(region.corners)])
             return corners.min(axis=0), corners.max(axis=0)
+        if cloth := self._cloths.get(thing):
+            return cloth.bounds
         geoms = self._geoms[self._known(thing)]
         solid = geoms[self._model.geom_contype[geoms] != 0]
         corners = np.array([geom_bounds(self._model, self._data, int(geom)) for geom in solid])
@@ -112,18 +120,31 @@ class SimWorld:
 
     def speed(self, thing: str) -> float:
         """See `World`."""
+        if cloth := self._cloths.get(thing):
+            return cloth.speed
         dof = self._model.joint(self._known(thing)).dofadr[0]
         return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
 
     def touching(self, one: str, other: str) -> bool:
         """See `World`; what touches a region's thing touches the region."""
         one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
-        geoms = self._data.contact.geom
-        first, second = (np.isin(geoms, self._geoms[self._known(name)]) for name in (one, other))
+        first, second = (self._in_contact(name) for name in (one, other))
         return bool(((first[:, 0] & second[:, 1]) | (first[:, 1] & second[:, 0])).any())
 
-    def holders(self, thing: str) -> frozenset[str]:
+    def _in_contact(self, thing: str) -> NDArray[np.bool_]:
+        """Which side of each present contact (n, 2) is a thing."""
+        if cloth := self._cloths.get(thing):
+            return cloth.contacts
+        return np.isin(self._data.contact.geom, self._geoms[self._known(thing)])
+
+    def points(self, thing: str) -> Array:
         """See `World`."""
+        return self._cloths[thing].rows
+
+    def holders(self, thing: str) -> frozenset[str]:
+        """See `World`; of cloth, the hands whose constraint holds it."""
+        if cloth := self._cloths.get(thing):
+            return frozenset(side for k, side in enumerate(self.sides) if cloth.held(k))
         geoms = self._data.contact.geom
         on_thing = np.isin(geoms, self._geoms[self._known(thing)]).any(axis=1)
         touching = geoms[on_thing]
@@ -139,8 +160,12 @@ class SimWorld:
 
     def share_inside(self, thing: str, container: str) -> float:
         """See `World`: of points spread evenly over a thing's primitives, those in the block of the interior."""
-        T = inverse(self.pose(container)) @ self.pose(thing)
-        points = self._volume(thing) @ T[:3, :3].T + T[:3, 3]
+        to_container = inverse(self.pose(container))
+        if cloth := self._cloths.get(thing):
+            T, points = to_container, cloth.points
+        else:
+            T, points = to_container @ self.pose(thing), self._volume(thing)
+        points = points @ T[:3, :3].T + T[:3, 3]
         low, high = self.interior(container)
         return float(((points >= low) & (points <= high)).all(axis=1).mean())
 
@@ -179,6 +204,8 @@ class SimWorld:
 
     def block(self, thing: str) -> Array:
         """The lowest and highest corner (2, 3) of the block along a thing's own axes that encloses it, m."""
+        if cloth := self._cloths.get(thing):
+            return cloth.block
         geoms = [int(g) for g in self._geoms[self._known(thing)] if self._model.geom_contype[g]]
         return body_block(self._model, geoms)
 

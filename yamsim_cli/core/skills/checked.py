@@ -9,10 +9,12 @@ from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
 from ..config.things import ObjectConfig
 from ..documents.base import Config, ConflictError
+from ..geometry.folding import ways_to_fold
 from ..goals.cast import Cast
 from ..goals.predicates.hung import Hung
 from ..goals.world import TABLE
 from ..scene.robot import bare_arm
+from .fold import Fold
 from .hang import Hang
 from .operate import Operate
 from .program import read_steps
@@ -58,9 +60,30 @@ def check_program(task: ProgramTask, arms: int = 2) -> None:
             _check_part(task, cast, skill, path)
         if isinstance(skill, Hang):
             _check_hung(task, cast, Hung(thing=skill.thing, onto=skill.onto), path)
+        for argument, role in skill.roles():
+            if task.of_cloth(role) != skill.OF_CLOTH:
+                said = (
+                    "is no cloth; give a role that cloth plays" if skill.OF_CLOTH else "is cloth; it can only be folded"
+                )
+                raise ConflictError(f"the {role} {said}", (*path, argument))
+        if isinstance(skill, Fold):
+            _check_fold(task, cast, skill, arms, path)
     for path, predicate in task.goal.predicates():
         if isinstance(predicate, Hung):
             _check_hung(task, cast, predicate, ("goal", *path))
+
+
+def _check_fold(task: ProgramTask, cast: Cast, skill: Fold, arms: int, path: tuple[str | int, ...]) -> None:
+    if arms < skill.hands:
+        raise ConflictError(f"to fold cloth {skill.said} takes two arms; use a rig with two, or `diagonal`", path)
+    thing = cast.one(skill.thing)
+    for item in next(one.of for role, one in task.things.items() if thing in cast.of(role)):
+        if item.cloth is not None and not ways_to_fold(skill.how, *reversed(item.cloth.grid)):
+            raise ConflictError(
+                f"the {item.name} cannot be folded {skill.said}: that takes as many points along both sides, not "
+                f"{' x '.join(map(str, item.cloth.grid))}",
+                (*path, "how"),
+            )
 
 
 def _check_part(task: ProgramTask, cast: Cast, skill: Operate, path: tuple[str | int, ...]) -> None:

@@ -14,6 +14,7 @@ from ..goals.cast import Cast
 from .base import Skill
 from .bench import Bench, Segment
 from .errors import SkillFailedError
+from .fold import Fold
 from .handover import Handover
 from .hang import Hang
 from .insert import Insert
@@ -42,6 +43,7 @@ SKILLS: Mapping[str, type[Skill]] = {
     "operate": Operate,
     "lift": Lift,
     "hang": Hang,
+    "fold": Fold,
 }
 
 # What goes through the things of a role: `each: {of: cup, do: [...]}`.

@@ -20,7 +20,7 @@ from ..config.program_task import NearMiss, ProgramTask, Start
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector, rotation_z
 from ..goals.cast import Cast
 from ..goals.world import TABLE
-from ..scene.compiled import CompiledScene
+from ..scene.compiled import CompiledScene, Ids
 from ..sim.watched import WatchedLoop
 from ..skills.program import read_program
 from ..types import Actions, Attempt, EpisodeJob
@@ -110,7 +110,7 @@ def check_open_fingers(simulators: Simulators, seed: int, n: int) -> Check:
     """Whether the goal is never reached by an expert whose fingers do not close."""
     task = simulators.session.config.program
     assert task is not None, "of tasks that are data alone"
-    if not any(skill.LEAVES for skill in read_program(task.expert, task.typical_cast)):
+    if all(skill.NEEDS is not False for skill in read_program(task.expert, task.typical_cast)):
         return Check("open_fingers", None, None, "nothing is taken into a hand")
     reached = []
     for job in (EpisodeJob(seed, number) for number in range(n)):
@@ -155,26 +155,46 @@ def _misses(
     """What was put off, and MuJoCo's positions (nq,) then."""
     assert attempt.start is not None, "it has moved"
     for name in _moved(scene, attempt.start, ended):
-        back, at = ended.copy(), scene.object_qpos[name]
-        back[at : at + 7] = attempt.start[at : at + 7]
+        back, at = ended.copy(), _addresses(scene, name)
+        back[at] = attempt.start[at]
         yield f"the {name} where it started", back
     for miss in task.near_misses:
         off = ended.copy()
         for name in cast.of(miss.thing):
-            _put_off(off, scene.object_qpos[name], miss)
+            _put_off(scene, off, name, miss)
             yield f"the {name} {miss.what}", off.copy()
 
 
 def _moved(scene: CompiledScene, start: Array, ended: Array) -> Iterator[str]:
-    for name, at in scene.object_qpos.items():
-        if float(np.linalg.norm(ended[at : at + 3] - start[at : at + 3])) > _MOVED:
+    for name in scene.things:
+        if name in scene.cloths:
+            moved = np.linalg.norm((ended - start)[scene.cloths[name].qpos], axis=1).max()
+        else:
+            at = scene.object_qpos[name]
+            moved = np.linalg.norm(ended[at : at + 3] - start[at : at + 3])
+        if float(moved) > _MOVED:
             yield name
 
 
-def _put_off(qpos: Array, at: int, miss: NearMiss) -> None:
+def _addresses(scene: CompiledScene, name: str) -> Ids:
+    """Where all of a thing's positions are."""
+    if name in scene.cloths:
+        return scene.cloths[name].qpos
+    return np.arange(scene.object_qpos[name], scene.object_qpos[name] + 7)
+
+
+def _put_off(scene: CompiledScene, qpos: Array, name: str, miss: NearMiss) -> None:
+    turned = rotation_from_vector([math.radians(miss.tilt_deg), 0.0, 0.0])
+    if name in scene.cloths:
+        cloth = scene.cloths[name]
+        points = cloth.points(qpos)
+        middle = points.mean(axis=0)
+        qpos[cloth.qpos] = (points - middle) @ turned.T + middle + miss.move - cloth.rest
+        return
+    at = scene.object_qpos[name]
     qpos[at : at + 3] += miss.move
     if miss.tilt_deg:
-        R, turned = np.empty(9), rotation_from_vector([math.radians(miss.tilt_deg), 0.0, 0.0])
+        R = np.empty(9)
         mujoco.mju_quat2Mat(R, qpos[at + 3 : at + 7])
         qpos[at + 3 : at + 7] = quat_from_rotation(turned @ R.reshape(3, 3))
 

@@ -38,7 +38,8 @@ def sample_variation(
     def uniform(stream: Stream, low: float, high: float) -> float:
         return float(rng(stream).uniform(low, high))
 
-    names = [item.name for item in objects]
+    # Of cloth no weight and no friction differ.
+    names = [item.name for item in objects if item.cloth is None]
     picture, camera, headlight = config.picture, config.camera, config.headlight
     return Variation(
         lights=_lights(config.lights, lights, rng(Stream.LIGHTS)) if config.lights else (),

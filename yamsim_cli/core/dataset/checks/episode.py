@@ -229,6 +229,7 @@ def _forms(record: EpisodeRecord) -> dict[str, ValueForm]:
         record.drives,
         record.joints,
         joint_actions=record.joint_actions,
+        cloths=record.cloths,
     )
 
 

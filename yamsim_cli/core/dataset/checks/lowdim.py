@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import DatasetError
-from ..lowdim import SIMULATION, flat, load_frame, shapes, simulation_faults
+from ..lowdim import GRASP, SIMULATION, flat, load_frame, shapes, simulation_faults
 from ..unpickle import ForbiddenPickleError
 from .problem import Problems
 
@@ -43,24 +43,29 @@ def expected_forms(
     joints: Mapping[str, Sequence[str]],
     *,
     joint_actions: bool = False,
+    cloths: Mapping[str, tuple[int, int]] | None = None,
 ) -> dict[str, ValueForm]:
     """Flat key -> form, for a frame that yamsim records with these objects, cameras, and arms of so many drives.
 
     Args:
         joints: articulated object -> names of its joints.
         joint_actions: see `shapes`.
+        cloths: cloth -> how many points lie along its x axis and along its y axis.
     """
     float32 = str(np.dtype(np.float32))
     rows = shapes(arms, drives, joint_actions=joint_actions)
     forms = {key: ValueForm(float32, shape) for key, shape in rows.items()}
     forms |= {f"{name}_pose": ValueForm(float32, (4, 4)) for name in objects}
     forms |= {f"{name}_joints": ValueForm(float32, (len(names),)) for name, names in joints.items()}
+    forms |= {f"{name}_points": ValueForm(float32, (x * y, 3)) for name, (x, y) in (cloths or {}).items()}
     for camera in cameras:
         forms |= {
             f"intrinsics[{camera}]": ValueForm(float32, (3, 3)),
             f"extrinsics[{camera}]": ValueForm(float32, (4, 4)),
         }
     plain = {"timestamp": float, "magnet": bool, "language_task": str, "language_prompt": str}
+    if cloths:
+        plain[GRASP] = str
     forms.update((key, ValueForm(kind.__name__)) for key, kind in plain.items())
     return forms if arms == 1 else forms | {"magnet": ValueForm(str(np.dtype(np.bool_)), (arms,))}
 
@@ -74,10 +79,11 @@ def frame_faults(
     joints: Mapping[str, Sequence[str]] | None = None,
     *,
     joint_actions: bool = False,
+    cloths: Mapping[str, tuple[int, int]] | None = None,
 ) -> list[str]:
     """The faults of a decoded frame that yamsim recorded, one text each; see `expected_forms`."""
     problems = Problems()
-    forms = expected_forms(objects, cameras, arms, drives, joints or {}, joint_actions=joint_actions)
+    forms = expected_forms(objects, cameras, arms, drives, joints or {}, joint_actions=joint_actions, cloths=cloths)
     LowdimChecks(forms, problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 

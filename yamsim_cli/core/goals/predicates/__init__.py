@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from .above import Above
 from .base import Predicate as Predicate
+from .folded import Folded
 from .handed_over import HandedOver
 from .held_by import HeldBy
 from .hung import Hung
@@ -35,4 +36,5 @@ PREDICATES: Mapping[str, type[Predicate]] = {
     "open": Open,
     "swapped": Swapped,
     "hung": Hung,
+    "folded": Folded,
 }

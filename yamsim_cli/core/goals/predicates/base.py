@@ -15,6 +15,8 @@ class Predicate(Config):
     """Base of the predicates. A subclass's fields are its arguments; those that name a role are listed in `ROLES`."""
 
     ROLES: ClassVar[tuple[str, ...]]
+    # Whether it is asked of cloth alone.
+    OF_CLOTH: ClassVar[bool] = False
 
     @abstractmethod
     def measures(self, world: World, cast: Cast) -> list[Measure]:

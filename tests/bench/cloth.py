@@ -1,0 +1,201 @@
+"""Cloth in figures: folds by a task's expert, or drops and pulls of a cloth by itself.
+
+python -m tests.bench.cloth --fold fold_napkin --n 25
+python -m tests.bench.cloth --shake soft_napkin --n 60
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+os.environ.setdefault("MUJOCO_GL", "off")
+
+import mujoco
+import numpy as np
+
+from yamsim_cli.core.attempt.planned import demonstrate
+from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
+from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.cloth import add_cloth, edges, rest_points, triangles
+from yamsim_cli.core.sim.cloth import ClothGrips
+from yamsim_cli.core.types import Actions, EpisodeJob
+
+# A drop or a pull takes so many steps of so long, s; the thing pulled at is let go after so many.
+_STEPS, _STEP, _LET_GO = 300, 0.004, 225
+# Faster than this is no motion of cloth, m/s.
+_TOO_FAST = 20.0
+
+
+@dataclass
+class Sheet:
+    """What is seen of a cloth: its largest stretch, and how many of its edges went through its triangles at most."""
+
+    grid: tuple[int, int]
+    rest: Array
+    stretch: float = 0.0
+    crossings: int = 0
+    seconds: float = field(default=0.0)
+
+    def see(self, points: Array) -> None:
+        """Look at the points (n, 3)."""
+        began = time.process_time()
+        ends = edges(*self.grid)
+        lengths = [np.linalg.norm(at[ends[:, 0]] - at[ends[:, 1]], axis=1) for at in (points, self.rest)]
+        self.stretch = max(self.stretch, float((lengths[0] / lengths[1]).max()) - 1)
+        self.crossings = max(self.crossings, crossings(points, ends, triangles(*self.grid)))
+        self.seconds += time.process_time() - began
+
+
+def crossings(points: Array, ends: Array, corners: Array) -> int:
+    """How many edges (m, 2) go through triangles (k, 3) of points (n, 3) with which they share none."""
+    p, q = points[ends[:, 0]], points[ends[:, 1]]
+    a, b, c = (points[corners[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    one, other = (np.einsum("tk,etk->et", normal, at[:, None] - a[None]) for at in (p, q))
+    shared = (ends[:, :, None, None] == corners[None, None]).any(axis=(1, 3))
+    e, t = np.nonzero((one * other < 0) & ~shared)
+    hit = p[e] + (one[e, t] / (one[e, t] - other[e, t]))[:, None] * (q[e] - p[e])
+    sides = [
+        np.einsum("ij,ij->i", np.cross(v[t] - u[t], hit - u[t]), normal[t]) > 0 for u, v in ((a, b), (b, c), (c, a))
+    ]
+    return int(np.all(sides, axis=0).sum())
+
+
+class _Watching:
+    """Sees the cloths of all simulations, every fourth control tick."""
+
+    def __init__(self) -> None:
+        self.sheets: dict[str, Sheet] = {}
+        self._ticks, update = 0, ClothGrips.update
+
+        def seen(grips: Any, data: mujoco.MjData, ctrl: Array) -> list[bool]:
+            self._ticks += 1
+            if self._ticks % 4 == 0:
+                for name, cloth in grips._scene.cloths.items():
+                    sheet = self.sheets.setdefault(name, Sheet(cloth.grid, cloth.rest))
+                    sheet.see(cloth.points(data.qpos))
+            return update(grips, data, ctrl)
+
+        ClothGrips.update = seen  # type: ignore[method-assign]
+
+
+def fold(task: str, count: int, first: int, spoilt: int) -> None:
+    """Attempts of a task's expert; of the first ones also without closing fingers, and let go half-way."""
+    watching = _Watching()
+    opener = Opener(os.environ, lambda text: None, str)
+    with Simulators(opener.open("default", renders=False, task=task)) as simulators:
+        for number in range(first, first + count):
+            watching.sheets.clear()
+            job, began = EpisodeJob(0, number), time.process_time()
+            simulator = simulators.of(job)
+            done = demonstrate(simulator, sample(simulator, job))
+            took = time.process_time() - began - sum(sheet.seconds for sheet in watching.sheets.values())
+            outcome, sheets = done.outcome, list(watching.sheets.values())
+            print(
+                f"{number}: {outcome.cause or 'folded'}; {'; '.join(m.detail for m in outcome.measures if m.detail)}; "
+                f"stretch {max(s.stretch for s in sheets):.1%}, {max(s.crossings for s in sheets)} edges through "
+                f"triangles; {took:.1f} s for {len(done.states) * 0.064:.1f} s; {len(outcome.recoveries)} recoveries",
+                flush=True,
+            )
+            if number - first < spoilt and outcome.success:
+                open_fingers = demonstrate_program(simulator, done.attempt, grips=False).outcome
+                let_go = repeat_program(
+                    simulator, done.attempt, _let_go_half_way(simulator, done.states), planned=False
+                ).outcome
+                print(f"   fingers open: {open_fingers.cause}; let go half-way: {let_go.cause}", flush=True)
+
+
+def _let_go_half_way(simulator: Any, states: Any) -> Actions:
+    acting = Actions(
+        *(np.concatenate([getattr(s.actions, key) for s in states]) for key in ("ctrl", "magnet", "joints"))
+    )
+    held, ctrl = np.flatnonzero(acting.magnet.any(axis=1)), acting.ctrl.copy()
+    for arm in simulator.scene.arms:
+        ctrl[(held[0] + held[-1]) // 2 :, arm.fingers.ctrl] = 0.02
+    return replace(acting, ctrl=ctrl)
+
+
+def shake(name: str, count: int) -> None:
+    """A cloth over a table: dropped as it may be turned, or pulled at a point in three directions and let go."""
+    item = load_config(ObjectConfig, "objects", name, Locations.find(os.environ))
+    assert item.cloth is not None, "give a cloth"
+    spec, rest = mujoco.MjSpec(), rest_points(item.cloth)
+    spec.option.timestep, spec.option.integrator = _STEP, mujoco.mjtIntegrator.mjINT_DISCRETE
+    spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[1, 1, 0.05], pos=[0, 0, -0.05], condim=4)
+    add_cloth(spec, item)
+    spec.worldbody.add_body(name="hand", mocap=True)
+    for k in range(len(rest)):
+        pull = spec.add_equality(type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, active=False)
+        pull.name1, pull.name2, pull.solref = f"{name}_{k}", "hand", [0.01, 1]
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.set_mju_user_warning(lambda text: None)
+    unstable, sheets, began = 0, [], time.process_time()
+    for number in range(count):
+        sheet = Sheet(item.cloth.grid, rest)
+        unstable += not _shaken(model, data, sheet, item.cloth.radius, np.random.default_rng(number), bool(number % 2))
+        sheets.append(sheet)
+    took = time.process_time() - began - sum(sheet.seconds for sheet in sheets)
+    drops, pulls = (max(sheet.stretch for sheet in sheets[k::2]) for k in (0, 1))
+    print(
+        f"{name}: {unstable} of {count} unstable; stretch at most {drops:.1%} dropped, {pulls:.1%} pulled; "
+        f"{sum(sheet.crossings > 0 for sheet in sheets)} end with edges through triangles; "
+        f"{count * _STEPS * _STEP / took:.2f} x real time"
+    )
+
+
+def _shaken(
+    model: mujoco.MjModel, data: mujoco.MjData, sheet: Sheet, radius: float, rng: np.random.Generator, pulled: bool
+) -> bool:
+    """Whether physics stayed what it is."""
+    mujoco.mj_resetData(model, data)
+    turn, R = rng.normal(size=4), np.empty(9)
+    mujoco.mju_quat2Mat(R, np.array([1.0, 0, 0, 0]) if pulled else turn / np.linalg.norm(turn))
+    points = sheet.rest @ R.reshape(3, 3).T
+    points[:, 2] += radius - points[:, 2].min() + (0.002 if pulled else rng.uniform(0.02, 0.3))
+    data.qpos[:] = (points - sheet.rest).ravel()
+    ways, fastest = rng.normal(size=(3, 3)), 0.0
+    ways[:, 2] = np.abs(ways[:, 2]) * (1, 1, -1)
+    ways *= (rng.uniform(0.2, 1.0, 3) / np.linalg.norm(ways, axis=1))[:, None]
+    if pulled:
+        point = int(rng.integers(len(points)))
+        model.eq_data[point, :6], data.mocap_pos[0], data.eq_active[point] = 0.0, points[point], True
+    for step in range(_STEPS):
+        if pulled and step == _LET_GO:
+            data.eq_active[:] = False
+        data.mocap_pos[0] += ways[min(step * 3 // _LET_GO, 2)] * _STEP
+        data.mocap_pos[0, 2] = max(data.mocap_pos[0, 2], radius)
+        mujoco.mj_step(model, data)
+        fastest = max(fastest, float(np.abs(data.qvel).max()))
+        if step % 10 == 0:
+            ends, at = edges(*sheet.grid), sheet.rest + data.qpos.reshape(-1, 3)
+            lengths = [np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1) for x in (at, sheet.rest)]
+            sheet.stretch = max(sheet.stretch, float((lengths[0] / lengths[1]).max()) - 1)
+    sheet.see(sheet.rest + data.qpos.reshape(-1, 3))
+    warned = any(int(warning.number) for warning in data.warning)
+    return not warned and bool(np.isfinite(data.qpos).all()) and fastest < _TOO_FAST
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--fold", help="a task")
+    parser.add_argument("--shake", help="a cloth")
+    parser.add_argument("--n", type=int, default=25)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--spoilt", type=int, default=4)
+    given = parser.parse_args()
+    if given.fold:
+        fold(given.fold, given.n, given.first, given.spoilt)
+    if given.shake:
+        shake(given.shake, given.n)

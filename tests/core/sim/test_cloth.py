@@ -1,0 +1,113 @@
+"""Cloth: where it starts, how hands hold it and let it go, and what is recorded of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.programs import STATION, changed, first_attempt, session_of
+from yamsim_cli.core.attempt.expert import sides
+from yamsim_cli.core.attempt.frames import frames
+from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.dataset.checks.lowdim import frame_faults
+from yamsim_cli.core.errors import ConfigError, UsageError
+from yamsim_cli.core.sim.watched import world_of
+from yamsim_cli.core.types import Actions
+
+FOLD: dict[str, Any] = changed(
+    {
+        ("rig",): STATION,
+        ("things",): {"napkin": {"of": "soft_napkin"}},
+        ("starts",): {"napkin": {"x": [0.34, 0.36], "y": [-0.02, 0.02], "yaw_deg": [10, 20]}},
+        ("goal",): {"all": [{"folded": {"thing": "napkin"}}], "for_s": 0.2},
+        ("expert",): [{"fold": {"thing": "napkin"}}],
+        ("timing",): {"timestep": 0.004, "physics_steps_per_tick": 8, "ticks_per_frame": 2},
+    }
+)
+
+
+def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        scene, data = simulator.scene, mujoco.MjData(simulator.scene.model)
+        assert attempt.start is not None and attempt.layout is not None
+        scene.reset(data, attempt.start)
+        world = world_of(scene, data, sides(simulator.config))
+        points = world.points("napkin")
+        assert points.shape == (9, 9, 3)
+        assert world.touching("napkin", "table") and not world.holders("napkin")
+        # It sinks in by less than a tenth of its thickness.
+        assert np.allclose(points[..., 2], simulator.config.table.top + 0.0025, atol=5e-4)
+        along = points[0, -1] - points[0, 0]
+        assert np.linalg.norm(along) == pytest.approx(0.2, rel=1e-3)
+        T = attempt.layout.T_in_world["napkin"]
+        assert np.allclose(T[:3, 0], along / np.linalg.norm(along), atol=1e-3)
+        assert np.allclose(T[:3, 3], points.reshape(-1, 3).mean(axis=0), atol=1e-9)
+        assert scene.model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
+
+
+@pytest.mark.slow
+def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        done = demonstrate_program(simulator, attempt)
+        assert done.outcome.success, done.outcome
+        states = done.states
+        acting = Actions(
+            *(np.concatenate([getattr(state.actions, key) for state in states]) for key in ("ctrl", "magnet", "joints"))
+        )
+        held = np.flatnonzero(acting.magnet.all(axis=1))
+        assert held[0] > 0 and held[-1] < len(acting.magnet) - 1
+        assert not acting.magnet[[0, -1]].any()
+
+        again = repeat_program(simulator, attempt, replace(acting, magnet=np.zeros_like(acting.magnet)), planned=True)
+        for one, other in zip(states, again.states, strict=True):
+            assert np.array_equal(one.qpos, other.qpos)
+            assert np.array_equal(one.actions.magnet, other.actions.magnet)
+
+        recorded = frames(simulator, attempt, states[:2])
+        cameras = list(simulator.scene.cameras)
+        assert not frame_faults(recorded[0], ["napkin"], cameras, 2, 7, cloths={"napkin": (9, 9)})
+        assert recorded[0]["grasp"] == "cloth_constraint"
+
+        ctrl = acting.ctrl.copy()
+        for arm in simulator.scene.arms:
+            assert arm.fingers is not None
+            ctrl[(held[0] + held[-1]) // 2 :, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
+        dropped = repeat_program(simulator, attempt, replace(acting, ctrl=ctrl), planned=False)
+        assert not dropped.outcome.success
+        assert not demonstrate_program(simulator, attempt, grips=False).outcome.success
+
+
+@pytest.mark.parametrize(
+    ("task", "given", "said"),
+    [
+        (FOLD, {"truth": True}, "no ground truth of cloth"),
+        (changed({("things", "napkin", "of"): "soft_nakin"}, FOLD), {}, "soft_napkin"),
+        (changed({("expert",): [{"pick": {"thing": "napkin"}}]}, FOLD), {}, "it can only be folded"),
+        (changed({("things", "napkin", "of"): "cube_red"}, FOLD), {}, "is no cloth"),
+        (
+            changed(
+                {
+                    ("things", "napkin", "of"): "soft_dish_towel",
+                    ("expert",): [{"fold": {"thing": "napkin", "how": "diagonal"}}],
+                },
+                FOLD,
+            ),
+            {},
+            "as many points along both sides, not 9 x 13",
+        ),
+        (changed({("rig",): "single_linear"}, FOLD), {}, "takes two arms"),
+        (changed({("starts", "napkin", "attitudes"): ["lying"]}, FOLD), {}, "starts flat"),
+        (changed({("starts", "napkin", "open"): {"lid": [0, 1]}}, FOLD), {}, "no part"),
+    ],
+)
+def test_what_cloth_cannot_do_says_so(tmp_path: Path, task: dict[str, Any], given: dict[str, Any], said: str) -> None:
+    with pytest.raises((ConfigError, UsageError), match=said):
+        session_of(tmp_path, task, **given)

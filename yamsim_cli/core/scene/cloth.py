@@ -1,0 +1,129 @@
+"""Cloth in a scene: a sheet of triangles between points that move freely, and what a hand can hold points by."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..config.cloth import Cloth
+from ..config.rig import RigConfig
+from ..config.things import ObjectConfig
+from ..geometry.se3 import Array
+
+# Pixels along a check of the pattern.
+_PIXELS = 16
+
+# About how long contacts of cloth, and grips on it, take to pull right what is off, s. MuJoCo needs two steps at least.
+_PULL = 0.01
+_CONDIM = 3
+
+# A body needs some inertia, though nothing turns it: that of a ball of a millimetre, m2.
+_GYRATION = 1e-6
+
+
+def rest_points(cloth: Cloth) -> Array:
+    """Where a cloth's points (n, 3) lie in its own frame when it is flat, m: along x first."""
+    (x, y), (columns, rows) = cloth.size, cloth.grid
+    across, along = np.meshgrid(np.linspace(-x / 2, x / 2, columns), np.linspace(-y / 2, y / 2, rows))
+    points: Array = np.column_stack([across.ravel(), along.ravel(), np.zeros(columns * rows)])
+    return points
+
+
+def triangles(columns: int, rows: int) -> NDArray[np.int_]:
+    """The numbers (m, 3) of the points of every triangle of a grid. The diagonals of neighbours go opposite ways, so
+    that the sheet is as stiff along either.
+    """
+    found = []
+    for row in range(rows - 1):
+        for column in range(columns - 1):
+            a = row * columns + column
+            b, c, d = a + 1, a + columns, a + columns + 1
+            found += [(a, b, d), (a, d, c)] if (row + column) % 2 == 0 else [(a, b, c), (b, d, c)]
+    return np.array(found)
+
+
+def edges(columns: int, rows: int) -> NDArray[np.int_]:
+    """The numbers (m, 2) of the points at the ends of every edge of a grid's triangles."""
+    corners = triangles(columns, rows)
+    pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    found: NDArray[np.int_] = np.unique(np.sort(pairs, axis=1), axis=0)
+    return found
+
+
+def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
+    """Add a cloth: a body named after it that stands at the origin, with a body that slides freely for each point.
+
+    At MuJoCo's positions of zero its points lie at `rest_points` in `world`.
+    """
+    cloth = item.cloth
+    assert cloth is not None, "not called for anything else"
+    base = spec.worldbody.add_body(name=item.name)
+    points, (columns, rows) = rest_points(cloth), cloth.grid
+    for k, (place, mass) in enumerate(zip(points, _masses(cloth), strict=True)):
+        body = base.add_body(name=f"{item.name}_{k}", pos=place)
+        body.mass, body.inertia, body.explicitinertial = mass, [mass * _GYRATION] * 3, True
+        for axis, direction in zip("xyz", np.eye(3), strict=True):
+            body.add_joint(name=f"{item.name}_{k}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
+    sheet = spec.add_flex()
+    sheet.name, sheet.dim, sheet.radius = item.name, 2, cloth.radius
+    sheet.vertbody = [f"{item.name}_{k}" for k in range(len(points))]
+    sheet.elem = triangles(columns, rows).ravel().tolist()
+    sheet.young, sheet.poisson, sheet.thickness = cloth.elasticity
+    sheet.damping = cloth.damping_s
+    sheet.elastic2d = 3
+    sheet.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
+    sheet.friction, sheet.condim, sheet.solref = [cloth.friction, 0.005, 0.0001], _CONDIM, [_PULL, 1]
+    sheet.material = _add_material(spec, item, cloth)
+    if cloth.checks:
+        sheet.texcoord = (points[:, :2] / cloth.size[0] + 0.5).ravel().tolist()
+
+
+def _masses(cloth: Cloth) -> Array:
+    """What each point (n,) weighs, kg: as the quarters of the cells around it."""
+    columns, rows = (np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) / (n - 1) for n in cloth.grid)
+    shares: Array = np.outer(rows, columns).ravel() * cloth.mass
+    return shares
+
+
+def _add_material(spec: mujoco.MjSpec, item: ObjectConfig, cloth: Cloth) -> str:
+    first, second = cloth.colours
+    material = spec.add_material(name=item.name, rgba=[1, 1, 1, 1], specular=0.0, shininess=0.0)
+    if not cloth.checks:
+        material.rgba = [*first, 1]
+        return item.name
+    spec.add_texture(
+        name=item.name,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=first,
+        rgb2=second,
+        width=2 * _PIXELS,
+        height=2 * _PIXELS,
+    )
+    # The pattern has two checks along a side.
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = item.name
+    material.texrepeat = [cloth.checks / 2, cloth.checks / 2]
+    return item.name
+
+
+def add_cloth_grips(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfig) -> None:
+    """Add the constraints, all switched off, by which each hand of a rig can hold each point of a cloth."""
+    assert item.cloth is not None, "not called for anything else"
+    columns, rows = item.cloth.grid
+    for arm in rig.arms:
+        for k in range(columns * rows):
+            added = spec.add_equality(
+                name=grip_name(arm.prefix, item.name, k),
+                type=mujoco.mjtEq.mjEQ_CONNECT,
+                objtype=mujoco.mjtObj.mjOBJ_BODY,
+                name1=f"{item.name}_{k}",
+                name2=arm.prefix + arm.robot.flange,
+                active=False,
+            )
+            added.solref = [_PULL, 1]
+
+
+def grip_name(prefix: str, cloth: str, point: int) -> str:
+    """The name of the constraint by which the hand of the arm with a prefix can hold a point of a cloth."""
+    return f"{prefix}{cloth}_{point}_grip"
