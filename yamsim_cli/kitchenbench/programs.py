@@ -21,7 +21,7 @@ from .sorting import Sort
 _BOW = 0.008
 # A thing that is stacked falls so far: fingers around its rim are lower than it, m.
 _DROP = 0.02
-# Cutlery is let go so high, m: on a plate, about as high as its rim, which is what the benchmark calls its top.
+# Cutlery is let go so high over a plate, m: about as high as its rim, which is what the benchmark calls its top.
 _LET_FALL = 0.015
 # Before the kind of cutlery that a compartment is for.
 _FOR = "compartment_"
@@ -40,7 +40,9 @@ def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bas
     roles = blueprint.roles
     match blueprint.target_kind:
         case "place_on":
-            return _put(roles["item"][0], Place(thing=roles["item"][0], on=roles["surface"][0], drop=_LET_FALL))
+            kinds = {item.name: item.asset for item in blueprint.objects}
+            drop = _LET_FALL if kinds[roles["surface"][0]] == "plate" else 0.0
+            return _put(roles["item"][0], Place(thing=roles["item"][0], on=roles["surface"][0], drop=drop))
         case "place_in":
             return _put(roles["item"][0], _in_its_slot(blueprint, items, roles["item"][0], roles["rack"][0]))
         case "handoff":
