@@ -32,6 +32,8 @@ _MIN_EVIDENCE = 12.0
 _CORRELATED = 4.0
 # Poses closer than this are the same one.
 _SAME_POSE = math.radians(4.0)
+# Another board beside it tells two poses apart if it has the likelier one within this share of the turn between them.
+_TOLD = 0.25
 # A rival this much worse before it is fitted (mean squared residual) cannot win.
 _HOPELESS = 4.0
 
@@ -133,9 +135,18 @@ def _strange(tiles: Mapping[int, Tile]) -> set[int]:
 
 
 def rival_of(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit, fits: Sequence[PoseFit]
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    fit: PoseFit,
+    fits: Sequence[PoseFit],
+    beside: Sequence[Array] = (),
 ) -> PoseFit | None:
-    """Another pose that explains the same markers nearly as well; None where there is none."""
+    """Another pose that explains the same markers nearly as well; None where there is none.
+
+    Args:
+        beside: about the board's pose (4, 4) as each other board says.
+    """
     piece = Piece(board, np.eye(4), fit.agreeing)
     corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
     exact = corners @ fit.T[:3, :3].T + fit.T[:3, 3]
@@ -159,9 +170,19 @@ def rival_of(
         ):
             continue
         rival = PoseFit(after, fit.agreeing, 0)
-        if not clearly_better(fit, rival):
+        if not clearly_better(fit, rival) and not _told_apart(fit, rival, beside):
             return rival
     return None
+
+
+def _told_apart(fit: PoseFit, rival: PoseFit, beside: Sequence[Array]) -> bool:
+    """Whether other boards say so too that a fit is likelier than its rival."""
+    near = _TOLD * angle_between(fit.T, rival.T)
+    return (
+        bool(beside)
+        and fit.mean_square < rival.mean_square
+        and all(angle_between(fit.T, T) < near for T in beside)
+    )
 
 
 def clearly_better(fit: PoseFit, rival: PoseFit) -> bool:

@@ -36,7 +36,12 @@ PRINT_SIGMA = 0.0025
 
 
 def judge(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit, fits: Sequence[PoseFit]
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    fit: PoseFit,
+    fits: Sequence[PoseFit],
+    beside: Sequence[Array] = (),
 ) -> Sighting:
     """What is said of a board whose pose is fitted: the pose, or why it is not sure enough.
 
@@ -44,12 +49,13 @@ def judge(
         photo: grey levels (height, width).
         fit: the best pose.
         fits: all that were fitted.
+        beside: about the board's pose (4, 4) as each other board says: which of two it has.
     """
     fit = without_strange(photo, camera, board, fit)
-    rival = rival_of(photo, camera, board, fit, fits)
+    rival = rival_of(photo, camera, board, fit, fits, beside)
     if rival is not None and clearly_better(rival, fit):
         # The fit began at the wrong one of the two poses that a flat board may have.
-        fit, rival = rival, rival_of(photo, camera, board, rival, [*fits, fit])
+        fit, rival = rival, rival_of(photo, camera, board, rival, [*fits, fit], beside)
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = shift_rms(fit.alignment.tiles[0])
     covariance, shared = uncertainty(fit.alignment, camera, np.zeros(3))
