@@ -21,6 +21,8 @@ from .print_view import Piece
 
 # A marker whose print and photo correlate less than this is hidden, moved or something else.
 SAME_PRINT = 0.75
+# A fit whose markers correlate more than this with the photo (the median) needs no other smear and no other start.
+EXPLAINED = 0.96
 # A marker of which so many times as much stays unexplained as of most others is covered in part, say, if it correlates
 # less than this. Source: photos of whole boards have at most 2.5, creased ones 4, half covered ones 40 and more.
 _STRANGE, _SPOILT = 5.0, 0.9
@@ -50,6 +52,11 @@ class PoseFit:
     def T(self) -> Array:
         """Pose (4, 4) of the board in the camera's frame."""
         return self.alignment.T_ref_in_cam
+
+    @property
+    def explains_well(self) -> bool:
+        """Whether drawing and photo agree nearly everywhere, of the markers that agree at all."""
+        return float(np.median([tile.correlation for tile in self.alignment.tiles[0].values()])) > EXPLAINED
 
     @property
     def mean_square(self) -> float:
@@ -84,11 +91,22 @@ def faces_camera(T_board_in_cam: Array) -> bool:
 
 
 def fit_pose(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], T: Array
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    places: Sequence[int],
+    T: Array,
+    known: Sequence[PoseFit] = (),
 ) -> PoseFit | None:
-    """Fit a pose to the markers that were read, then to all whose print shows where it predicts it."""
+    """Fit a pose to the markers that were read, then to all whose print shows where it predicts it.
+
+    Returns:
+        None where nothing fits, or only a pose that is `known`.
+    """
     first = align(photo, camera, [Piece(board, np.eye(4), tuple(places))], T)
     if first is None or not faces_camera(first.T_ref_in_cam):
+        return None
+    if any(angle_between(first.T_ref_in_cam, fit.T) < _SAME_POSE for fit in known):
         return None
     everything = Piece(board, np.eye(4), tuple(range(len(board.ids))))
     check = agreement(photo, camera, [everything], first.T_ref_in_cam, first.smear, first.noise)

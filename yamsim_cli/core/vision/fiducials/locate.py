@@ -118,10 +118,10 @@ def _read(
         return Sighting(board, ids, Status.AMBIGUOUS, reason, twice=True)
     fits: list[PoseFit] = []
     for T in starts(best, board, camera):
-        if fit := fit_pose(photo, camera, board, best.places, T):
+        if fit := fit_pose(photo, camera, board, best.places, T, fits):
             fits.append(fit)
-            # Where the whole print agrees, the other start could at most be its rival, which `rival_of` looks for.
-            if fit.contradicting == 0:
+            # Where the print agrees, the other start could at most be its rival, which `rival_of` looks for.
+            if fit.contradicting == 0 or fit.explains_well:
                 break
     if not fits:
         return Sighting(

@@ -23,7 +23,7 @@ from ..lens import project_points, rays
 from .advice import advice_on, advice_on_photo, looks_of
 from .align import USUAL_SMEAR, Alignment, align
 from .bits import Evidence, evidence
-from .fits import PoseFit, faces_camera
+from .fits import EXPLAINED, PoseFit, faces_camera
 from .judge import judge
 from .lattice import board_quads
 from .motion import likely_smear
@@ -52,8 +52,8 @@ _WORTH_ANOTHER = -3.0
 _MOST_FITS, _WORTH_A_FIT = 2, 0.6
 # A place known from elsewhere is looked for this far around, in shares of the board's size in the picture.
 _AROUND = 0.5
-# A fit whose markers correlate more than this with the photo (the median) needs no other smear, or no other pose.
-_GOOD, _WELL_ENOUGH = 0.96, 0.85
+# A fit whose markers correlate more than this with the photo (the median) needs no other pose.
+_WELL_ENOUGH = 0.85
 # Patches whose middles are farther apart than this share of their size are two.
 _APART = 0.5
 
@@ -240,6 +240,6 @@ def _worth_a_fit(found: Sequence[Suspect]) -> Iterator[Suspect]:
             yield one
 
 
-def _explained(fit: Alignment, least: float = _GOOD) -> bool:
+def _explained(fit: Alignment, least: float = EXPLAINED) -> bool:
     """Whether drawing and photo agree nearly everywhere."""
     return float(np.median([tile.correlation for tile in fit.tiles[0].values()])) > least
