@@ -196,11 +196,7 @@ def rival_of(
 def _told_apart(fit: PoseFit, rival: PoseFit, beside: Sequence[Array]) -> bool:
     """Whether other boards say so too that a fit is likelier than its rival."""
     near = _TOLD * angle_between(fit.T, rival.T)
-    return (
-        bool(beside)
-        and fit.mean_square < rival.mean_square
-        and all(angle_between(fit.T, T) < near for T in beside)
-    )
+    return bool(beside) and fit.mean_square < rival.mean_square and all(angle_between(fit.T, T) < near for T in beside)
 
 
 def clearly_better(fit: PoseFit, rival: PoseFit) -> bool:

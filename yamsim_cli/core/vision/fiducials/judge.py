@@ -21,14 +21,10 @@ from .sighting import Sighting, Status
 _MAX_TURN_SIGMA = math.radians(2.0)
 _MAX_SHIFT_SIGMA = 0.01  # of the distance
 
-# With more blur than this (sigma, px), the noise moves a pose more than the linearized problem says.
-# Source: photos at 0.8 m with a blur of 4 px, whose errors were 1.8 times what was stated at most, without it.
-_SHARP = 3.0
-
 # Markers that lie off each other this many times as far as noise explains are still no sign of anything else. What more
 # there is (a crease, a bent plate, another lens) moves the pose so many times as far as as much noise would.
-# Source: photos of creased boards, whose errors were 1.2 times what was stated in the median with 3.
-_USUAL_SCATTER, _NO_NOISE = 2.0, 4.0
+# Source: photos of creased boards, whose errors were 1.2 times what was stated in the median with 3, whose refusal takes 8.
+_USUAL_SCATTER, _NO_NOISE = 2.0, 8.0
 _POSE_PARAMETERS = 6
 
 # What a printed board's scale is known to where nobody measured it. A printer stretches by a few tenths of a percent.
@@ -104,7 +100,7 @@ def uncertainty(alignment: Alignment, camera: CameraModel, point: Array) -> tupl
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
     mistakes = [alignment.by_lens @ camera.mistakes, PRINT_SIGMA * alignment.by_print]
     shared: Array = moved @ np.column_stack(mistakes)
-    inflation = max(INFLATION * max(1.0, alignment.smear.blur / _SHARP), _NO_NOISE * _excess_scatter(alignment))
+    inflation = max(INFLATION, _NO_NOISE * _excess_scatter(alignment))
     covariance: Array = moved @ alignment.covariance @ moved.T * inflation**2 + shared @ shared.T
     return covariance, shared
 
