@@ -21,7 +21,7 @@ _LEAST_NOISE = 0.3
 
 _MOST_STEPS = 30
 # Steps below this no longer matter: shift of the print in the picture, px, or standard deviations of what noise leaves
-# open. And where only the misfit is asked for; there, a step that is taken back need not be tried smaller below the last.
+# open. And where only the misfit is asked for; there, a step below the last of these is not tried smaller.
 _CONVERGED, _NEARLY = (4e-3, 0.1), (2e-2, 0.4)
 _NOT_WORTH_A_TRY = 1.0
 

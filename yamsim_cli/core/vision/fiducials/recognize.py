@@ -1,8 +1,8 @@
 """Boards that are seen but cannot be read: recognized as a whole, by all the bits of their print at once.
 
-Where a board may be is told by dark or restless patches of the photo (`suspects`), by another board beside it, and by a photo that
-was taken just before. Each such place is fitted to the whole print, like a pose that markers give. It counts only if
-the bits that the photo then shows agree with the board's by far more than chance would have it (`bits`).
+Where a board may be is told by dark or restless patches of the photo (`suspects`), by another board beside it, and by a
+photo that was taken just before. Each such place is fitted to the whole print, like a pose that markers give. It counts
+only if the bits that the photo then shows agree with the board's by far more than chance would have it (`bits`).
 """
 
 from __future__ import annotations
