@@ -20,7 +20,8 @@ from .sighting import Sighting, Status
 # Accepted poses are known at least this well: the turn in all, and, without what lens and print size do, the shift.
 _MAX_TURN_SIGMA = math.radians(2.0)
 _MAX_SHIFT_SIGMA = 0.01  # of the distance
-# Where the markers lie off a flat print's, the turn is to be known better: what it is known to is uncertain itself.
+# Where the markers lie off a flat print's, the turn is to be known better, but for the lens: what it is known to is
+# uncertain itself then.
 # Source: 120 photos of creased boards, of which one was wrong by more than 3 degrees at 1.5.
 _MAX_TURN_SIGMA_BENT = math.radians(1.0)
 
@@ -71,12 +72,13 @@ def judge(
         )
         return refused(Status.AMBIGUOUS, reason)
     sighting = Sighting(board, ids, Status.OK, "", fit.T, covariance, shared, rms, fit.alignment.smear)
-    turn, shift = sighting.rotation_sigma, math.sqrt(float(np.trace((covariance - shared @ shared.T)[3:, 3:])))
-    assert turn is not None
+    own = covariance - shared @ shared.T
+    turn, own_turn, shift = (
+        math.sqrt(float(np.trace(part))) for part in (covariance[:3, :3], own[:3, :3], own[3:, 3:])
+    )
     bent = _NO_NOISE * _excess_scatter(fit.alignment) > INFLATION
-    if turn > (_MAX_TURN_SIGMA_BENT if bent else _MAX_TURN_SIGMA) or shift > _MAX_SHIFT_SIGMA * float(
-        np.linalg.norm(fit.T[:3, 3])
-    ):
+    too_bent = bent and own_turn > _MAX_TURN_SIGMA_BENT
+    if turn > _MAX_TURN_SIGMA or too_bent or shift > _MAX_SHIFT_SIGMA * float(np.linalg.norm(fit.T[:3, 3])):
         why = "too few, too small or too blurred markers"
         if bent:
             why = (
