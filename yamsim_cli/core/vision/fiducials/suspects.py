@@ -25,10 +25,10 @@ Grey = NDArray[np.uint8]
 _POINTS = 2
 # A patch whose bits agree with the board's less than this (standard deviations of chance) is not looked at further.
 _LEAST_AGREEMENT = 2.5
-# Patches whose corners are rough are moved to where their bits agree best: so many of them, by steps of so many px.
-# Those that then agree less than this are by chance. Source: photos by a physically based renderer, where patches that
-# were none reached 4.3, and boards 7 to 16.
-_MOST_MOVED, _STEPS_PX, _LEAST_MOVED = 4, (3.0, 1.5, 0.75), 5.0
+# Patches whose corners are rough are moved to where their bits agree best: so many of them, by steps of so many px, and
+# no further where they agree less than this after them. Source: photos by a physically based renderer, where patches
+# that were none reached 4.3 in the end, and boards 7 to 16.
+_MOST_MOVED, _STEPS = 4, ((3.0, 3.5), (1.5, 4.5), (0.75, 5.0))
 _LEAST_TO_MOVE = 1.5
 _ROUNDS = 3
 
@@ -56,13 +56,17 @@ def suspects(grey: Grey, board: Board, quads: Sequence[Array], least: float = _L
 
 def moved_suspects(grey: Grey, board: Board, quads: Sequence[Array]) -> list[Suspect]:
     """As `suspects`, of patches whose corners are only roughly known: each is moved to where its bits agree best."""
-    found = [_moved(grey, board, suspect) for suspect in suspects(grey, board, quads, _LEAST_TO_MOVE)[:_MOST_MOVED]]
-    return sorted((one for one in found if one.agreement > _LEAST_MOVED), key=lambda one: -one.agreement)
+    rough = suspects(grey, board, quads, _LEAST_TO_MOVE)[:_MOST_MOVED]
+    found = [moved for suspect in rough if (moved := _moved(grey, board, suspect)) is not None]
+    return sorted(found, key=lambda one: -one.agreement)
 
 
-def _moved(grey: Grey, board: Board, suspect: Suspect) -> Suspect:
-    """A patch whose corners and edges are moved one after the other as long as its bits agree better for it."""
-    for step in _STEPS_PX:
+def _moved(grey: Grey, board: Board, suspect: Suspect) -> Suspect | None:
+    """A patch whose corners and edges are moved one after the other as long as its bits agree better for it.
+
+    None where they do not agree well then.
+    """
+    for step, least in _STEPS:
         for _ in range(_ROUNDS):
             before = suspect.agreement
             for move in step * _moves():
@@ -71,6 +75,8 @@ def _moved(grey: Grey, board: Board, suspect: Suspect) -> Suspect:
                     suspect = Suspect(corners, agreement)
             if suspect.agreement == before:
                 break
+        if suspect.agreement < least:
+            return None
     return suspect
 
 
