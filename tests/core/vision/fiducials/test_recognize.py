@@ -8,19 +8,19 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.board_photos import facing, photograph
+from tests.board_photos import facing, photograph, picture, with_noise
 from tests.strangers import KINDS, stranger
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.core.vision.fiducials.bits import bits_of, evidence, least_chance
 from yamsim_cli.core.vision.fiducials.lattice import board_quads
 from yamsim_cli.core.vision.fiducials.locate import locate
 from yamsim_cli.core.vision.fiducials.print_view import Piece, plane_of, view_print
-from yamsim_cli.core.vision.fiducials.quads import dark_quads
+from yamsim_cli.core.vision.fiducials.quads import dark_quads, restless_quads
 from yamsim_cli.core.vision.fiducials.sighting import Status
 from yamsim_cli.core.vision.fiducials.smear import Smear
-from yamsim_cli.core.vision.fiducials.suspects import outer_corners, suspects
+from yamsim_cli.core.vision.fiducials.suspects import moved_suspects, outer_corners, suspects
 from yamsim_cli.core.vision.lens import project_points
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
@@ -96,6 +96,38 @@ def test_on_a_dark_table_the_grid_of_markers_is_one() -> None:
     (seen,), _ = locate(dark, CAMERA, [ONE])
     assert seen.T_board_in_cam is not None
     assert off(seen.T_board_in_cam, truth)[1] < math.radians(1)
+
+
+def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edges() -> None:
+    truth = facing(0.1, 0.05, 1.15, 1.0, 0.3)
+    clean, corners = picture(CAMERA, [(ONE, truth)], 0.4), corners_of(ONE, truth)
+    inside = np.zeros(clean.shape, np.uint8)
+    cv2.fillConvexPoly(inside, np.round(corners * 16).astype(np.int32), 1, cv2.LINE_8, 4)
+    clean = np.where(inside > 0, clean, 0.55 * clean[inside > 0].mean()).astype(np.float32)
+    # Other things give the photo its range.
+    clean[:, :60], clean[:60] = 20, 230
+    photo = with_noise(clean)
+    assert not suspects(photo, ONE, dark_quads(photo, whole=True))
+    assert not suspects(photo, ONE, board_quads(dark_quads(photo, whole=False), ONE))
+    (found, *_) = moved_suspects(photo, ONE, restless_quads(photo))
+    assert np.abs(found.corners - corners).max() < 1
+    (seen,), _ = locate(photo, CAMERA, [ONE])
+    assert seen.T_board_in_cam is not None
+    assert off(seen.T_board_in_cam, truth)[1] < math.radians(0.2)
+
+
+def test_another_board_tells_two_poses_apart() -> None:
+    """The photo hardly does; and a rig that says neither of the two does not either."""
+    truth, apart = facing(-0.15, 0.0, 1.3, 0.2, 0.0), pose((0.3, 0.0, 0.0))
+    photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], blur=2.0, noise=3.0)
+    alone, _ = locate(photo, CAMERA, [ONE, TWO])
+    assert alone[0].status is Status.AMBIGUOUS and alone[1].status is Status.OK
+    told, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), apart])
+    assert told[0].T_board_in_cam is not None
+    assert off(told[0].T_board_in_cam, truth)[1] < math.radians(3)
+    tilted = apart @ pose((0, 0, 0), rotation_from_vector([math.radians(-13), 0, 0]))
+    untold, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), tilted])
+    assert untold[0].status is Status.AMBIGUOUS
 
 
 def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:

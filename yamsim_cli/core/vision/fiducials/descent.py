@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,8 +20,10 @@ _HUBER = 1.345
 _LEAST_NOISE = 0.3
 
 _MOST_STEPS = 30
-# Steps below this no longer matter: shift of the print in the picture, px. And where only the misfit is asked for.
-_CONVERGED_PX, _NEARLY_PX = 4e-3, 2e-2
+# Steps below this no longer matter: shift of the print in the picture, px, or standard deviations of what noise leaves
+# open. And where only the misfit is asked for; there, a step below the last of these is not tried smaller.
+_CONVERGED, _NEARLY = (4e-3, 0.1), (2e-2, 0.4)
+_NOT_WORTH_A_TRY = 1.0
 
 Part = tuple[Array, Array, dict[int, Tile]]
 S = TypeVar("S")
@@ -66,7 +69,7 @@ class PrintProblem(LeastSquares[S, System]):
     """Where a print lies, and how the photo answers; `roughly` where only how well it explains that is asked for."""
 
     def __init__(self, roughly: bool = False) -> None:
-        self._settled_px = _NEARLY_PX if roughly else _CONVERGED_PX
+        self._roughly = roughly
 
     @abstractmethod
     def system(self, state: S, noise: float | None) -> System | None:
@@ -88,7 +91,11 @@ class PrintProblem(LeastSquares[S, System]):
 
     def settled(self, state: S, known: System, step: Array, gain: Array) -> bool:
         """Whether the last step hardly moved the print."""
-        return self.moved_px(state, step) < self._settled_px
+        px, sigmas = _NEARLY if self._roughly else _CONVERGED
+        of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / known.noise
+        if self._roughly and gain < 0 and of_noise < _NOT_WORTH_A_TRY:
+            return True
+        return of_noise < sigmas or self.moved_px(state, step) < px
 
     def solve(self, start: S) -> tuple[S, System] | None:
         """The best state near a first one, and the equations there; None where the photo does not show it."""

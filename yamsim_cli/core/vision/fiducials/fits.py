@@ -21,6 +21,8 @@ from .print_view import Piece
 
 # A marker whose print and photo correlate less than this is hidden, moved or something else.
 SAME_PRINT = 0.75
+# A fit whose markers correlate more than this with the photo (the median) needs no other smear and no other start.
+EXPLAINED = 0.96
 # A marker of which so many times as much stays unexplained as of most others is covered in part, say, if it correlates
 # less than this. Source: photos of whole boards have at most 2.5, creased ones 4, half covered ones 40 and more.
 _STRANGE, _SPOILT = 5.0, 0.9
@@ -32,6 +34,8 @@ _MIN_EVIDENCE = 12.0
 _CORRELATED = 4.0
 # Poses closer than this are the same one.
 _SAME_POSE = math.radians(4.0)
+# Another board beside it tells two poses apart if it has the likelier one within this share of the turn between them.
+_TOLD = 0.25
 # A rival this much worse before it is fitted (mean squared residual) cannot win.
 _HOPELESS = 4.0
 
@@ -48,6 +52,11 @@ class PoseFit:
     def T(self) -> Array:
         """Pose (4, 4) of the board in the camera's frame."""
         return self.alignment.T_ref_in_cam
+
+    @property
+    def explains_well(self) -> bool:
+        """Whether drawing and photo agree nearly everywhere, of the markers that agree at all."""
+        return float(np.median([tile.correlation for tile in self.alignment.tiles[0].values()])) > EXPLAINED
 
     @property
     def mean_square(self) -> float:
@@ -82,11 +91,22 @@ def faces_camera(T_board_in_cam: Array) -> bool:
 
 
 def fit_pose(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], T: Array
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    places: Sequence[int],
+    T: Array,
+    known: Sequence[PoseFit] = (),
 ) -> PoseFit | None:
-    """Fit a pose to the markers that were read, then to all whose print shows where it predicts it."""
+    """Fit a pose to the markers that were read, then to all whose print shows where it predicts it.
+
+    Returns:
+        None where nothing fits, or only a pose that is `known`.
+    """
     first = align(photo, camera, [Piece(board, np.eye(4), tuple(places))], T)
     if first is None or not faces_camera(first.T_ref_in_cam):
+        return None
+    if any(angle_between(first.T_ref_in_cam, fit.T) < _SAME_POSE for fit in known):
         return None
     everything = Piece(board, np.eye(4), tuple(range(len(board.ids))))
     check = agreement(photo, camera, [everything], first.T_ref_in_cam, first.smear, first.noise)
@@ -133,9 +153,18 @@ def _strange(tiles: Mapping[int, Tile]) -> set[int]:
 
 
 def rival_of(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit, fits: Sequence[PoseFit]
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    fit: PoseFit,
+    fits: Sequence[PoseFit],
+    beside: Sequence[Array] = (),
 ) -> PoseFit | None:
-    """Another pose that explains the same markers nearly as well; None where there is none."""
+    """Another pose that explains the same markers nearly as well; None where there is none.
+
+    Args:
+        beside: about the board's pose (4, 4) as each other board says.
+    """
     piece = Piece(board, np.eye(4), fit.agreeing)
     corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
     exact = corners @ fit.T[:3, :3].T + fit.T[:3, 3]
@@ -159,9 +188,15 @@ def rival_of(
         ):
             continue
         rival = PoseFit(after, fit.agreeing, 0)
-        if not clearly_better(fit, rival):
+        if not clearly_better(fit, rival) and not _told_apart(fit, rival, beside):
             return rival
     return None
+
+
+def _told_apart(fit: PoseFit, rival: PoseFit, beside: Sequence[Array]) -> bool:
+    """Whether other boards say so too that a fit is likelier than its rival."""
+    near = _TOLD * angle_between(fit.T, rival.T)
+    return bool(beside) and fit.mean_square < rival.mean_square and all(angle_between(fit.T, T) < near for T in beside)
 
 
 def clearly_better(fit: PoseFit, rival: PoseFit) -> bool:

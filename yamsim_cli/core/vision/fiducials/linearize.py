@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ...geometry.se3 import Array
 from .print_view import Drawing, PrintView, draw_print
-from .smear import Smear
+from .smear import Smear, slopes_of
 
 # A tile of fewer pixels says nothing about its own brightness.
 _MIN_TILE_PIXELS = 12
@@ -76,35 +75,33 @@ def linearized(
         return None
     seen, drawn = view.photo.ravel()[use], drawing.grey.ravel()[use]
     beside = np.zeros((len(seen), 0), np.float32)
-    slopes, curvature, by_motion = _changes(drawing.sharp, drawing.grey, smear, use)
+    slopes, by_blur, by_motion = _changes(drawing.sharp, drawing.grey, smear, use)
     if drawing.beside is not None and drawing.outside is not None:
         beside = drawing.beside.reshape(-1, 2)[use]
         # What lies beside the print is smeared into it by the same lens, and moves with it.
         for side, strength in enumerate(_strengths(seen, drawn, beside, tile[use]).T):
             outside, smeared = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
             more = _changes(outside, smeared, smear, use)
-            slopes, curvature, by_motion = (
+            slopes, by_blur, by_motion = (
                 of_print + strength.reshape(-1, *[1] * (of_print.ndim - 1)) * of_side
-                for of_print, of_side in zip((slopes, curvature, by_motion), more, strict=True)
+                for of_print, of_side in zip((slopes, by_blur, by_motion), more, strict=True)
             )
     by_ray = (-slopes[:, None, :] @ view.px_per_ray[use])[:, 0]
     pixels = Pixels(drawing.at[use], view.centre_rays[use], by_ray, -slopes / view.coarser)
-    # Blur spreads as heat does.
-    by_blur = smear.blur * curvature / view.coarser
-    by_all = np.column_stack([by_blur, by_motion / view.coarser, columns(pixels), pixels.by_shift])
+    by_all = np.column_stack([by_blur / view.coarser, by_motion / view.coarser, columns(pixels), pixels.by_shift])
     return _without_light(seen, drawn, beside, by_all, tile[use])
 
 
 def _changes(
     sharp: NDArray[np.float32], smeared: NDArray[np.float32], smear: Smear, use: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
-    """Of a picture's pixels (n,) in use: slopes (n, 2), curvature (n,), and change (n, 2) with the motion."""
-    slopes = np.stack([cv2.Scharr(smeared, cv2.CV_32F, 1, 0), cv2.Scharr(smeared, cv2.CV_32F, 0, 1)], axis=-1) / 32
-    curvature = cv2.Laplacian(smeared, cv2.CV_32F, ksize=1).ravel()[use]
-    by_motion = np.zeros((len(curvature), 2))
+    """Of a picture's pixels (n,) in use: slopes (n, 2), and changes with the blur (n,) and with the motion (n, 2)."""
+    slopes = np.stack([slope.ravel()[use] for slope in slopes_of(smeared)], axis=-1).astype(np.float64)
+    by_blur = smear.by_blur(sharp, smeared).ravel()[use].astype(np.float64)
+    by_motion = np.zeros((len(by_blur), 2))
     if smear.length:
         by_motion[:] = np.stack([by.ravel()[use] for by in smear.by_motion(sharp)], axis=-1)
-    return slopes.reshape(-1, 2)[use].astype(np.float64), curvature.astype(np.float64), by_motion
+    return slopes, by_blur, by_motion
 
 
 def _strengths(

@@ -38,7 +38,8 @@ def locate(
 
     Args:
         T_boards_in_ref: about where the boards lie to each other, pose (4, 4) of each in one frame: where to look for
-            one that cannot be read beside one that can. Poses are not made to agree with it.
+            one that cannot be read beside one that can, and which of two poses one has that the photo leaves open.
+            Poses are not made to agree with it.
         before: pose (4, 4) of each board in the camera's frame in a photo just before, None where it is not known.
 
     Returns:
@@ -54,8 +55,8 @@ def locate(
     located = [seen.T_board_in_cam is not None for seen in sightings]
     for k, seen in enumerate(sightings):
         if seen.status is not Status.OK and not seen.twice:
-            near = [T] if k < len(before) and (T := before[k]) is not None else []
-            sightings[k] = recognizer.sighting(seen, near + _beside(k, sightings, T_boards_in_ref), anywhere=True)
+            was = [T] if k < len(before) and (T := before[k]) is not None else []
+            sightings[k] = recognizer.sighting(seen, _beside(k, sightings, T_boards_in_ref), was, anywhere=True)
     # Boards that were recognized just now tell where those are that came before them.
     for k, seen in enumerate(sightings):
         if seen.status is not Status.OK and not seen.twice:
@@ -63,7 +64,7 @@ def locate(
                 one if not was else replace(one, T_board_in_cam=None)
                 for one, was in zip(sightings, located, strict=True)
             ]
-            sightings[k] = recognizer.sighting(seen, _beside(k, new, T_boards_in_ref), anywhere=False)
+            sightings[k] = recognizer.sighting(seen, _beside(k, new, T_boards_in_ref))
     return sightings, markers
 
 
@@ -117,10 +118,10 @@ def _read(
         return Sighting(board, ids, Status.AMBIGUOUS, reason, twice=True)
     fits: list[PoseFit] = []
     for T in starts(best, board, camera):
-        if fit := fit_pose(photo, camera, board, best.places, T):
+        if fit := fit_pose(photo, camera, board, best.places, T, fits):
             fits.append(fit)
-            # Where the whole print agrees, the other start could at most be its rival, which `rival_of` looks for.
-            if fit.contradicting == 0:
+            # Where the print agrees, the other start could at most be its rival, which `rival_of` looks for.
+            if fit.contradicting == 0 or fit.explains_well:
                 break
     if not fits:
         return Sighting(

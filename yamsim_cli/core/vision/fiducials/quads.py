@@ -3,6 +3,7 @@
 Seen from afar or blurred, a print is a patch darker than the paper around it, and so is each marker. Whole prints are
 looked for once thin light lines, the gaps between markers among them, are closed. The photo is cut at several grey
 levels, since no one level suits every light, and each dark patch that four straight edges enclose well is a candidate.
+On ground as bright as it is on average, as steep views make it, a print is a patch full of edges instead.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ _LARGEST = 960
 # Grey levels at which the photo is cut, as shares of its range.
 _LEVELS = np.linspace(0.12, 0.84, 9)
 _ENDS = (0.5, 99.5)
+# Differences within 3 px from which on a place counts as an edge, as shares of the photo's range, and how far edges may
+# be apart in one patch, px; how thick (px) a patch is at least: a single edge is thinner.
+_EDGES, _THICK = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5)), 5
 # A patch has at least this area and so long an edge (px of the photo looked at), and at most this share of its sides.
 _LEAST_AREA, _LEAST_CONTOUR, _LARGEST_SHARE = 30, 20, 0.8
 # How much of its convex hull a patch fills, and how much more than the hull its four edges may enclose.
@@ -39,10 +43,7 @@ def dark_quads(grey: Grey, whole: bool) -> list[Array]:
     Args:
         whole: with light lines closed, for whole prints; otherwise as they are, for markers.
     """
-    factor = max(1.0, max(grey.shape) / _LARGEST)
-    if factor > 1:
-        size = tuple(round(side / factor) for side in grey.shape[::-1])
-        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    grey, factor = _at_most(_LARGEST, grey)
     low, high = np.percentile(grey[::4, ::4], _ENDS)
     found: list[Array] = []
     for smaller, close in _LOOKS if whole else _MARKER_LOOKS:
@@ -57,6 +58,31 @@ def dark_quads(grey: Grey, whole: bool) -> list[Array]:
             for quad in _enclosed(look < level):
                 found.append(((quad + 0.5) * smaller * factor) - 0.5)
     return _distinct(found)
+
+
+def restless_quads(grey: Grey) -> list[Array]:
+    """Corners (4, 2) in pixels, clockwise in the picture, of patches full of edges in a photo (height, width)."""
+    grey, factor = _at_most(_LARGEST, grey)
+    low, high = np.percentile(grey[::4, ::4], _ENDS)
+    near, thick = np.ones((3, 3), np.uint8), np.ones((_THICK, _THICK), np.uint8)
+    difference = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, near)
+    found: list[Array] = []
+    for level, apart in _EDGES:
+        edges = (difference > level * (high - low)).astype(np.uint8)
+        # An edge counts a pixel to either side of it.
+        full = cv2.erode(cv2.morphologyEx(edges, cv2.MORPH_CLOSE, np.ones((apart, apart), np.uint8)), near)
+        for quad in _enclosed(cv2.morphologyEx(full, cv2.MORPH_OPEN, thick) > 0):
+            found.append((quad + 0.5) * factor - 0.5)
+    return _distinct(found)
+
+
+def _at_most(longest: int, grey: Grey) -> tuple[Grey, float]:
+    """A photo whose longer side is at most so long, and how many times smaller it is."""
+    factor = max(1.0, max(grey.shape) / longest)
+    if factor > 1:
+        size = tuple(round(side / factor) for side in grey.shape[::-1])
+        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return grey, factor
 
 
 def _enclosed(dark: NDArray[np.bool_]) -> Iterator[Array]:

@@ -1,8 +1,8 @@
 """Boards that are seen but cannot be read: recognized as a whole, by all the bits of their print at once.
 
-Where a board may be is told by dark patches of the photo (`suspects`), by another board beside it, and by a photo that
-was taken just before. Each such place is fitted to the whole print, like a pose that markers give. It counts only if
-the bits that the photo then shows agree with the board's by far more than chance would have it (`bits`).
+Where a board may be is told by dark or restless patches of the photo (`suspects`), by another board beside it, and by a
+photo that was taken just before. Each such place is fitted to the whole print, like a pose that markers give. It counts
+only if the bits that the photo then shows agree with the board's by far more than chance would have it (`bits`).
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from ..lens import project_points, rays
 from .advice import advice_on, advice_on_photo, looks_of
 from .align import USUAL_SMEAR, Alignment, align
 from .bits import Evidence, evidence
-from .fits import PoseFit, faces_camera
+from .fits import EXPLAINED, PoseFit, faces_camera
 from .judge import judge
 from .lattice import board_quads
 from .motion import likely_smear
 from .print_view import Piece, draw_print, plane_of, view_print
-from .quads import dark_quads
+from .quads import dark_quads, restless_quads
 from .sighting import Sighting, Status
 from .smear import Smear
-from .suspects import Suspect, outer_corners, suspects
+from .suspects import Suspect, moved_suspects, outer_corners, suspects
 
 Grey = NDArray[np.uint8]
 
 # How often a photo without the board may have it recognized in it.
 FALSE_ALARMS = 1e-4
 # So many places and ways up are looked at, about, for each board. Source: photos of strangers (`make bench-fiducials`),
-# where there were 20 to 60 patches and their turns.
-_PLACES = 160
+# where there were 20 to 60 patches and their turns, and some 250 moves of each of those that are moved.
+_PLACES = 1200
 # A fit tries so many poses that differ enough for the bits to be tossed anew.
 _LOOKS_A_FIT = 30
 # The natural logarithm of chance below which what is seen is probably the board.
@@ -52,8 +52,8 @@ _WORTH_ANOTHER = -3.0
 _MOST_FITS, _WORTH_A_FIT = 2, 0.6
 # A place known from elsewhere is looked for this far around, in shares of the board's size in the picture.
 _AROUND = 0.5
-# A fit whose markers correlate more than this with the photo (the median) needs no other smear, or no other pose.
-_GOOD, _WELL_ENOUGH = 0.96, 0.85
+# A fit whose markers correlate more than this with the photo (the median) needs no other pose.
+_WELL_ENOUGH = 0.85
 # Patches whose middles are farther apart than this share of their size are two.
 _APART = 0.5
 
@@ -75,16 +75,24 @@ class Recognizer:
         """Patches that may be markers."""
         return dark_quads(self._grey, whole=False)
 
-    def sighting(self, seen: Sighting, near: Sequence[Array], anywhere: bool) -> Sighting:
+    @cached_property
+    def _restless(self) -> list[Array]:
+        """Patches full of edges."""
+        return restless_quads(self._grey)
+
+    def sighting(
+        self, seen: Sighting, beside: Sequence[Array], before: Sequence[Array] = (), anywhere: bool = False
+    ) -> Sighting:
         """A board that could not be read (well enough), recognized; or as it was seen.
 
         Args:
-            near: poses (4, 4) in the camera's frame that it may have, or nearly so.
+            beside: about its pose (4, 4) in the camera's frame as each other board says.
+            before: its pose in a photo before, if there is one.
             anywhere: look for it in the whole photo too.
         """
         board, fits = seen.board, list[PoseFit]()
         self._likeliest = None
-        for T in near:
+        for T in (*before, *beside):
             if (T_moved := self._shifted(board, T)) is not None:
                 fits += self._fits(board, [T_moved])
         if not fits and anywhere:
@@ -94,6 +102,9 @@ class Recognizer:
             grids = board_quads(self._markers, board)
             for suspect in _worth_a_fit(suspects(self._grey, board, grids)):
                 fits += self._fits(board, self._starts(board, suspect))
+        if not fits and anywhere:
+            for suspect in _worth_a_fit(moved_suspects(self._grey, board, self._restless)):
+                fits += self._fits(board, self._starts(board, suspect))
         if not fits:
             return replace(seen, advice=self._advice(board)) if anywhere else seen
         best = min(fits, key=lambda fit: fit.mean_square)
@@ -101,7 +112,7 @@ class Recognizer:
         if any(self._apart(fit, best) > _APART * size for fit in fits):
             reason = "it is in the photo twice: hide or remove the other print"
             return Sighting(board, seen.markers, Status.AMBIGUOUS, reason, twice=True)
-        return judge(self._photo, self._camera, board, best, fits)
+        return judge(self._photo, self._camera, board, best, fits, beside)
 
     def _advice(self, board: Board) -> tuple[str, ...]:
         """What would help a board that is not recognized, by what looks most like it."""
@@ -229,6 +240,6 @@ def _worth_a_fit(found: Sequence[Suspect]) -> Iterator[Suspect]:
             yield one
 
 
-def _explained(fit: Alignment, least: float = _GOOD) -> bool:
+def _explained(fit: Alignment, least: float = EXPLAINED) -> bool:
     """Whether drawing and photo agree nearly everywhere."""
     return float(np.median([tile.correlation for tile in fit.tiles[0].values()])) > least

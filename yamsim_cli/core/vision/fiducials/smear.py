@@ -14,6 +14,13 @@ Grey = NDArray[np.float32]
 # A straight smear is laid down as so many points a pixel of its length, and at least this many.
 _POINTS_A_PX, _LEAST_POINTS = 4, 9
 
+# By how much more blur (a share) it is told how pictures change with it.
+_A_LITTLE = 0.03
+
+# Slopes from two pixels to either side: with the next ones alone, those of a sharp picture would come out a third flat.
+_SLOPE = np.array([1, -8, 0, 8, -1], np.float32) / 12
+_AS_IT_IS = np.ones(1, np.float32)
+
 # What is beyond the picture's edge: what is at the edge goes on.
 _BEYOND = cv2.BORDER_REPLICATE
 
@@ -54,10 +61,18 @@ class Smear:
     def by_motion(self, picture: Grey) -> tuple[Grey, Grey]:
         """How the smeared picture (rows, columns) changes with the motion, right and down."""
         blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BEYOND)
-        slopes = (cv2.Scharr(blurred, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(blurred, cv2.CV_32F, 0, 1) / 32)
         line = self._line(slope=True)
-        across, down = (cv2.filter2D(slope, -1, line, borderType=_BEYOND).astype(np.float32) for slope in slopes)
+        across, down = (
+            np.asarray(cv2.filter2D(slope, -1, line, borderType=_BEYOND), dtype=np.float32)
+            for slope in slopes_of(np.asarray(blurred, dtype=np.float32))
+        )
         return across, down
+
+    def by_blur(self, picture: Grey, smeared: Grey) -> Grey:
+        """How the smeared picture (rows, columns[, channels]) changes with the blur."""
+        more = _A_LITTLE * self.blur
+        by_blur: Grey = (Smear(self.blur + more, self.motion).of(picture) - smeared) / np.float32(more)
+        return by_blur
 
     def _line(self, slope: bool) -> Grey:
         """The weights (k, k) of a straight smear; or, by the `slope`, of how far along it each point is."""
@@ -78,3 +93,10 @@ class Smear:
             np.add.at(kernel, (row + dy, column + dx), values * share)
         # The derivative by the motion of what is looked up at -s is minus the slope there.
         return -kernel if slope else kernel
+
+
+def slopes_of(picture: Grey) -> tuple[Grey, Grey]:
+    """Slopes of a picture (rows, columns), right and down, per px."""
+    across = cv2.sepFilter2D(picture, cv2.CV_32F, _SLOPE, _AS_IT_IS, borderType=_BEYOND)
+    down = cv2.sepFilter2D(picture, cv2.CV_32F, _AS_IT_IS, _SLOPE, borderType=_BEYOND)
+    return np.asarray(across, dtype=np.float32), np.asarray(down, dtype=np.float32)
