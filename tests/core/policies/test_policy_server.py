@@ -83,9 +83,10 @@ def test_images_and_ticks_are_the_servers_policys() -> None:
 def test_faults_are_told_as_those_of_a_policy_here(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    config = make_config({("episodes",): 4, ("workers",): 2})
+    # One after the other: the server answers nobody else while it does not answer in the last one.
+    config = make_config({("episodes",): 4, ("workers",): 1})
     with served("Faulty") as url:
-        found = evaluate(Session(config, locations), PolicyChoice(url, HERE, call_seconds=1.0), lambda *_: None)
+        found = evaluate(Session(config, locations), PolicyChoice(url, HERE, call_seconds=2.0), lambda *_: None)
     told = {result.attempt.job.attempt: (result.ended.value, result.error) for result in found.results}
     assert told[0][0] == "policy_raised"
     assert re.fullmatch(

@@ -89,7 +89,7 @@ def test_without_anything_that_moved_there_is_still_a_page(report: dict[str, Any
 def test_of_a_task_that_is_data_the_goal_is_told_and_each_thing_has_a_panel(make_config: Any) -> None:
     config = make_config({("task",): "drawer", ("rig",): "yam_station_linear_4310_d405"})
     boxes = start_boxes(config)
-    assert boxes == {"cabinet": ((0.52, 0.54), (-0.03, 0.03)), "cube": ((0.22, 0.30), (-0.34, 0.34))}
+    assert boxes == {"cabinet": ((0.52, 0.54), (-0.03, 0.03)), "cube": ((0.20, 0.265), (-0.34, 0.34))}
     trials = [
         {
             "trial": k,

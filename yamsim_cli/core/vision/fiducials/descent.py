@@ -92,7 +92,7 @@ class PrintProblem(LeastSquares[S, System]):
     def settled(self, state: S, known: System, step: Array, gain: Array) -> bool:
         """Whether the last step hardly moved the print."""
         px, sigmas = _NEARLY if self._roughly else _CONVERGED
-        of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / known.noise
+        of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / max(known.noise, _LEAST_NOISE)
         if self._roughly and gain < 0 and of_noise < _NOT_WORTH_A_TRY:
             return True
         return of_noise < sigmas or self.moved_px(state, step) < px
