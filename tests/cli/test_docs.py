@@ -111,8 +111,10 @@ def test_the_pages_name_only_flags_that_exist() -> None:
     known.add("--help")
     # One with a dot in it is another program's.
     flag = r"(?<!\S)--[a-z][a-z-]*(?![\w.])"
-    # What measures is no command of yamsim's, and has flags of its own.
-    codes = [code for code in re.findall(r"`([^`]+)`", text) if "python -m tests.bench" not in code]
+    # What measures, and other programs, have flags of their own.
+    codes = [
+        code for code in re.findall(r"`([^`]+)`", text) if not re.search(r"python -m tests\.|^inspect-robots ", code)
+    ]
     named = {name for code in codes for name in re.findall(flag, code)}
     assert named - known == set()
 
