@@ -210,3 +210,14 @@ def test_importing_registers_it(lines: str, repository: Path) -> None:
 def test_the_command_line_does_without(repository: Path) -> None:
     code = "import sys, yamsim_cli.main; sys.exit('gymnasium' in sys.modules or 'numpy' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], cwd=repository, check=True)
+
+
+def test_a_goal_of_cloth_is_looked_at() -> None:
+    env = gymnasium.make(ENV_ID, task="fold_napkin")
+    observation, info = env.reset(seed=0)
+    assert observation["napkin_pose_world"].shape == (4, 4)
+    # It lies flat: what belongs together is as far apart as it is long, 0.2 m, and counts as folded within 0.02 m.
+    assert info["goal"]["folded(napkin, half)"] == pytest.approx(0.02 - 0.2, abs=1e-3)
+    *_, info = env.step(np.append(observation["joints"], (0.0, 0.0)).astype(np.float32))
+    assert info["goal"]["folded(napkin, half)"] < 0 and not info["success"]
+    env.close()

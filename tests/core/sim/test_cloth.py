@@ -17,7 +17,7 @@ from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import frame_faults
 from yamsim_cli.core.errors import ConfigError, UsageError
-from yamsim_cli.core.sim.watched import world_of
+from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.types import Actions
 
 FOLD: dict[str, Any] = changed(

@@ -14,7 +14,8 @@ from ..goals.cast import Cast
 from ..planning.demonstration import start_stands
 from ..scene.compiled import CompiledScene
 from ..sim.rollout import path_actions
-from ..sim.watched import See, Watched, WatchedLoop, settle, world_of
+from ..sim.watched import See, Watched, WatchedLoop, settle
+from ..sim.world import world_of
 from ..skills.base import Skill
 from ..skills.errors import SkillFailedError
 from ..skills.program import Diary, read_program, run_program

@@ -10,7 +10,7 @@ from ..config.program_task import ProgramTask
 from ..goals.cast import Cast
 from ..goals.goal import Verdict, judge
 from ..scene.compiled import CompiledScene
-from .world import SimWorld
+from .world import world_of
 
 
 class GoalWatch:
@@ -29,7 +29,7 @@ class GoalWatch:
         self, scene: CompiledScene, data: mujoco.MjData, task: ProgramTask, cast: Cast, sides: Sequence[str]
     ) -> None:
         self._model, self._data, self._task, self._cast = scene.model, data, task, cast
-        self._world = SimWorld(scene.model, data, scene.arms, sides, list(scene.object_qpos))
+        self._world = world_of(scene, data, sides)
         self._world.begin()
         self.verdict: Verdict = judge(task.goal, self._world, cast)
         self.held_ticks = 0

@@ -17,7 +17,7 @@ from ..types import Actions, Margins, Motion, StepState
 from .cloth import ClothGrips
 from .faults import Faults
 from .rollout import Rollout
-from .world import SimWorld
+from .world import world_of
 
 # How long things are given to come to rest, s; how often that is looked at, in steps; and how slow they are then, m/s
 # and rad/s.
@@ -202,12 +202,3 @@ def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
         if arm.fingers is not None:
             settled[arm.fingers.qpos] = start[arm.fingers.qpos]
     return settled
-
-
-def world_of(scene: CompiledScene, data: mujoco.MjData, sides: Sequence[str]) -> SimWorld:
-    """The things of a scene in a state, by name.
-
-    Args:
-        sides: of the scene's arms.
-    """
-    return SimWorld(scene.model, data, scene.arms, sides, scene.things, cloths=scene.cloths)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..geometry.se3 import Array, inverse, pose
 from ..goals.world import TABLE
-from ..scene.compiled import Ids, SceneArm, SceneCloth
+from ..scene.compiled import CompiledScene, Ids, SceneArm, SceneCloth
 from .cloth import ClothState
 from .shapes import body_block, geom_bounds, geom_points
 
@@ -242,3 +242,12 @@ def _finger_geoms(model: mujoco.MjModel, arm: SceneArm) -> tuple[NDArray[np.int_
                 bodies.add(body)
         fingers.append(np.flatnonzero(np.isin(model.geom_bodyid, list(bodies))))
     return tuple(fingers)
+
+
+def world_of(scene: CompiledScene, data: mujoco.MjData, sides: Sequence[str]) -> SimWorld:
+    """The things of a scene in a state, by name.
+
+    Args:
+        sides: of the scene's arms.
+    """
+    return SimWorld(scene.model, data, scene.arms, sides, scene.things, cloths=scene.cloths)
