@@ -89,6 +89,8 @@ class Opener:
         for setting in ("object", "target"):
             if isinstance(named := given.get(setting), str):
                 given[setting] = self.thing(named, where, self.notify)
+        if isinstance(named := given.get("task"), str):
+            given["task"] = self.task(named, where)
         session = Session(self.config(name, where, lambda config: check_starts(Session(config, where)), **given), where)
         if not renders:
             self.skip_gl()
