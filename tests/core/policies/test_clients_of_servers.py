@@ -23,7 +23,7 @@ from yamsim_cli.core.policies.base import InvalidActionError
 from yamsim_cli.core.policies.bounds import LARGEST, DamagedError, array_of, period_of, rows_of
 from yamsim_cli.core.policies.json_arrays import dump_json, load_json
 from yamsim_cli.core.policies.openpi import OpenpiClient, pack_openpi, unpack_openpi
-from yamsim_cli.core.policies.remote import RemoteError
+from yamsim_cli.core.policies.peer import RemoteError
 
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 pytest.importorskip("websockets", reason="yamsim[remote] is not installed")

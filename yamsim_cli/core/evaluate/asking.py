@@ -12,8 +12,8 @@ from types import FrameType
 from typing import Any, TypeVar
 
 from ..policies.base import InvalidActionError
+from ..policies.peer import RemoteError
 from ..policies.policy_faults import Fault, fault_of
-from ..policies.remote import RemoteError
 from ..stray_forks import forks_end_here
 
 T = TypeVar("T")

@@ -18,13 +18,13 @@ from ..dataset.reader import open_episode
 from ..errors import UsageError
 from ..geometry.se3 import Array
 from ..policies.base import Observation, Policy
-from ..policies.loading import FORMS, check_policy, load_policy
+from ..policies.loading import ELSEWHERE, FORMS, check_policy, load_policy
 from ..policies.remote import RemotePolicy
 from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..types import Attempt, EpisodeJob, Holds
 from .choice import PolicyChoice
-from .elsewhere import ELSEWHERE, is_elsewhere, make_elsewhere
+from .elsewhere import is_elsewhere, make_elsewhere
 
 
 class Trial:

@@ -8,13 +8,10 @@ from ..config.loader import load_config
 from ..config.policy import PolicyConfig
 from ..config.recording import RecordConfig
 from ..policies import act, lerobot, openpi
-from ..policies.loading import ELSEWHERE
 from ..policies.mapped import Client, MappedPolicy, Station
 from ..session import Session
 from .choice import PolicyChoice
 from .observation import offered_cameras
-
-__all__ = ["ELSEWHERE", "is_elsewhere", "make_elsewhere"]
 
 # What a name begins with -> the config by which its messages are understood unless another one is named.
 _CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}

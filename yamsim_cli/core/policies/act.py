@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-from ..errors import ResourceError, UsageError
-from .bounds import LARGEST, DamagedError
+from .bounds import DamagedError
 from .json_arrays import dump_json, load_json
-from .remote import RemoteError
+from .peer import RemoteError, address_of, answering, content_of, nobody
 
 SCHEME = "act"
 _PATH = "/act"
@@ -48,14 +47,8 @@ class ActClient:
             RemoteError: it is gone, or answers with an error or something else than a message.
             TimeoutError: there is none in time.
         """
-        try:
+        with answering(self._url, self._connection.close):
             data, status = self._post(dump_json(message))
-        except BaseException as error:
-            # Whatever comes later on this connection would be taken for another question's answer.
-            self._connection.close()
-            if isinstance(error, OSError | http.client.HTTPException) and not isinstance(error, TimeoutError):
-                raise RemoteError(f"{self._url} is gone: {str(error) or type(error).__name__}") from error
-            raise
         try:
             answer = load_json(data)
         except DamagedError as error:
@@ -78,28 +71,4 @@ class ActClient:
             self._connection.close()
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
-        data = response.read(LARGEST + 1)
-        if len(data) > LARGEST:
-            raise http.client.HTTPException(f"its answer is longer than {LARGEST} bytes")
-        return data, response.status
-
-
-def address_of(url: str, scheme: str, port: int) -> tuple[str, int]:
-    """Host and port of a URL.
-
-    Raises:
-        UsageError: it is not of this scheme, or has no host.
-    """
-    try:
-        parts = urlsplit(url)
-        given = parts.port
-    except ValueError:
-        parts, given = urlsplit(""), None
-    if parts.scheme != scheme or not parts.hostname or parts.query or parts.fragment or parts.username:
-        raise UsageError(f"--policy {url} is not valid: give {scheme}://HOST:PORT")
-    return parts.hostname, given or port
-
-
-def nobody(url: str, error: object) -> ResourceError:
-    """That nobody answers at a URL, for the user."""
-    return ResourceError(f"--policy {url}: no policy answers there: {error}; start its server first")
+        return content_of(response), response.status

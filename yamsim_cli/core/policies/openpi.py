@@ -9,9 +9,8 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from ..errors import ResourceError
-from .act import address_of, nobody
 from .bounds import LARGEST, DamagedError, array_of
-from .remote import RemoteError
+from .peer import RemoteError, address_of, answering, nobody
 from .websocket import WebSocket
 from .wire import require_msgpack
 
@@ -64,34 +63,24 @@ class OpenpiClient:
     def _connection(self) -> WebSocket:
         if self._socket is not None:
             return self._socket
-        try:
+        with answering(self._url, self.close):
             made = self._socket = WebSocket(self._address, self._timeout, LARGEST)
-        except TimeoutError:
-            raise
-        except OSError as error:
-            raise RemoteError(f"{self._url} is gone: {error}") from error
         # It says first what it is; nothing of that is needed.
         self._receive(made)
         return made
 
     def _receive(self, connection: WebSocket, question: bytes | None = None) -> Mapping[str, Any]:
-        try:
+        with answering(self._url, self.close):
             if question is not None:
                 connection.send(question)
             data = connection.receive()
             if isinstance(data, str):
                 # The last line of a traceback says what went wrong.
                 raise RemoteError(f"{self._url}: {(data.strip().splitlines() or ['an error'])[-1][:300]}", data)
-            answer = unpack_openpi(data)
-        except BaseException as error:
-            # Whatever comes later on this connection would be taken for another question's answer.
-            self.close()
-            if isinstance(error, DamagedError):
+            try:
+                return unpack_openpi(data)
+            except DamagedError as error:
                 raise RemoteError(f"{self._url} answers with no message: {error}") from error
-            if isinstance(error, OSError) and not isinstance(error, TimeoutError):
-                raise RemoteError(f"{self._url} is gone: {error}") from error
-            raise
-        return answer
 
 
 def pack_openpi(message: Mapping[str, Any]) -> bytes:

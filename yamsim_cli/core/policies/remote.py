@@ -10,21 +10,8 @@ from urllib.parse import urlsplit
 
 from ..errors import ResourceError, UsageError
 from .base import InvalidActionError, Observation
-from .bounds import LARGEST
-from .policy_faults import Fault
+from .peer import RemoteError, answering, content_of
 from .wire import PROTOCOL, WireError, pack, require_msgpack, unpack
-
-
-class RemoteError(RuntimeError):
-    """The server's policy raised something, or the server is gone.
-
-    Attributes:
-        fault: the description of what went wrong.
-    """
-
-    def __init__(self, text: str, traceback: str = "") -> None:
-        super().__init__(text)
-        self.fault = Fault(text, traceback)
 
 
 class RemotePolicy:
@@ -85,18 +72,10 @@ class RemotePolicy:
         self._connection.close()
 
     def _ask(self, what: str, message: Mapping[str, Any]) -> dict[str, Any]:
-        try:
+        with answering(self._url, self._connection.close):
             self._connection.request("POST", f"/{what}", pack(message), {"Content-Type": "application/msgpack"})
             response = self._connection.getresponse()
-            data = response.read(LARGEST + 1)
-            if len(data) > LARGEST:
-                raise http.client.HTTPException(f"its answer is longer than {LARGEST} bytes")
-        except BaseException as error:
-            # Whatever comes later on this connection would be taken for another question's answer.
-            self._connection.close()
-            if isinstance(error, OSError | http.client.HTTPException) and not isinstance(error, TimeoutError):
-                raise RemoteError(f"{self._url} is gone: {str(error) or type(error).__name__}") from error
-            raise
+            data = content_of(response)
         try:
             answer = unpack(data)
         except WireError as error:
