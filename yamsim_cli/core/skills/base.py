@@ -9,7 +9,9 @@ from typing import ClassVar, Literal
 from ..documents.base import Config
 from ..geometry.se3 import Array
 from ..goals.cast import Cast
+from ..types import Cause
 from .bench import Bench, Segment
+from .errors import SkillFailedError
 from .hand import Hand
 
 Side = Literal["left", "right", "any"]
@@ -58,6 +60,18 @@ class Skill(Config):
     def roles(self) -> tuple[tuple[str, str], ...]:
         """The arguments that name roles, and the roles."""
         return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
+
+
+def hand_with(bench: Bench, thing: str, done: str) -> Hand:
+    """The hand that holds a thing which is to be `done`, such as "put down".
+
+    Raises:
+        SkillFailedError: none does any more.
+    """
+    hand = holder_of(bench, thing)
+    if hand is None:
+        raise SkillFailedError(Cause.DROPPED, f"no hand holds the {thing} that is to be {done}")
+    return hand
 
 
 def holder_of(bench: Bench, thing: str) -> Hand | None:

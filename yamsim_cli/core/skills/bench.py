@@ -155,10 +155,15 @@ class Bench:
                     return False
         return True
 
+    @property
+    def middle(self) -> Array:
+        """The middle (2,) between the arms' bases, in `world`, m."""
+        middle: Array = np.mean([hand.arm.T_base_in_world[:2, 3] for hand in self.hands], axis=0)
+        return middle
+
     def middle_places(self) -> list[Array]:
         """Places (2,) on the table that are about as near to all arms, in `world`, m."""
-        middle = np.mean([hand.arm.T_base_in_world[:2, 3] for hand in self.hands], axis=0)
-        return [middle + np.array((ahead, aside)) for ahead in _AHEAD for aside in _ASIDE]
+        return [self.middle + np.array((ahead, aside)) for ahead in _AHEAD for aside in _ASIDE]
 
     def clearance(self, thing: str) -> float:
         """How much wider than around a thing each finger opens to let it go, m."""

@@ -16,7 +16,7 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
-from .base import Skill, holder_of
+from .base import Skill, hand_with
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip, points_well
@@ -72,9 +72,7 @@ class Handover(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        giver = holder_of(bench, thing)
-        if giver is None:
-            raise SkillFailedError(Cause.DROPPED, f"no hand holds the {thing} that is to be handed over")
+        giver = hand_with(bench, thing, "handed over")
         if self.to == giver.side:
             return
         taker = next(hand for hand in bench.hands if hand is not giver)

@@ -14,11 +14,11 @@ from ..goals.predicates.hung import Hung
 from ..planning.joint_motion import clear, straight
 from ..planning.obstacles import Load
 from ..types import Cause
-from .base import Skill, holder_of
+from .base import Skill, hand_with
 from .bench import Bench, Segment
 from .errors import SkillFailedError
 from .hand import PASSING, Hand
-from .moves import let_go, park_others, rest
+from .moves import bring, let_go, park_others, rest
 
 # How far behind the peg's tip the eye may come, in the order in which that is tried, and how far before it the thing
 # waits, m.
@@ -71,9 +71,7 @@ class Hang(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        hand = holder_of(bench, thing)
-        if hand is None:
-            raise SkillFailedError(Cause.DROPPED, f"no hand holds the {thing} that is to be hung up")
+        hand = hand_with(bench, thing, "hung up")
         held = bench.look_at(hand)
         yield from park_others(bench, hand)
         load = Load(thing, held.T_thing_in_pinch)
@@ -89,10 +87,10 @@ class Hang(Skill):
                 fault = str(error)
                 continue
             yield bench.segment({hand: path})
-            yield bench.segment({hand: self._line(bench, hand, T_on)})
+            yield bench.segment({hand: bring(bench, hand, T_on, _SPEED)})
             T_down = bench.world.pose(thing)
             T_down[2, 3] = bench.obstacles.rest_height(bench.qpos, thing, T_down, T_down[2, 3] - _BEFORE) + _GAP
-            yield bench.segment({hand: self._line(bench, hand, T_down)})
+            yield bench.segment({hand: bring(bench, hand, T_down, _SPEED)})
             yield from let_go(bench, hand, bench.clearance(thing))
             yield bench.wait(_SWING_TICKS)
             yield rest(bench)
@@ -113,13 +111,6 @@ class Hang(Skill):
             before = hand.reach(T_before @ inverse(T_thing_in_pinch), seeds, PASSING)
             if before is not None:
                 yield before, T_on
-
-    def _line(self, bench: Bench, hand: Hand, T_thing: Array) -> Array:
-        """A motion (n + 1, dof) that takes what a hand holds straight to a pose (4, 4)."""
-        held = bench.look_at(hand)
-        # The arm sags a little under its load: what it was told lies so far off what it does.
-        T_told_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
-        return bench.line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_told_in_pinch, _SPEED)
 
     def _check(self, bench: Bench, cast: Cast) -> None:
         for measure in Hung(thing=self.thing, onto=self.onto).measures(bench.world, cast):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..geometry.se3 import pose
+from ..geometry.se3 import Array, inverse, pose
 from ..planning.joint_motion import clear
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
@@ -37,6 +37,18 @@ def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
     free = (path for path in paths if clear(path, lambda joints: bench.touched(hand, joints, wide, between=thing)))
     if paths:
         yield bench.segment({hand: next(free, paths[0])})
+
+
+def bring(bench: Bench, hand: Hand, T_thing: Array, speed: float) -> Array:
+    """A motion (n + 1, dof) that takes what a hand holds straight to a pose (4, 4) in `world`, at a speed, m/s.
+
+    Raises:
+        SkillFailedError: the hand holds nothing any more, or the line leaves the arm's reach.
+    """
+    held = bench.look_at(hand)
+    # The arm sags a little under its load: what it was told lies so far off what it does.
+    T_told_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
+    return bench.line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_told_in_pinch, speed)
 
 
 def park(bench: Bench, hand: Hand) -> Iterator[Segment]:

@@ -16,11 +16,11 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
-from .base import Skill, holder_of
+from .base import Skill, hand_with
 from .bench import Bench, Segment
 from .errors import SkillFailedError
 from .hand import PASSING, Hand
-from .moves import let_go, rest
+from .moves import bring, let_go, rest
 
 # From so high a thing comes straight down, at this speed, and is let go so much above where it will lie; m and m/s.
 _OVER = 0.07
@@ -42,14 +42,15 @@ class Placing(Skill):
         drop: it falls the last bit, m: where fingers around it would touch what it is put onto.
     """
 
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS: ClassVar[bool | None] = True
     LEAVES: ClassVar[bool | None] = False
     thing: str
     drop: Annotated[FiniteFloat, Within("m", 0, 0.05)] = 0.0
 
-    @abstractmethod
     def support(self, cast: Cast) -> str:
         """What the thing is put onto, or into: a thing or `table`."""
+        return TABLE
 
     @abstractmethod
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
@@ -90,9 +91,7 @@ class Placing(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        hand = holder_of(bench, thing)
-        if hand is None:
-            raise SkillFailedError(Cause.DROPPED, f"no hand holds the {thing} that is to be put down")
+        hand = hand_with(bench, thing, "put down")
         held = bench.look_at(hand)
         fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
         for T_lying in self._best(bench, cast, thing):
@@ -113,11 +112,7 @@ class Placing(Skill):
         raise SkillFailedError(Cause.UNREACHABLE, fault)
 
     def _lower(self, bench: Bench, hand: Hand, thing: str, T_goal: Array) -> Iterator[Segment]:
-        held = bench.look_at(hand)
-        # The arm sags a little under its load: what it was told lies so far off what it does.
-        T_told_in_pinch = inverse(bench.T_pinch(hand)) @ hand.pinch_at(hand.joints)
-        T_down = _raised(T_goal, _GAP) @ inverse(held.T_thing_in_pinch) @ T_told_in_pinch
-        yield bench.segment({hand: bench.line(hand, T_down, _LOWERING)})
+        yield bench.segment({hand: bring(bench, hand, _raised(T_goal, _GAP), _LOWERING)})
         yield rest(bench)
         yield from let_go(bench, hand, bench.clearance(thing))
         yield rest(bench)

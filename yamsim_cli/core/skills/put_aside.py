@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -23,12 +22,6 @@ class PutAside(Placing):
     Attributes:
         thing: a role; it is in a hand.
     """
-
-    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-
-    def support(self, cast: Cast) -> str:
-        """See `Placing`."""
-        return TABLE
 
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""

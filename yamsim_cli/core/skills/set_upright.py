@@ -37,7 +37,6 @@ class SetUpright(Placing):
         thing: a role.
     """
 
-    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS: ClassVar[bool | None] = None
 
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
@@ -54,10 +53,6 @@ class SetUpright(Placing):
                 yield from turning.run(bench, cast, (taking,))
                 yield from taking.run(bench, cast, (self,))
         yield from super().run(bench, cast, ahead)
-
-    def support(self, cast: Cast) -> str:
-        """See `Placing`."""
-        return TABLE
 
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""

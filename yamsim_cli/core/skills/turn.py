@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 
@@ -29,19 +28,12 @@ class Turn(Placing):
         thing: a role; it is in a hand.
     """
 
-    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-
-    def support(self, cast: Cast) -> str:
-        """See `Placing`."""
-        return TABLE
-
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""
         T, table = bench.world.pose(thing), float(bench.world.bounds(TABLE)[1][2])
-        arms = np.mean([hand.arm.T_base_in_world[:2, 3] for hand in bench.hands], axis=0)
         low, high = bench.world.bounds(thing)
         middle = (low + high) / 2
-        towards = arms - middle[:2]
+        towards = bench.middle - middle[:2]
         towards /= np.linalg.norm(towards)
         found = []
         for nearer in _NEARER:
