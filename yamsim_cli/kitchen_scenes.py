@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .core.errors import ResourceError
-
-if TYPE_CHECKING:
-    from .core.resources import Locations
 
 _PREFIX = "kitchenbench/"
 
 
-def task_of(name: str, where: Locations) -> str | dict[str, Any]:
+def task_of(name: str) -> str | dict[str, Any]:
     """The task that a name stands for: of a scene of the benchmark its config, and any other name is one already.
 
     Raises:
@@ -29,4 +26,4 @@ def task_of(name: str, where: Locations) -> str | dict[str, Any]:
         raise ResourceError(
             f"--task {name} needs the package {error.name}, which is not here: pip install 'yamsim[inspect]'"
         ) from error
-    return recorded.task_of(name.removeprefix(_PREFIX), where)
+    return recorded.task_of(name.removeprefix(_PREFIX))

@@ -45,8 +45,8 @@ NAME = "kitchenbench/stack/tight-spacing"
 
 
 @pytest.fixture(scope="module")
-def task(locations: Locations) -> dict[str, Any]:
-    found = task_of(NAME, locations)
+def task() -> dict[str, Any]:
+    found = task_of(NAME)
     assert isinstance(found, dict)
     return found
 
@@ -78,8 +78,8 @@ def test_a_scene_becomes_a_task_with_its_realizations(task: dict[str, Any]) -> N
     assert len(set(seeds)) == len(seeds) == 100
 
 
-def test_another_realization_may_have_other_things(locations: Locations, task: dict[str, Any]) -> None:
-    others = [task_of(f"{NAME}@{k}", locations) for k in (1, 2, 3)]
+def test_another_realization_may_have_other_things(task: dict[str, Any]) -> None:
+    others = [task_of(f"{NAME}@{k}") for k in (1, 2, 3)]
     counts = {len(one["things"]) for one in (*others, task) if isinstance(one, dict)}
     assert counts == {2, 3}
 
@@ -94,9 +94,9 @@ def test_another_realization_may_have_other_things(locations: Locations, task: d
         ("kitchenbench/fold_cloth/", "fold_cloth has no scene ''"),
     ],
 )
-def test_what_cannot_be_recorded_is_told(name: str, said: str, locations: Locations) -> None:
+def test_what_cannot_be_recorded_is_told(name: str, said: str) -> None:
     with pytest.raises(UsageError) as caught:
-        task_of(name, locations)
+        task_of(name)
     assert str(caught.value).startswith(f"{name}: ") and said in str(caught.value)
 
 

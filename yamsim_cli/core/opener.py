@@ -69,7 +69,7 @@ class Opener:
     notify: Callable[[str], None]
     spell: Callable[[str], str]
     thing: Callable[[str, Locations, Callable[[str], None]], str] = lambda name, where, notify: name
-    task: Callable[[str, Locations], str | dict[str, Any]] = lambda name, where: name
+    task: Callable[[str], str | dict[str, Any]] = lambda name: name
 
     def open(self, name: str, *, renders: bool = True, parallel: bool = True, **given: Any) -> Session:
         """A session of a record config with settings put over it.
@@ -90,7 +90,7 @@ class Opener:
             if isinstance(named := given.get(setting), str):
                 given[setting] = self.thing(named, where, self.notify)
         if isinstance(named := given.get("task"), str):
-            given["task"] = self.task(named, where)
+            given["task"] = self.task(named)
         session = Session(self.config(name, where, lambda config: check_starts(Session(config, where)), **given), where)
         if not renders:
             self.skip_gl()
@@ -123,7 +123,7 @@ class Opener:
         from .tasks.kinds import kind_of
 
         if isinstance(task := given.get("task"), str):
-            given["task"] = self.task(task, where)
+            given["task"] = self.task(task)
         if isinstance(size := given.get("size"), str):
             given["size"] = parse_size(size)
         if (randomize := given.get("randomize")) is not None:

@@ -111,7 +111,7 @@ class Twin:
 
     def __init__(self, realized: Realization, seed: int, ticks: int) -> None:
         self._realized, self._ticks = realized, ticks
-        simulator, blueprint = realized.simulator, realized.blueprint
+        simulator = realized.simulator
         self._scene = simulator.scene
         assert simulator.cast is not None  # realizations have one
         self.motion = Motion(realized, ticks)
@@ -119,9 +119,7 @@ class Twin:
         self._world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
         self.bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
-        items = {item.name: item for item in simulator.config.task.objects}
-        bases = [hand.arm.T_base_in_world[:2, 3] for hand in self.bench.hands]
-        program = program_of(blueprint, items, bases)
+        program = program_of(realized.blueprint, realized.items, realized.bases)
         self._segments = run_program(program, self.bench, simulator.cast, Diary())
 
     def next_actions(self) -> list[Array]:

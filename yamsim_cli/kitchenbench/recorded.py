@@ -17,14 +17,12 @@ from kitchenbench.sim.success import CONTACT_TOL_M, CONTAIN_FRACTION
 from ..core.config.program_task import PROGRAM
 from ..core.errors import UsageError, suggest
 from ..core.goals.world import TABLE
-from ..core.resources import Locations
 from ..core.skills.base import Skill
 from ..core.skills.program import SKILLS
-from .catalog import thing_of
 from .embodiment import STATION, open_base
 from .places import free_places
 from .programs import program_of
-from .scene import HANDED_OVER, STEPS, TIMESTEP, realize, table_of
+from .scene import STEPS, TIMESTEP, realize, table_of
 
 # A task has at most so many of a scene's realizations, among so many of the benchmark's epochs.
 _MOST, _EPOCHS = 100, 600
@@ -36,7 +34,7 @@ _FOR_S = 0.5
 _KINDS = ("place_on", "stack", "place_in", "handoff")
 
 
-def task_of(name: str, where: Locations) -> dict[str, Any]:
+def task_of(name: str) -> dict[str, Any]:
     """The task of a scene, as a task's YAML has it.
 
     Its things, their sizes, what is said and the program are those of one realization of the scene; its arrangements
@@ -55,6 +53,11 @@ def task_of(name: str, where: Locations) -> dict[str, Any]:
             f"kitchenbench/{name}: goals of kind {first.target_kind!r} are not recorded; those are: {', '.join(_KINDS)}"
         )
     base = open_base("64x48", images=False)
+    if table_of(base.config, first) != base.config.scene.table:
+        raise UsageError(
+            f"kitchenbench/{name}: its things do not fit onto the station's table; try another realization, such "
+            f"as {name.partition('@')[0]}@{epoch + 1}"
+        )
     realized = realize(first, base)
     try:
         arrangements = []
@@ -65,16 +68,9 @@ def task_of(name: str, where: Locations) -> dict[str, Any]:
                 arrangements.append({"seed": _seed(scene, number), "places": dict(map(_rounded, places.items()))})
             if len(arrangements) == _MOST:
                 break
-        if table_of(base.config, first) != base.config.scene.table:
-            raise UsageError(
-                f"kitchenbench/{name}: its things do not fit onto the station's table; try another realization, such "
-                f"as {name.partition('@')[0]}@{epoch + 1}"
-            )
     finally:
         realized.simulator.close()
-    bases = [arm.T_base_in_world[:2, 3] for arm in realized.simulator.scene.arms]
-    nests = first.target_kind != HANDED_OVER
-    items = {item.name: thing_of(item, first.conditions, where, nests) for item in first.objects}
+    items = realized.items
     return {
         "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
         "kind": PROGRAM,
@@ -84,7 +80,7 @@ def task_of(name: str, where: Locations) -> dict[str, Any]:
         "arrangements": arrangements,
         "phrasings": {"training": [first.instruction]},
         "goal": {"all": [_goal(first)], "for_s": _FOR_S},
-        "expert": [_step(skill) for skill in program_of(first, items, bases)],
+        "expert": [_step(skill) for skill in program_of(first, items, realized.bases)],
         "timing": {"physics_steps_per_tick": STEPS, "timestep": TIMESTEP},
     }
 

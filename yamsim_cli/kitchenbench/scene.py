@@ -15,6 +15,7 @@ from ..core.attempt.simulator import Simulator
 from ..core.config.program_task import PROGRAM, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
+from ..core.config.things import ObjectConfig
 from ..core.geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ..core.goals.cast import Cast
 from ..core.planning.demonstration import start_stands
@@ -28,8 +29,8 @@ from .places import BESIDE, T_in_world, free_places
 #: Kinds of goals whose things are rigid.
 RIGID_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort"})
 
-#: The kind of goal for which a cup goes into nothing.
-HANDED_OVER = "handoff"
+# The kind of goal for which a cup goes into nothing.
+_HANDED_OVER = "handoff"
 
 #: The rate of control ticks, Hz, and what makes one of them, physics steps and s.
 TICK_HZ = 30
@@ -71,6 +72,16 @@ class Realization:
     unrealized: tuple[str, ...]
 
     @property
+    def items(self) -> dict[str, ObjectConfig]:
+        """What the blueprint's things are here, by their names."""
+        return {item.name: item for item in self.simulator.config.task.objects}
+
+    @property
+    def bases(self) -> list[Array]:
+        """Where the arms stand (2,), in `world`, m."""
+        return [arm.T_base_in_world[:2, 3] for arm in self.simulator.scene.arms]
+
+    @property
     def sides(self) -> tuple[str, ...]:
         """Of the scene's arms."""
         return sides(self.simulator.config)
@@ -92,7 +103,7 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
             f"those are: {', '.join(sorted(RIGID_KINDS))}"
         )
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
-    nests = blueprint.target_kind != HANDED_OVER
+    nests = blueprint.target_kind != _HANDED_OVER
     objects = [thing_of(item, blueprint.conditions, base.locations, nests) for item in things]
     config = base.config
     task = _task(blueprint, config, {item.name: item for item in objects})
