@@ -11,31 +11,18 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.attempts import all_actions
 from tests.core.teleop.demonstrated import write_stream
+from tests.core.teleop.tray import Tray
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from yamsim_cli.core.attempt.programs import demonstrate_program
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.errors import ConfigError, SimulationError
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.teleop.desk import DrivenAttempt, DrivenRunner
+from yamsim_cli.core.teleop.desk import DrivenRunner
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
 from yamsim_cli.core.teleop.stream import Player, read_stream
 from yamsim_cli.core.types import Cause
 
 TICK = 0.032
-
-
-class Tray:
-    """Takes what is handed in, and leaves it."""
-
-    def __init__(self) -> None:
-        self.attempts: list[DrivenAttempt] = []
-
-    @property
-    def next_attempt(self) -> int:
-        return len(self.attempts)
-
-    def hand_in(self, driven: DrivenAttempt) -> None:
-        self.attempts.append(driven)
 
 
 @pytest.fixture(scope="module")

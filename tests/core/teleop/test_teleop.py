@@ -22,6 +22,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.making import failed_attempt, made
 from tests.core.teleop.demonstrated import TICK, planned_lines, write_stream
+from tests.core.teleop.tray import Tray
 from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
@@ -38,20 +39,6 @@ from yamsim_cli.core.teleop.driven_scene import DrivenScene
 from yamsim_cli.core.teleop.loop import Jitter, Pace, open_seat
 from yamsim_cli.core.teleop.stream import Player, read_stream
 from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
-
-
-class Tray:
-    """Takes what is handed in, and leaves it."""
-
-    def __init__(self) -> None:
-        self.attempts: list[DrivenAttempt] = []
-
-    @property
-    def next_attempt(self) -> int:
-        return len(self.attempts)
-
-    def hand_in(self, driven: DrivenAttempt) -> None:
-        self.attempts.append(driven)
 
 
 @pytest.fixture
