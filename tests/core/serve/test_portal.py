@@ -198,4 +198,4 @@ def test_random_messages_do_no_harm_and_fill_no_memory(server: PortalServer, arm
 
 
 def test_it_listens_on_loopback_alone(server: PortalServer) -> None:
-    assert server._listener.getsockname()[0] == "127.0.0.1"
+    assert server.readers[0].getsockname()[0] == "127.0.0.1"

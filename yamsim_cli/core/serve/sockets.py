@@ -15,9 +15,8 @@ from pathlib import Path
 from ..errors import ResourceError
 from ..motors import frames
 from ..motors.frames import Frame
+from .connections import Connections, Program
 
-# Programs on one bus at a time.
-_MOST_CLIENTS = 16
 # Bytes that are read at once, and that wait for a program which does not read: more is thrown away, as a full buffer of
 # an adapter is.
 _READ_BYTES = 256 * frames.FRAME_BYTES
@@ -49,103 +48,55 @@ class UnixBus:
 
     def __init__(self, folder: Path, channel: str) -> None:
         self.path = open_folder(folder) / channel
-        self._clients: dict[socket.socket, bytearray] = {}
-        self._waiting: dict[socket.socket, bytearray] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.setblocking(False)
         try:
             _drop_stale(self.path)
             self._listener.bind(str(self.path))
         except OSError as error:
             self._listener.close()
             raise ResourceError(f"{self.path}: cannot be listened on: {error.strerror or error}") from error
-        self._listener.listen(_MOST_CLIENTS)
+        self._connections = Connections(self._listener, _READ_BYTES)
 
     @property
     def readers(self) -> list[socket.socket]:
         """What to wait for until there may be something to read."""
-        return [self._listener, *self._clients]
+        return self._connections.readers
 
     @property
     def clients(self) -> int:
         """How many programs are on the bus."""
-        return len(self._clients)
+        return len(self._connections.programs)
 
     def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
         """The frames that have come on sockets where there is something to read."""
-        if self._listener in ready:
-            self._accept()
-        for client in ready & self._clients.keys():
-            # One that reads nothing may be gone by what another one says.
-            if client in self._clients:
-                yield from self._read(client)
+        for program in self._connections.heard(ready):
+            whole = len(program.came) - len(program.came) % frames.FRAME_BYTES
+            wires = bytes(program.came[:whole])
+            del program.came[:whole]
+            for start in range(0, whole, frames.FRAME_BYTES):
+                frame = frames.parse(wires[start : start + frames.FRAME_BYTES])
+                if frame is not None:
+                    if self.clients > 1:
+                        self.send(frame, but=program)
+                    yield frame
 
-    def send(self, frame: Frame, but: socket.socket | None = None) -> None:
+    def send(self, frame: Frame, but: Program | None = None) -> None:
         """Put a frame before all programs, but for one."""
         wire = frames.to_wire(frame)
-        for client in [one for one in self._clients if one is not but]:
-            waiting = self._waiting[client]
-            if len(waiting) + len(wire) <= _BACKLOG_BYTES:
-                waiting += wire
-            self._flush(client)
+        for program in self._connections.programs:
+            if program is not but:
+                if len(program.waits) + len(wire) <= _BACKLOG_BYTES:
+                    program.waits += wire
+                self._connections.flush(program)
 
     def flush(self) -> None:
         """Send on what programs could not take before."""
-        for client in [one for one, waiting in self._waiting.items() if waiting]:
-            self._flush(client)
+        self._connections.flush()
 
     def close(self) -> None:
         """Leave nothing behind."""
-        for client in list(self._clients):
-            self._drop(client)
-        self._listener.close()
+        self._connections.close()
         self.path.unlink(missing_ok=True)
-
-    def _accept(self) -> None:
-        try:
-            client, _ = self._listener.accept()
-        except OSError:
-            return
-        if len(self._clients) >= _MOST_CLIENTS:
-            client.close()
-            return
-        client.setblocking(False)
-        self._clients[client], self._waiting[client] = bytearray(), bytearray()
-
-    def _read(self, client: socket.socket) -> Iterator[Frame]:
-        try:
-            data = client.recv(_READ_BYTES)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._drop(client)
-            return
-        buffer = self._clients[client]
-        buffer += data
-        whole = len(buffer) - len(buffer) % frames.FRAME_BYTES
-        wires, self._clients[client] = bytes(buffer[:whole]), buffer[whole:]
-        for start in range(0, whole, frames.FRAME_BYTES):
-            frame = frames.parse(wires[start : start + frames.FRAME_BYTES])
-            if frame is not None:
-                if len(self._clients) > 1:
-                    self.send(frame, but=client)
-                yield frame
-
-    def _flush(self, client: socket.socket) -> None:
-        waiting = self._waiting[client]
-        try:
-            del waiting[: client.send(waiting)]
-        except BlockingIOError:
-            return
-        except OSError:
-            self._drop(client)
-
-    def _drop(self, client: socket.socket) -> None:
-        client.close()
-        self._clients.pop(client, None)
-        self._waiting.pop(client, None)
 
 
 class KernelBus:
