@@ -148,13 +148,15 @@ def evaluate(
     from yamsim_cli.core.evaluate import evaluation
     from yamsim_cli.core.evaluate.choice import PolicyChoice
     from yamsim_cli.core.evaluate.compare import compare as compared
-    from yamsim_cli.core.evaluate.compare import read_report
+    from yamsim_cli.core.evaluate.compare import read_report, require_same
     from yamsim_cli.core.trials.batch import write_report
-    from yamsim_cli.core.trials.tally import require_success
+    from yamsim_cli.core.trials.tally import require_success, what_ran
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
-    # Read first: a file that is no report is told before hours of trials.
+    # Read first: a file that is no report, or one of other trials, is told before hours of trials.
     known = {name: read_report(Path(name)) for name in others if name.endswith(".json")}
+    for told in known.values():
+        require_same(what_ran(session.config), told)
 
     def run(choice: PolicyChoice) -> evaluation.Evaluation:
         with progress_bar("trials", "trials") as advance:

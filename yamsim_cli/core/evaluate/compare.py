@@ -51,6 +51,22 @@ def read_report(path: Path) -> dict[str, Any]:
     return found
 
 
+def require_same(asked: Mapping[str, Any], report: Mapping[str, Any]) -> None:
+    """Make sure that a report's trials can be the same as others.
+
+    Args:
+        asked: of those, what `what_ran` tells, or a report of them.
+
+    Raises:
+        UsageError: they are of something else.
+    """
+    for key in _SAME:
+        if asked[key] != report[key]:
+            raise UsageError(
+                f"--compare {report['policy']}: its {key} is {report[key]}, and not {asked[key]}: no pairs of trials"
+            )
+
+
 def compare(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
     """How two reports differ, JSON-ready: policy and success_rate of the second, n pairs, both, only_first,
     only_second, neither, p_value (McNemar's exact test).
@@ -59,9 +75,7 @@ def compare(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, An
         UsageError: they are not of the same trials.
     """
     name = second["policy"]
-    for key in _SAME:
-        if first[key] != second[key]:
-            raise UsageError(f"--compare {name}: its {key} is {second[key]}, and not {first[key]}: no pairs of trials")
+    require_same(first, second)
     one, other = ({(trial["seed"], trial["trial"]): trial for trial in report["trials"]} for report in (first, second))
     if one.keys() != other.keys():
         raise UsageError(f"--compare {name}: it has {len(other)} trials, not the same {len(one)}: give the same --n")
