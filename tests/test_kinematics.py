@@ -176,6 +176,7 @@ def test_pictures_can_be_drawn_later_in_the_same_process(first: str, repository:
     assert done.stdout.strip() == "1"
 
 
+@pytest.mark.slow
 def test_a_target_beyond_the_solvers_numbers_is_out_of_reach() -> None:
     """Task and damping are twelve orders of magnitude apart there, and the QP has no solution."""
     kinematics = Kinematics()

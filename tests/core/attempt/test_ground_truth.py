@@ -77,6 +77,7 @@ def test_boxes_and_segmentation_are_of_the_same_frame(payload: EpisodePayload) -
         assert np.isin(numbers, parts).sum() == truth["pixels"][k, labels.instances.index("arm1")]
 
 
+@pytest.mark.slow
 def test_another_worker_gives_the_same_bytes(
     payload: EpisodePayload, config: RecordConfig, locations: Locations
 ) -> None:

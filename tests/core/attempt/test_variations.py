@@ -136,6 +136,7 @@ def test_who_acts_in_an_attempt_finds_room_among_its_distractors(visual: Simulat
     assert furnished.variation.distractors
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_an_attempt_is_the_same_whatever_was_made_before(
     make_config: Callable[..., RecordConfig], locations: Locations

@@ -60,6 +60,7 @@ def outcomes(report: dict[str, Any]) -> list[Any]:
     return [(trial["trial"], trial["seed"], trial["outcome"], [*trial["layout"].items()]) for trial in report["trials"]]
 
 
+@pytest.mark.slow
 def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConfig, locations: Locations) -> None:
     """Every number of every trial, failures too, whatever the workers."""
     batch = run_batch(Session(strict, locations), (0.05,), lambda *_: None)
@@ -179,6 +180,7 @@ def test_a_fork_that_a_policy_leaves_behind_answers_for_no_trial(
     assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3)}
 
 
+@pytest.mark.slow
 def test_a_policy_that_ends_its_process_costs_its_trial_alone(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:

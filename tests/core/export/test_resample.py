@@ -123,6 +123,7 @@ def drawn_dataset(
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_pictures_drawn_anew_are_the_recorded_ones_at_recorded_times(
     drawn_dataset: Path, locations: Locations, tmp_path: Path

@@ -149,8 +149,18 @@ BOX = ("task", "sampling", "x")
         # Of its starts, not quite one in five has both in reach.
         ({BOX: [0.55, 1.00]}, Cause.UNREACHABLE, False),
         ({}, Cause.UNREACHABLE, False),
-        ({("rig",): "bimanual", ("arm",): "left", BOX: [0.80, 1.05]}, Cause.UNREACHABLE, True),
-        ({("rig",): "russet", ("task",): "handover", BOX: [0.80, 1.05]}, Cause.UNREACHABLE, True),
+        pytest.param(
+            {("rig",): "bimanual", ("arm",): "left", BOX: [0.80, 1.05]},
+            Cause.UNREACHABLE,
+            True,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            {("rig",): "russet", ("task",): "handover", BOX: [0.80, 1.05]},
+            Cause.UNREACHABLE,
+            True,
+            marks=pytest.mark.slow,
+        ),
         ({("rig",): "russet", ("task",): "handover"}, Cause.UNREACHABLE, False),
         ({("task", "sampling", "min_separation"): 0.9}, Cause.NO_LAYOUT, True),
         ({("task", "sampling", "min_separation"): 0.3}, Cause.NO_LAYOUT, False),

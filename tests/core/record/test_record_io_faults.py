@@ -83,7 +83,9 @@ def assert_whole(path: Path) -> None:
 
 
 @pytest.mark.parametrize("staged", [False, pytest.param(True, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("fault", Fault)
+@pytest.mark.parametrize(
+    "fault", [Fault.ONCE, *(pytest.param(fault, marks=pytest.mark.slow) for fault in Fault if fault is not Fault.ONCE)]
+)
 def test_whichever_call_fails_nothing_is_lost(
     config: RecordConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, staged: bool
 ) -> None:
