@@ -29,6 +29,7 @@ FLOORS: dict[str, int] = {
     "core.variation": 2,
     "core.robots": 2,
     "core.types": 3,
+    "core.motion": 3,
     "core.goals": 2,
     "core.config": 3,
     "core.images": 3,
