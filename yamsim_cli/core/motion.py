@@ -34,7 +34,7 @@ class ArmMotion:
 class Motion:
     """A recorded motion of one arm or two.
 
-    A command acts from its sample's time on, until the next sample's. Nothing is made up: what was not recorded is None.
+    A command acts from its sample's time on, until the next sample's. What was not recorded is None, and not made up.
 
     Attributes:
         name: where it was read from, for messages.
