@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -124,11 +125,14 @@ def test_another_rigs_csv_is_refused_with_the_columns(locations: Locations, sing
 
 @pytest.fixture(scope="module", params=["single", "russet"])
 def recorded(
-    request: pytest.FixtureRequest, locations: Locations, tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest,
+    locations: Locations,
+    make_config: Callable[..., RecordConfig],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[RecordConfig, Path]:
     """An episode of one arm, and a hand-over's of two."""
     task = {"single": "pickplace", "russet": "handover"}[request.param]
-    config = load_config(RecordConfig, "record", "default", locations, {("rig",): request.param, ("task",): task})
+    config = make_config({("rig",): request.param, ("task",): task})
     path = tmp_path_factory.mktemp("recorded") / "dataset"
     write_dataset(path, config, locations, 1)
     return config, path
