@@ -75,6 +75,7 @@ FLOORS: dict[str, int] = {
     "commands": 12,
     "api": 13,
     "gym_env": 14,
+    "station": 14,
     "main": 13,
     "__main__": 14,
 }
