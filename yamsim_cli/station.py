@@ -13,111 +13,24 @@ Rows and cameras are called as `yamsim export lerobot` calls them, and have the 
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .api import PROGRAM
 from .core.closing import Closing
 from .core.errors import SimulationError, UsageError
 from .core.session import Session
+from .station_settings import StationForm, StationSettings
 
 if TYPE_CHECKING:
-    from .core.config.recording import RecordConfig
     from .core.geometry.se3 import Array
     from .core.images.image import Image
 
 __all__ = ["Station", "StationForm", "StationSettings"]
 
 Row = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class StationSettings:
-    """What a station is, as the flags of `yamsim record` say it; None for what the config says.
-
-    Attributes:
-        action: "drives" for rad and m and then each arm's weld, "joints" for rad and grippers as shares, without welds.
-        fps: frames a second.
-        size: width and height of pictures, px, or `640x480`.
-        cameras: which to show, in order; the scene's and those of the wrists unless given, or all of the rig's own.
-        config: a name from `configs/record/`, or a YAML file.
-    """
-
-    task: str | None = None
-    rig: str | None = None
-    arm: str | None = None
-    grasp: str | None = None
-    action: str | None = None
-    fps: float | None = None
-    size: tuple[int, int] | str | None = None
-    quality: str | None = None
-    cameras: tuple[str, ...] | None = None
-    randomize: bool | None = None
-    config: str = "default"
-
-    @property
-    def given(self) -> dict[str, Any]:
-        """Setting -> value, as sessions are opened with; without the config's name."""
-        given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        del given["config"]
-        return given | {"camera": given.pop("cameras"), "wrist": True}
-
-
-@dataclass(frozen=True)
-class StationForm:
-    """What a station's rows and pictures are, which is known before it is built.
-
-    Attributes:
-        state: names of the numbers of a state.
-        action: names of the numbers of a command.
-        environment: names of the numbers that say where things are, see `Station.environment`.
-        cameras: camera -> shape of its pictures (height, width, 3).
-        fps: frames a second.
-        most_frames: how many a trial may take.
-        prompt: the task in words; a trial of a task that has several ways to say it may say it otherwise.
-    """
-
-    state: tuple[str, ...]
-    action: tuple[str, ...]
-    environment: tuple[str, ...]
-    cameras: Mapping[str, tuple[int, int, int]]
-    fps: float
-    most_frames: int
-    prompt: str
-
-    @classmethod
-    def of(cls, settings: StationSettings) -> StationForm:
-        """That of the station with these settings; reads configs alone.
-
-        Raises:
-            ConfigError, UsageError: a setting is not valid.
-        """
-        return cls.of_config(PROGRAM.config(settings.config, PROGRAM.locations(), **settings.given))
-
-    @classmethod
-    def of_config(cls, config: RecordConfig) -> StationForm:
-        """That of a record config."""
-        from .core.dataset.rows import Rows
-        from .core.evaluate.stepped import most_ticks
-        from .core.policies.environment_state import state_names, things_told
-
-        joints = {item.name: [link.name for link in item.links] for item in config.task.objects}
-        rows, timing = Rows.of(config), config.task.timing
-        width, height = config.image.size_px
-        return cls(
-            rows.drives,
-            rows.actions,
-            state_names(tuple(things_told(config)), joints if config.program else {}),
-            dict.fromkeys(config.recorded_cameras, (height, width, 3)),
-            round(1 / (timing.tick * timing.ticks_per_frame), 6),
-            most_ticks(config) // timing.ticks_per_frame,
-            config.task.language_prompt,
-        )
 
 
 class Station(Closing):
@@ -140,16 +53,17 @@ class Station(Closing):
         from .core.dataset.rows import Rows
         from .core.evaluate.stepped import SteppedTask
 
+        opener = settings.opener
         if pictures:
-            session = PROGRAM.open(settings.config, parallel=False, **settings.given)
+            session = opener.open(settings.config, parallel=False, **settings.given)
         else:
-            where = PROGRAM.locations()
-            session = Session(PROGRAM.config(settings.config, where, **settings.given), where)
+            where = opener.locations()
+            session = Session(opener.config(settings.config, where, **settings.given), where)
         config = session.config
         self.form = StationForm.of_config(config)
         self._timing = config.task.timing
         self._rows, self._task = Rows.of(config), SteppedTask(session)
-        self._told: Row | None = None
+        self._told: Row = np.zeros(len(self.form.action), np.float32)
 
     @property
     def trial(self) -> int:
@@ -183,7 +97,7 @@ class Station(Closing):
         from .core.types import EpisodeJob
 
         self._task.begin(EpisodeJob(seed, trial))
-        self._told = None
+        self._hold()
         return self.trial
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
@@ -198,7 +112,7 @@ class Station(Closing):
         from .core.types import EpisodeJob
 
         actions = self._task.begin_demonstrated(EpisodeJob(seed, trial))
-        self._told = None
+        self._hold()
         drives = self._task.simulator.scene.drives
         first = range(0, len(actions.ctrl), self._timing.ticks_per_frame)
         return np.array([self._rows.action(actions.ctrl[k][drives], actions.magnet[k]) for k in first])
@@ -229,8 +143,8 @@ class Station(Closing):
         )
         if len(row) != len(self.form.environment):
             raise SimulationError(
-                f"task {config.task.name!r}: trial {self.trial} has things with other joints than usual, so that where they "
-                f"are is {len(row)} numbers and not {len(self.form.environment)}"
+                f"task {config.task.name!r}: trial {self.trial} has things with other joints than usual, and so "
+                f"{len(row)} numbers for where they are and not {len(self.form.environment)}"
             )
         return row.astype(np.float32)
 
@@ -255,13 +169,17 @@ class Station(Closing):
 
     def tick(self) -> None:
         """Let one control tick pass; nothing is judged."""
-        if self._told is None:
-            self._told = self._rows.action(self._joints(), np.zeros(self._rows.arms, bool))
         self._task.step(*self._rows.command(self._told))
 
-    def positions(self) -> NDArray[np.float64]:
+    def judge(self) -> str:
+        """Why the trial is no success as it stands, in words; empty if it is one. It is simulated again for that."""
+        outcome = self._task.judge()
+        return "" if outcome.success else outcome.detail or f"{outcome.cause}"
+
+    def positions(self) -> Array:
         """MuJoCo's positions (nq,) now, a copy, from which pictures can be drawn later."""
-        return self._task.loop.data.qpos.copy()
+        positions: Array = self._task.loop.data.qpos.copy()
+        return positions
 
     def pictures(
         self, cameras: Sequence[str] | None = None, positions: NDArray[np.float64] | None = None
@@ -280,7 +198,12 @@ class Station(Closing):
         """Free what renders."""
         self._task.close()
 
+    def _hold(self) -> None:
+        """Command what the arms do now."""
+        self._told = self._rows.action(self._joints(), np.zeros(self._rows.arms, bool))
+
     def _joints(self) -> Array:
         replica = self._task.simulator.replica
         replica.show(self._task.loop.data.qpos)
-        return replica.joints()
+        joints: Array = replica.joints()
+        return joints

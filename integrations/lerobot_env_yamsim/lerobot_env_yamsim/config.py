@@ -126,6 +126,7 @@ class YamsimEnvConfig(EnvConfig):
                 cameras=tuple(self.cameras) if self.cameras else None,
                 randomize=self.randomize,
                 config=self.config,
+                spelling="--env.{}",
             )
             for task in tasks
         }

@@ -32,7 +32,7 @@ def read_settings(settings: StationSettings) -> StationForm:
     try:
         return StationForm.of(settings)
     except YamsimError as error:
-        raise ValueError(f"--env.type=yamsim: {error}") from None
+        raise ValueError(str(error)) from None
 
 
 class YamsimEnv(gymnasium.Env[Observation, NDArray[np.float32]]):

@@ -22,7 +22,7 @@ from ..session import Session
 from ..sim.closed_loop import ClosedLoop
 from ..sim.goal_watch import GoalWatch
 from ..tasks.kinds import kind_of
-from ..types import Actions, Attempt, EpisodeJob, Holds
+from ..types import Actions, Attempt, EpisodeJob, Holds, Outcome
 
 # An object is slow just after it was let go, too. It counts as at rest after so many ticks, a quarter of a second.
 _REST_TICKS = 8
@@ -50,6 +50,8 @@ class SteppedTask(Closing):
     attempt: Attempt
     loop: ClosedLoop
     watch: GoalWatch | None
+    _denied: bool
+    _rested: int
 
     def __init__(self, session: Session) -> None:
         self.config = session.config
@@ -96,10 +98,14 @@ class SteppedTask(Closing):
         """Whether the trial is a success by now, judged as by the batch; ask after every tick until it is."""
         if not self._looks_done() or self._denied:
             return False
-        judged = repeat(self.simulator, self.attempt, self.loop.actions, planned=False).outcome
+        success = self.judge().success
         # What the batch does not count as success, such as an object pushed onto the target, stays a failure.
-        self._denied = not judged.success
-        return judged.success
+        self._denied = not success
+        return success
+
+    def judge(self) -> Outcome:
+        """How the trial would be judged if it ended now."""
+        return repeat(self.simulator, self.attempt, self.loop.actions, planned=False).outcome
 
     def render(self, cameras: Sequence[str], qpos: Array | None = None) -> dict[str, Image]:
         """Camera -> image (height, width, 3) of the state now, or at MuJoCo's positions (nq,)."""
