@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,7 +12,7 @@ from lerobot.envs import EnvConfig
 from lerobot.envs.utils import _LazyAsyncVectorEnv, freeze_after_episode_end
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
-from yamsim_cli.station import StationSettings
+from yamsim_cli.station import StationForm, StationSettings
 
 from .environment import ENVIRONMENT, STATE, YamsimEnv, read_settings
 
@@ -62,12 +62,12 @@ class YamsimEnvConfig(EnvConfig):
             ValueError: a setting is not valid, or one policy cannot do all the tasks.
         """
         forms = {task: read_settings(settings) for task, settings in self._settings().items()}
-        form, *others = forms.values()
-        for task, other in zip(list(forms)[1:], others, strict=True):
-            if replace(other, most_frames=form.most_frames, prompt=form.prompt) != form:
+        first, form = next(iter(forms.items()))
+        for task, other in forms.items():
+            if self._shown(other) != self._shown(form):
                 raise ValueError(
-                    f"--env.task={self.task}: one policy cannot do {next(iter(forms))} and {task}: joints, cameras or "
-                    "things differ; give --env.rig and --env.cameras that suit both, or evaluate them one by one"
+                    f"--env.task={self.task}: one policy cannot do {first} and {task}: joints, cameras or things "
+                    "differ; give --env.rig and --env.cameras that suit both, or evaluate them one by one"
                 )
         numbers = {STATE: (FeatureType.STATE, form.state, OBS_STATE), ACTION: (FeatureType.ACTION, form.action, ACTION)}
         if self.environment_state:
@@ -107,6 +107,15 @@ class YamsimEnvConfig(EnvConfig):
                 frozen = [freeze_after_episode_end(one)] * n_envs
                 made[task] = {0: SyncVectorEnv(frozen, autoreset_mode=AutoresetMode.NEXT_STEP)}
         return made
+
+    def _shown(self, form: StationForm) -> tuple[object, ...]:
+        """What of a station a policy depends on."""
+        return (
+            form.state,
+            form.action,
+            form.cameras if self.pictures else None,
+            form.environment if self.environment_state else None,
+        )
 
     def _settings(self) -> dict[str, StationSettings]:
         """Task -> the station where it is done."""
