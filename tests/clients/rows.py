@@ -105,7 +105,7 @@ ROWS: dict[str, Row] = {
         "LeRobot 0.6: lerobot-eval",
         "lerobot",
         "`lerobot_env_yamsim`: a policy that plays the expert succeeds in each trial, several at once too; one that it "
-        "has trained has the trials of `yamsim eval`",
+        "has trained runs, and its trials are recorded",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
