@@ -78,6 +78,9 @@ FLOORS: dict[str, int] = {
     "commands": 12,
     "api": 13,
     "gym_env": 14,
+    "station_settings": 14,
+    "station": 15,
+    "live_station": 16,
     "main": 13,
     "__main__": 14,
 }

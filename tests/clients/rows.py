@@ -101,6 +101,21 @@ ROWS: dict[str, Row] = {
         Environment("lerobot", "3.12"),
         heavy=True,
     ),
+    "lerobot-eval": Row(
+        "LeRobot 0.6: lerobot-eval",
+        "lerobot",
+        "`lerobot_env_yamsim`: a policy that plays the expert succeeds in each trial, several at once too; one that it "
+        "has trained runs, and its trials are recorded",
+        Environment("lerobot", "3.12"),
+        heavy=True,
+    ),
+    "lerobot-record": Row(
+        "LeRobot 0.6: lerobot-record, lerobot-replay",
+        "lerobot",
+        "`lerobot_robot_yamsim`: records episodes of the expert, which its loader reads; replays one by the clock",
+        Environment("lerobot", "3.12"),
+        heavy=True,
+    ),
     "lerobot-0.4": Row("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
     "lerobot-doctor": Row(
         "lerobot-doctor",

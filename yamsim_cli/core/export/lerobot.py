@@ -83,8 +83,7 @@ class _Writer:
     def __init__(self, root: Path, source: Source) -> None:
         self.frames = 0
         self._root, self._source = root, source
-        welds = [] if source.config.action == "joints" else [f"{prefix}magnet" for prefix in source.prefixes]
-        self._columns = schema.columns(source.cameras, source.drives, welds)
+        self._columns = schema.columns(source.cameras, source.drives, source.welds)
         self._tasks: dict[str, int] = {}
         self._total = RunningStats()
         self._provenance: list[dict[str, Any]] = []
