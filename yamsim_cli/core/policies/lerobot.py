@@ -22,7 +22,7 @@ class LeRobotClient:
     A policy that looks at one observation answers with all of its chunk; one that looks back answers action by action.
 
     Attributes:
-        pictures: keys of the pictures that it asks for.
+        asks: keys of all that it asks for, pictures and rows of numbers.
         execute: after how many actions of a chunk it is meant to be asked again; None for all.
 
     Args:
@@ -61,7 +61,7 @@ class LeRobotClient:
         self._policy.eval()
         shapes = {key: tuple(feature.shape) for key, feature in config.image_features.items()}
         self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
-        self.pictures = tuple(shapes)
+        self.asks = tuple(config.input_features)
         # Of such a policy, only select_action notes what was seen.
         kept = set(getattr(self._policy, "_queues", ())) - {"action"}
         self._looks_back = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
