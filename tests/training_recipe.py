@@ -2,41 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-# A small network and few steps, for two cores without a GPU. ACT's own sizes are for pictures and many cores.
-NETWORK = (
-    "--policy.dim_model=128",
-    "--policy.n_heads=4",
-    "--policy.dim_feedforward=512",
-    "--policy.n_encoder_layers=2",
-    "--policy.use_vae=false",
-    "--policy.dropout=0",
-    "--policy.chunk_size=32",
-    "--policy.n_action_steps=8",
-    # Without this ACT takes where things are as it is, in metres.
-    '--policy.normalization_mapping={"STATE": "MEAN_STD", "ENV": "MEAN_STD", "ACTION": "MEAN_STD"}',
-)
-# ACT's preset has no schedule. A rate that falls to nothing makes the last actions exact.
-SCHEDULE = (
-    "--use_policy_training_preset=false",
-    "--optimizer.type=adamw",
-    "--optimizer.lr=1e-3",
-    "--optimizer.weight_decay=1e-4",
-    "--scheduler.type=cosine_annealing_with_warmup",
-    "--scheduler.num_warmup_steps=100",
-)
-# What keeps it on this machine, and off the hub.
-HERE = (
-    "--policy.device=cpu",
-    "--policy.push_to_hub=false",
-    "--policy.pretrained_backbone_weights=null",
-    "--num_workers=1",
-)
-BATCH = 32
-STEPS = 6000
+from tests.pages import snippet
+
 # Of recordings, and of trials: no trial starts as a demonstration did.
 RECORD_SEED, EVAL_SEED = 0, 1000
 
@@ -85,25 +55,20 @@ def export(demos: Path, out: Path, episodes: int) -> list[str]:
     ]
 
 
-def train(dataset: Path, out: Path, steps: int = STEPS, more: Sequence[str] = ()) -> list[str]:
+def write_config(path: Path) -> Path:
+    """The config of `lerobot-train` that the page shows, as a file."""
+    path.write_text(snippet("yaml", "dim_model"))
+    return path
+
+
+def train(config: Path, dataset: Path, out: Path, *more: str) -> list[str]:
     """Arguments of `lerobot-train`."""
-    return [
-        "--dataset.repo_id=local/demos",
-        f"--dataset.root={dataset}",
-        f"--output_dir={out}",
-        "--policy.type=act",
-        *NETWORK,
-        *SCHEDULE,
-        *HERE,
-        f"--batch_size={BATCH}",
-        f"--steps={steps}",
-        *more,
-    ]
+    return [f"--config_path={config}", f"--dataset.root={dataset}", f"--output_dir={out}", *more]
 
 
-def evaluate(kind: Demonstrations, trained: Path, trials: int = 100) -> list[str]:
+def evaluate(kind: Demonstrations, trained: Path, trials: int = 100, seed: int = EVAL_SEED) -> list[str]:
     """Arguments of `yamsim`: it is asked at every second action, and answers that overlap are averaged."""
     policy = f"lerobot:{trained}/checkpoints/last/pretrained_model"
     chunks = ["--execute", "2", "--ensemble", "0.01"]
-    given = ["--n", str(trials), "--seed", str(EVAL_SEED), "--workers", "2"]
+    given = ["--n", str(trials), "--seed", str(seed), "--workers", "2"]
     return ["eval", "--policy", policy, *given, *chunks, *kind.task]

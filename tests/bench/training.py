@@ -1,6 +1,6 @@
 """What demonstrations are worth: records, trains with LeRobot and evaluates, for several numbers and kinds of them.
 
-    python -m tests.bench.training --python ENV/bin/python [--runs weld:25,weld:200,contact:200] [--out out/training]
+    python -m tests.bench.training --python ENV/bin/python [--runs weld:25:3000,weld:200:6000] [--out out/training]
 
 ENV has yamsim[lerobot] and lerobot[training]==0.6.1. Every stage is kept in --out, and not done again:
 wall and CPU seconds (of the stage and all its processes), the loss as `lerobot-train` logged it, and `eval`'s report.
@@ -16,7 +16,7 @@ import re
 import resource
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,19 +28,30 @@ from tests.bench.training_plot import plot_training
 _LOGGED = re.compile(r"ot_train\.py:\d+ step:\S+ smpl:.* loss:([0-9.]+) ")
 _LOG_EVERY = 100
 # What `lerobot-train` runs.
-_TRAIN = ("-m", "lerobot.scripts.lerobot_train")
-# Demonstrations of a kind are recorded once, and those of fewer are the first of them.
-_MOST = 200
+_UNMODIFIED = ["-m", "lerobot.scripts.lerobot_train"]
+_REMEMBERING = Path(__file__).with_name("remembering_train.py")
+_RUNS = "weld:200:6000,weld:25:3000,weld:50:3000,weld:100:3000,weld:200:3000,contact:100:3000,randomized:100:3000"
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Where programs are, where results go, and by what recordings are given."""
+    """How all runs are done.
+
+    Attributes:
+        python: of the environment with all programs.
+        out: where results go.
+        most: kind -> how many demonstrations are recorded; runs with fewer take the first of them.
+        trials: of each policy.
+        nice: how far programs stand back.
+        remember: trains by `remembering_train.py`.
+    """
 
     python: Path
     out: Path
+    most: Mapping[str, int]
     trials: int
     nice: int
+    remember: bool
 
     def stage(self, name: str, program: Sequence[str]) -> dict[str, float]:
         """Run a program of one stage, unless its result is there; the seconds that it took."""
@@ -60,24 +71,26 @@ class Bench:
         """The same, of one of our commands."""
         return self.stage(name, [str(self.python), "-m", "yamsim_cli", *arguments])
 
-    def run(self, kind: recipe.Demonstrations, episodes: int) -> dict[str, Any]:
+    def run(self, kind: recipe.Demonstrations, episodes: int, steps: int) -> dict[str, Any]:
         """From nothing to a policy's success."""
-        name = f"{kind.name}_{episodes}"
-        demos, dataset, trained = self.out / kind.name, self.out / f"{name}_lerobot", self.out / f"{name}_trained"
-        report = self.out / f"{name}.report.json"
+        some, name = f"{kind.name}_{episodes}", f"{kind.name}_{episodes}_{steps}"
+        demos, dataset, trained = self.out / kind.name, self.out / f"{some}_lerobot", self.out / f"{name}_trained"
+        report, config = self.out / f"{name}.report.json", recipe.write_config(self.out / "act_states.yaml")
+        trainer = [str(_REMEMBERING), "--num_workers=0"] if self.remember else _UNMODIFIED
+        changed = [f"--steps={steps}", f"--log_freq={_LOG_EVERY}"]
         seconds = {
-            "record": self.yamsim(f"{kind.name}.record", recipe.record(kind, _MOST, demos)),
-            "export": self.yamsim(f"{name}.export", recipe.export(demos, dataset, episodes)),
+            "record": self.yamsim(f"{kind.name}.record", recipe.record(kind, self.most[kind.name], demos)),
+            "export": self.yamsim(f"{some}.export", recipe.export(demos, dataset, episodes)),
             "train": self.stage(
                 f"{name}.train",
-                [str(self.python), *_TRAIN, *recipe.train(dataset, trained, more=[f"--log_freq={_LOG_EVERY}"])],
+                [str(self.python), *trainer, *recipe.train(config, dataset, trained, *changed)],
             ),
             "eval": self.yamsim(f"{name}.eval", [*recipe.evaluate(kind, trained, self.trials), "--out", str(report)]),
         }
         stats = json.loads(report.read_text())["stats"]
         kept = {key: stats[key] for key in ("n", "n_success", "wilson95", "dxy_m", "causes")}
         loss = [float(value) for value in _LOGGED.findall((self.out / f"{name}.train.log").read_text())]
-        return {"kind": kind.name, "episodes": episodes, **kept, "seconds": seconds, "loss": loss}
+        return {"kind": kind.name, "episodes": episodes, "steps": steps, **kept, "seconds": seconds, "loss": loss}
 
 
 def _children() -> float:
@@ -90,21 +103,24 @@ def main() -> None:
     """Run, print, and write the figures down."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--python", type=Path, required=True, help="of an environment with yamsim and LeRobot")
-    parser.add_argument("--runs", default="weld:25,weld:50,weld:100,weld:200,contact:200,randomized:200")
+    parser.add_argument("--runs", default=_RUNS, help="kind:demonstrations:steps of training, and so on")
     parser.add_argument("--out", type=Path, default=Path("out/training"))
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--nice", type=int, default=0)
+    parser.add_argument("--remember", action="store_true", help="read each frame once: the same policies, sooner")
     given = parser.parse_args()
-    bench = Bench(given.python.absolute(), given.out.absolute(), given.trials, given.nice)
+    texts = (text.split(":") for text in given.runs.split(","))
+    runs = [(kind, int(episodes), int(steps)) for kind, episodes, steps in texts]
+    most = {kind: max(episodes for other, episodes, _ in runs if other == kind) for kind, _, _ in runs}
+    bench = Bench(given.python.absolute(), given.out.absolute(), most, given.trials, given.nice, given.remember)
     done = []
-    for text in given.runs.split(","):
-        kind, episodes = text.split(":")
-        done.append(one := bench.run(recipe.KINDS[kind], int(episodes)))
+    for kind, episodes, steps in runs:
+        done.append(one := bench.run(recipe.KINDS[kind], episodes, steps))
         low, high = one["wilson95"]
         train = one["seconds"]["train"]
         print(
-            f"{text}: {one['n_success']} of {one['n']} ({low:.0%} to {high:.0%}), loss {one['loss'][-1]}, "
-            f"training {train['wall_s']:.0f} s, {train['cpu_s']:.0f} CPU s",
+            f"{kind}, {episodes}, {steps} steps: {one['n_success']} of {one['n']} ({low:.0%} to {high:.0%}), "
+            f"loss {one['loss'][-1]}, training {train['wall_s']:.0f} s, {train['cpu_s']:.0f} CPU s",
             flush=True,
         )
         (bench.out / "training.json").write_text(json.dumps(done, indent=1) + "\n")

@@ -10,7 +10,7 @@ from typing import Any
 _WIDTH, _HEIGHT, _LEFT, _TOP, _GAP = 860, 330, 55, 34, 70
 _PANEL = (_WIDTH - 2 * _LEFT - _GAP) / 2
 _BOTTOM = _HEIGHT - 48
-_COLOURS = {"weld": "#0a6", "contact": "#c40", "randomized": "#36c"}
+_COLOURS = ("#063", "#0a6", "#c40", "#36c", "#808", "#a80")
 _LEAST_LOSS, _MOST_LOSS = 0.01, 1.0
 
 Scale = Callable[[float], float]
@@ -44,12 +44,13 @@ def _losses(runs: Sequence[dict[str, Any]], log_every: int) -> list[str]:
     parts += [
         _text(x(step), _BOTTOM + 16, f"{step:g}") for step in range(0, steps + 1, max(1000, steps // 6000 * 1000))
     ]
+    colours = _series(runs)
+    most = max(run["episodes"] for run in runs)
     for run in runs:
         points = " ".join(f"{x((k + 1) * log_every):.1f},{y(loss):.1f}" for k, loss in enumerate(run["loss"]))
-        faint = 0.25 + 0.75 * math.log2(run["episodes"] / 12.5) / 4
-        parts.append(
-            f'<polyline points="{points}" fill="none" stroke="{_COLOURS[run["kind"]]}" stroke-opacity="{faint:.2f}"/>'
-        )
+        # The fewer demonstrations, the fainter.
+        drawn = f'stroke="{colours[_name(run)]}" stroke-opacity="{(run["episodes"] / most) ** 0.5:.2f}"'
+        parts.append(f'<polyline points="{points}" fill="none" {drawn}/>')
     return parts
 
 
@@ -67,21 +68,30 @@ def _successes(runs: Sequence[dict[str, Any]]) -> list[str]:
     parts = _frame("Success of held-out trials, 95 % interval", "demonstrations", left)
     parts += [_rule(left, y(share), f"{share:.0%}") for share in (0, 0.25, 0.5, 0.75, 1)]
     parts += [_text(x(count), _BOTTOM + 16, str(count)) for count in counts]
-    kinds = list(dict.fromkeys(run["kind"] for run in runs))
-    for number, kind in enumerate(kinds):
-        colour, of_kind = _COLOURS[kind], [run for run in runs if run["kind"] == kind]
+    colours = _series(runs)
+    for number, (name, colour) in enumerate(colours.items()):
+        alike = sorted((run for run in runs if _name(run) == name), key=lambda run: int(run["episodes"]))
         # Beside each other, so that no interval hides another.
-        aside = 7 * number
-        points = [(x(run["episodes"]) + aside, run) for run in sorted(of_kind, key=lambda run: int(run["episodes"]))]
-        line = " ".join(f"{at:.1f},{y(run['n_success'] / run['n']):.1f}" for at, run in points)
+        places = [x(run["episodes"]) + 7 * number for run in alike]
+        rates = [y(run["n_success"] / run["n"]) for run in alike]
+        line = " ".join(f"{at:.1f},{rate:.1f}" for at, rate in zip(places, rates, strict=True))
         parts.append(f'<polyline points="{line}" fill="none" stroke="{colour}"/>')
-        for at, run in points:
-            ends = [y(end) for end in run["wilson95"]]
-            parts.append(f'<path d="M{at:.1f} {ends[0]:.1f}V{ends[1]:.1f}" stroke="{colour}" stroke-width="2"/>')
-            centre = y(run["n_success"] / run["n"])
-            parts.append(f'<circle cx="{at:.1f}" cy="{centre:.1f}" r="4" fill="{colour}"/>')
-        parts.append(_text(left + _PANEL - 8, _BOTTOM - 12 - 16 * (len(kinds) - 1 - number), kind, "end", colour))
+        for at, rate, run in zip(places, rates, alike, strict=True):
+            low_end, high_end = (y(end) for end in run["wilson95"])
+            parts.append(f'<path d="M{at:.1f} {low_end:.1f}V{high_end:.1f}" stroke="{colour}" stroke-width="2"/>')
+            parts.append(f'<circle cx="{at:.1f}" cy="{rate:.1f}" r="4" fill="{colour}"/>')
+        parts.append(_text(left + 12, _BOTTOM - 12 - 16 * (len(colours) - 1 - number), name, "start", colour))
     return parts
+
+
+def _series(runs: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """The curves with their colours."""
+    return dict(zip(dict.fromkeys(_name(run) for run in runs), _COLOURS, strict=False))
+
+
+def _name(run: dict[str, Any]) -> str:
+    """What runs of one curve have in common."""
+    return f"{run['kind']}, {run['steps']} steps"
 
 
 def _frame(title: str, below: str, left: float) -> list[str]:
