@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,17 @@ def test_where_things_are_is_a_row_of_poses_in_the_base(of_numbers: Path, datase
     assert feature["names"][-1] == "plate_y_axis_z"
     stats = json.loads((of_numbers / "meta" / "stats.json").read_text())["observation.environment_state"]
     np.testing.assert_allclose(stats["mean"], np.mean(wanted, axis=0, dtype=np.float64), atol=1e-9)
+
+
+def test_things_with_other_joints_are_not_exported_together(
+    dataset: Path, locations: Locations, tmp_path: Path
+) -> None:
+    source = open_source(dataset, None, locations)
+    record = source.first.record.model_copy(update={"joints": {"cabinet": ("slide",)}})
+    other = replace(source, first=replace(source.first, record=record))
+    with pytest.raises(DatasetError, match=r"ep_000000 has things with other joints than ep_000000"):
+        export_lerobot(other, tmp_path / "out", lambda *_: None, LeRobotOptions(False, True))
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_pictures_there_are_no_videos_and_no_cameras(of_numbers: Path) -> None:

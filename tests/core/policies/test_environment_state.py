@@ -14,10 +14,12 @@ from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.evaluate.elsewhere import station
 from yamsim_cli.core.evaluate.observation import Observer, Pictures
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
 from yamsim_cli.core.policies.environment_state import joints_key, state_names, state_row, things_told
+from yamsim_cli.core.policies.lerobot import check_rows
 from yamsim_cli.core.policies.mapped import MappedPolicy
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
@@ -89,6 +91,14 @@ def test_a_checkpoint_that_does_not_ask_is_not_told(config: RecordConfig, locati
     assert policy.wants == ()
     message = policy.message({"joints": np.zeros(7), "prompt": "do it", "time": 0.0})
     assert set(message) == {"observation.state", "task"}
+
+
+def test_a_checkpoint_of_another_task_is_told() -> None:
+    asked = {"observation.state": (7,), "observation.environment_state": (27,)}
+    message = {"observation.state": np.zeros(7), "observation.environment_state": np.zeros(18), "task": "do it"}
+    with pytest.raises(UsageError, match=r"environment_state has 18 numbers here, and 27 in what the policy was"):
+        check_rows(message, asked)
+    check_rows(message, asked | {"observation.environment_state": (18,)})
 
 
 def _nothing(qpos: object, camera: str) -> np.ndarray:
