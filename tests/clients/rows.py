@@ -97,7 +97,8 @@ ROWS: dict[str, Row] = {
         "LeRobot 0.6",
         "lerobot",
         f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`; `eval --policy lerobot:` "
-        "gives the same actions as its own inference of a tiny ACT policy",
+        "gives the same actions as its own inference of a tiny ACT policy; "
+        "`lerobot-train` by [our recipe](training.md), in miniature: what is demonstrated once is done again",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),

@@ -41,6 +41,7 @@ NOT_RUN = {
     r"^inspect-robots\b": "another program, which tests/clients/test_inspect.py runs in an environment of its own",
     r"^lerobot-": "another program, which tests/clients/test_lerobot_plugins.py runs in an environment of its own",
     r"--policy (act|ws|lerobot):": "another program's server, which tests/clients/test_policies.py has",
+    r"^lerobot-train\b": "another program, which tests/clients/test_training.py runs in an environment of its own",
     r"^yamsim can-run\b": "it runs another program, as tests/clients/test_i2rt.py does in an environment of its own",
     r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
