@@ -39,6 +39,26 @@ def open_folder(folder: Path) -> Path:
     return folder
 
 
+def listen_in(path: Path) -> socket.socket:
+    """A Unix socket that listens at a path, in a folder of `open_folder`.
+
+    Raises:
+        ResourceError: somebody else listens there, or the socket cannot be made.
+    """
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        open_folder(path.parent)
+        _drop_stale(path)
+        listener.bind(str(path))
+    except OSError as error:
+        listener.close()
+        raise ResourceError(f"{path}: cannot be listened on: {error.strerror or error}") from error
+    except ResourceError:
+        listener.close()
+        raise
+    return listener
+
+
 class UnixBus:
     """A bus on a Unix socket, `<folder>/<channel>`; close it.
 
@@ -47,14 +67,8 @@ class UnixBus:
     """
 
     def __init__(self, folder: Path, channel: str) -> None:
-        self.path = open_folder(folder) / channel
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            _drop_stale(self.path)
-            self._listener.bind(str(self.path))
-        except OSError as error:
-            self._listener.close()
-            raise ResourceError(f"{self.path}: cannot be listened on: {error.strerror or error}") from error
+        self.path = folder / channel
+        self._listener = listen_in(self.path)
         self._connections = Connections(self._listener, _READ_BYTES)
 
     @property
