@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 from unittest import mock
 
-sys.path[:0] = sys.argv[1:3]
-
 import numpy as np
+
+sys.path[:0] = sys.argv[1:3]
 
 with mock.patch.dict(sys.modules, {"pyrealsense2": mock.MagicMock()}):
     from raiden.cameras.base import Camera
