@@ -17,9 +17,11 @@ from ..motors import frames
 from ..motors.frames import Frame
 from .connections import Connections, Program
 
+# Frames that are read at once: whoever sends without end does not stop physics.
+_READ_FRAMES = 256
 # Bytes that are read at once, and that wait for a program which does not read: more is thrown away, as a full buffer of
 # an adapter is.
-_READ_BYTES = 256 * frames.FRAME_BYTES
+_READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
 _BACKLOG_BYTES = 4096 * frames.FRAME_BYTES
 
 
@@ -141,7 +143,7 @@ class KernelBus:
 
     def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
         """The frames that have come."""
-        while self._socket in ready:
+        for _ in range(_READ_FRAMES if self._socket in ready else 0):
             try:
                 frame = frames.parse(self._socket.recv(frames.FRAME_BYTES))
             except OSError:
@@ -150,7 +152,7 @@ class KernelBus:
                 yield frame
 
     def send(self, frame: Frame) -> None:
-        """Put a frame onto the bus; one that its buffer has no room for is lost."""
+        """Put a frame onto the bus; one that its buffer has no room for, or whose interface is down, is lost."""
         try:
             self._socket.send(frames.to_wire(frame))
         except OSError:
