@@ -125,15 +125,19 @@ class KernelBus:
     clients = 0
 
     def __init__(self, channel: str) -> None:
+        opened = None
         try:
-            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-            self._socket.bind((channel,))
+            opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+            opened.bind((channel,))
         except (AttributeError, OSError) as error:
+            if opened is not None:
+                opened.close()
             raise ResourceError(
                 f"CAN interface {channel}: cannot be opened: {getattr(error, 'strerror', error)}. Make it with "
                 f"`ip link add {channel} type vcan` and `ip link set {channel} up`, or leave out --kernel and "
                 "use `yamsim can-run`"
             ) from error
+        self._socket = opened
         self._socket.setblocking(False)
 
     @property
