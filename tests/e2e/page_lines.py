@@ -23,7 +23,7 @@ CHEAPER = {
     "yamsim teleop": "--quality fast --size 160x120",
     "yamsim eval": "--n 1 --workers 1 --quality fast --size 96x72 --time-limit 1",
     "yamsim render-views": "--quality fast --size 160x120",
-    "yamsim serve-robot": "--seconds 1",
+    "yamsim serve-robot": "--seconds 1 --quality fast --size 160x120",
 }
 
 # Words that a line begins with -> flags without which it serves until a signal ends it. It prints its URL first,

@@ -32,8 +32,9 @@ from yamsim_cli.core.skills.bench import Bench, Fingers
 from yamsim_cli.core.skills.handover import Handover
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
-from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment, open_base
+from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.motion import Motion, hands, told_opening, told_share
+from yamsim_cli.kitchenbench.opening import open_base
 from yamsim_cli.kitchenbench.policy import Twin, YamsimExpert, actions_of, is_still
 from yamsim_cli.kitchenbench.programs import program_of
 from yamsim_cli.kitchenbench.scene import realize
