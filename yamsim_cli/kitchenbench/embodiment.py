@@ -31,7 +31,7 @@ from ..core.opener import Opener, parse_size
 from ..core.session import Session
 from ..core.types import Attempt, EpisodeJob
 from .motion import ACTION_DIM, ARM_JOINTS, CLOSING, Motion
-from .scene import RIGID_KINDS, TICK_HZ, Realization, realize
+from .scene import KINDS, TICK_HZ, Realization, realize
 from .world import KitchenWorld
 
 STATION = "yam_station_linear_4310_d405"
@@ -142,7 +142,7 @@ class YamsimEmbodiment:
             control_hz=TICK_HZ / self._ticks,
             is_simulated=True,
             capabilities=frozenset({SEEDABLE, RESETTABLE, PRIVILEGED_SUCCESS, *([RENDERABLE] if images else [])}),
-            supported_target_kinds=RIGID_KINDS,
+            supported_target_kinds=KINDS,
             docs=_NOTES,
             environment_id="yamsim",
             environment_revision=__version__,

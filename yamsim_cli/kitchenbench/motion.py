@@ -99,6 +99,8 @@ class Motion:
         """Bring poses and contacts up to date with the positions: after a step, they are those of the step before."""
         mujoco.mj_kinematics(self._scene.model, self.data)
         mujoco.mj_comPos(self._scene.model, self.data)
+        if self._scene.cloths:
+            mujoco.mj_flex(self._scene.model, self.data)
         mujoco.mj_collision(self._scene.model, self.data)
 
 

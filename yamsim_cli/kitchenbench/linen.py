@@ -1,0 +1,60 @@
+"""The benchmark's cloth: sheets that bend, and the table that they lie flat on."""
+
+from __future__ import annotations
+
+import math
+
+from kitchenbench.sim.blueprint import ASSETS, SceneObject
+
+from ..core.config.cloth import Cloth, cloth_object
+from ..core.config.loader import load_config
+from ..core.config.scene import Table
+from ..core.config.things import ObjectConfig
+from ..core.resources import Locations
+
+#: The kind of goal whose things are cloth.
+FOLD = "fold"
+
+#: Asset -> our sheet of its nominal size.
+SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
+
+# The table goes on for so far around cloth, m.
+_EDGE = 0.05
+
+
+def sheet_of(item: SceneObject, where: Locations) -> ObjectConfig:
+    """What a cloth of a blueprint is here, by its own name: `size_cm` is its width, and its length grows with it.
+
+    Raises:
+        LookupError: there is no such cloth here.
+    """
+    if item.asset not in SHEETS:
+        raise LookupError(
+            f"object {item.name!r}: asset {item.asset!r} is no cloth that is realized; those are: {', '.join(SHEETS)}"
+        )
+    ours = load_config(ObjectConfig, "objects", SHEETS[item.asset], where).cloth
+    assert ours is not None, "sheets are cloth"
+    nominal = ASSETS[item.asset].footprint_w_cm
+    factor = (item.size_cm or nominal) / nominal
+    grown = {"size_mm": [side * factor for side in ours.size_mm], "mass_g": ours.mass_g * factor**2}
+    cloth = Cloth.model_validate({**ours.model_dump(mode="json"), **grown})
+    data = {"name": item.name, "cloth": cloth.model_dump(mode="json")}
+    return ObjectConfig.model_validate({**data, **cloth_object(data)})
+
+
+def laid(table: Table, item: SceneObject, middle: tuple[float, float]) -> Table:
+    """A table on which a cloth lies flat however it is turned; larger than a given one where that ends before.
+
+    Args:
+        middle: where the cloth's middle lies in `world`, m.
+    """
+    asset = ASSETS[item.asset]
+    factor = (item.size_cm or asset.footprint_w_cm) / asset.footprint_w_cm
+    reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _EDGE
+    low, high = [], []
+    for k in (0, 1):
+        low.append(min(table.position[k] - table.half_size[k], middle[k] - reach))
+        high.append(max(table.position[k] + table.half_size[k], middle[k] + reach))
+    half = ((high[0] - low[0]) / 2, (high[1] - low[1]) / 2, table.half_size[2])
+    centre = ((high[0] + low[0]) / 2, (high[1] + low[1]) / 2, table.position[2])
+    return table.model_copy(update={"position": centre, "half_size": half})
