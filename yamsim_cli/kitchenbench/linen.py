@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from kitchenbench.sim.blueprint import ASSETS, SceneObject
+from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
 from ..core.config.cloth import Cloth, cloth_object
 from ..core.config.loader import load_config
@@ -22,7 +23,17 @@ SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_di
 _EDGE = 0.05
 
 
-def sheet_of(item: SceneObject, where: Locations) -> ObjectConfig:
+# What is folded in thirds has so many points along that side: three cells, four and four. A sheet bends along lines of
+# points alone, and the third that comes inside has to be the shorter one.
+_IN_THIRDS = 12
+
+
+def in_thirds(blueprint: SceneBlueprint, item: SceneObject) -> bool:
+    """Whether a cloth is to be folded twice, and long enough for thirds."""
+    return int(float(blueprint.success_params.get("fold_count", 1))) > 1 and item.asset == "dish_towel"
+
+
+def sheet_of(item: SceneObject, blueprint: SceneBlueprint, where: Locations) -> ObjectConfig:
     """What a cloth of a blueprint is here, by its own name: `size_cm` is its width, and its length grows with it.
 
     Raises:
@@ -36,7 +47,9 @@ def sheet_of(item: SceneObject, where: Locations) -> ObjectConfig:
     assert ours is not None, "sheets are cloth"
     nominal = ASSETS[item.asset].footprint_w_cm
     factor = (item.size_cm or nominal) / nominal
-    grown = {"size_mm": [side * factor for side in ours.size_mm], "mass_g": ours.mass_g * factor**2}
+    grown: dict[str, Any] = {"size_mm": [side * factor for side in ours.size_mm], "mass_g": ours.mass_g * factor**2}
+    if in_thirds(blueprint, item):
+        grown["grid"] = [ours.grid[0], _IN_THIRDS]
     cloth = Cloth.model_validate({**ours.model_dump(mode="json"), **grown})
     data = {"name": item.name, "cloth": cloth.model_dump(mode="json")}
     return ObjectConfig.model_validate({**data, **cloth_object(data)})

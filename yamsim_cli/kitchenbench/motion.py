@@ -45,6 +45,9 @@ class Motion:
         self._scene, self._ticks, self._tick = simulator.scene, ticks, timing.tick
         self._loop = ClosedLoop(self._scene, realization.start, None, timing)
         self.data = self._loop.data
+        # Cloth sways for long, and its own speed says little of it.
+        cloth = [one.dof.ravel() for one in self._scene.cloths.values()]
+        self._stiff = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
         self._reference = self.state()
         self._reach = np.concatenate(
             [[*(arm.motor_speed * self._tick), self._tick / CLOSING] for arm in self._scene.arms]
@@ -67,7 +70,7 @@ class Motion:
     def at_rest(self) -> bool:
         """Whether arms, fingers and things are as good as still."""
         fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in hands(self._scene.arms))
-        return float(np.abs(self.data.qvel).max()) <= _SLOW and fingers <= _FINGERS_SLOW
+        return float(np.abs(self.data.qvel[self._stiff]).max()) <= _SLOW and fingers <= _FINGERS_SLOW
 
     def act(self, action: Array) -> None:
         """Let an action (14,) act."""

@@ -15,6 +15,7 @@ from ..core.skills.handover import Handover
 from ..core.skills.pick import Pick
 from ..core.skills.place import Place
 from .folding import FoldSmall, asked_area
+from .linen import in_thirds
 from .places import T_in_world
 from .sorting import Sort
 
@@ -61,7 +62,8 @@ def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bas
 def _folded(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], cloth: str) -> list[Skill]:
     sheet = items[cloth].cloth
     assert sheet is not None, "folds are of cloth"
-    return [FoldSmall(thing=cloth, area=asked_area(blueprint, cloth, sheet))]
+    item = next(one for one in blueprint.objects if one.name == cloth)
+    return [FoldSmall(thing=cloth, area=asked_area(blueprint, item, sheet), thirds=in_thirds(blueprint, item))]
 
 
 def _put(thing: str, placing: Skill) -> list[Skill]:

@@ -109,7 +109,7 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     nests = blueprint.target_kind != _HANDED_OVER
     objects = [
-        sheet_of(item, base.locations)
+        sheet_of(item, blueprint, base.locations)
         if blueprint.target_kind == FOLD
         else thing_of(item, blueprint.conditions, base.locations, nests)
         for item in things

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ..geometry.se3 import Array, interpolate_rotation, pose, rotation_from_vector, rotation_z
 from ..types import Cause
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
@@ -29,6 +29,9 @@ _INWARDS = 0.007
 # What is so near, seen from above, lies on each other, m.
 _THERE = 0.012
 
+# A hand that let go is under what it laid, and leaves it by so much, m.
+_OUT = 0.04
+
 # From so far a hand comes, and there it looks whether it touches anything; m.
 _APPROACH = 0.08
 _NEAR = 0.03
@@ -36,8 +39,9 @@ _NEAR = 0.03
 #: A fold goes on an arch so high, as a share of its way.
 ARCH = 0.45
 
-# Of a hand with cloth, m/s; and so much over where it lets go of it, m.
-_SPEED = 0.12
+#: Of a hand with cloth, m/s.
+SPEED = 0.12
+# So much over where it lies it is let go of, m.
 _OVER = 0.002
 
 # How far a hand may lean back to its arm, rad.
@@ -57,13 +61,18 @@ class Lay:
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A hand at a point: its pinch frame (4, 4) there, and its joints (dof,) before it and where it ends."""
+    """A hand at a point: its pinch frame (4, 4) there, how that is turned where it ends (3, 3), and its joints (dof,)
+    before the point and over the end; and which ways (2,) lead out from under the cloth there: ahead, and aside.
+    """
 
     hand: Hand
     lay: Lay
     T_at: Array
+    R_end: Array
     before: Array
     end: Array
+    outwards: Array
+    aside: Array
 
 
 def onto(point: tuple[int, int]) -> Where:
@@ -92,33 +101,37 @@ def reached(bench: Bench, thing: str, lays: Sequence[Lay]) -> list[Taken] | None
 
 
 def _taken(bench: Bench, hand: Hand, points: Array, lay: Lay) -> Taken | None:
-    """A hand at a point, leaning towards its arm as little as it reaches so; None where it does not reach it."""
+    """A hand at a point, leaning towards its arm as little as it reaches so, there and where it ends; None where it
+    does not reach either.
+    """
     place = points[lay.point]
     way = lay.where(points) - place
     middle = place[:2] + way[:2] / 2
     away = middle - hand.arm.T_base_in_world[:2, 3]
     heading = math.atan2(away[1], away[0])
     inwards = points.reshape(-1, 3).mean(axis=0)[:2] - place[:2]
+    inwards /= np.linalg.norm(inwards)
+    ahead = way[:2] / max(float(np.linalg.norm(way[:2])), 1e-9)
+    aside = (inwards @ ahead) * ahead - inwards
     # Fingers down and closing across the way from the arm, so that both tips are as high however the hand leans.
     level = rotation_z(heading + math.pi) @ np.diag([1.0, -1.0, -1.0])
-    for lean in _LEANS:
-        R = rotation_from_vector((lean * math.sin(heading), -lean * math.cos(heading), 0.0)) @ level
+    turns = [rotation_from_vector((lean * math.sin(heading), -lean * math.cos(heading), 0.0)) @ level for lean in _LEANS]
+    for lean, R in zip(_LEANS, turns, strict=True):
         up = _HALF_PAD * math.cos(lean) + _HALF_WIDTH * math.sin(lean) + _TIPS - _layers(points, place)
-        T_at = pose((*(place[:2] + _INWARDS * inwards / np.linalg.norm(inwards)), place[2] + up), R)
+        T_at = pose((*(place[:2] + _INWARDS * inwards), place[2] + up), R)
         T_near = T_at.copy()
         T_near[2, 3] += _NEAR
-        T_end = T_near.copy()
-        T_end[:2, 3] += way[:2]
         near = hand.reach(T_near, (hand.ready,), PASSING)
-        if near is None or hand.reach(T_at, (near,)) is None:
-            continue
-        end = hand.reach(T_end, (near,), PASSING)
-        if end is None:
+        at = None if near is None else hand.reach(T_at, (near,))
+        if near is None or at is None or bench.obstacles.meets_itself(hand.number, at):
             continue
         before = hand.reach(T_at @ pose((0.0, 0.0, -_APPROACH)), (near,), PASSING)
         if before is None or bench.touched(hand, near, _WIDE) or bench.touched(hand, before, _WIDE):
             continue
-        return Taken(hand, lay, T_at, before, end)
+        for R_end in (R, *(turn for turn in turns if turn is not R)):
+            end = hand.reach(pose(T_near[:3, 3] + [*way[:2], 0.0], R_end), (near,), PASSING)
+            if end is not None and not bench.obstacles.meets_itself(hand.number, end):
+                return Taken(hand, lay, T_at, R_end, before, end, ahead, aside)
     return None
 
 
@@ -141,11 +154,14 @@ def _apart(bench: Bench, taken: Sequence[Taken]) -> bool:
     return True
 
 
-def carry(bench: Bench, thing: str, taken: Sequence[Taken], arch: float = ARCH) -> Iterator[Segment]:
+def carry(
+    bench: Bench, thing: str, taken: Sequence[Taken], arch: float = ARCH, speed: float = SPEED
+) -> Iterator[Segment]:
     """Take points of a cloth, bring them where they are to lie, and let go.
 
     Args:
         arch: how high they are lifted on their way, as a share of it.
+        speed: m/s.
 
     Raises:
         SkillFailedError: a hand missed its point.
@@ -159,9 +175,11 @@ def carry(bench: Bench, thing: str, taken: Sequence[Taken], arch: float = ARCH) 
     yield rest(bench)
     missed = [one.hand for one in taken if one.hand.side not in bench.world.holders(thing)]
     if not missed:
-        yield bench.segment(_arches(bench, thing, taken, arch))
+        yield bench.segment(_arches(bench, thing, taken, arch, speed))
         yield rest(bench)
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in wide}, wide)
+    if not missed:
+        yield bench.segment({one.hand: _withdrawn(bench, one) for one in taken})
     up = {}
     for hand in wide:
         T_up = hand.pinch_at(hand.joints)
@@ -173,22 +191,38 @@ def carry(bench: Bench, thing: str, taken: Sequence[Taken], arch: float = ARCH) 
         raise SkillFailedError(Cause.SLIPPED, f"the {sides} hand missed its corner of the {thing}")
 
 
-def _arches(bench: Bench, thing: str, taken: Sequence[Taken], arch: float) -> dict[Hand, Array]:
+def _withdrawn(bench: Bench, one: Taken) -> Array:
+    """A hand's motion (n + 1, dof) out from under what it laid: outwards or aside; none where it reaches neither."""
+    for outwards in (one.aside, one.outwards):
+        T = one.hand.pinch_at(one.hand.joints)
+        T[:2, 3] += _OUT * outwards
+        T[2, 3] += _OUT / 4
+        try:
+            return bench.line(one.hand, T)
+        except SkillFailedError:
+            continue
+    return bench.still(one.hand, 1)
+
+
+def _arches(bench: Bench, thing: str, taken: Sequence[Taken], arch: float, speed: float) -> dict[Hand, Array]:
     """Every hand's motion (n + 1, dof) with its point, from where that is now to where it is to lie."""
     points = bench.world.points(thing)
     low, high = bench.world.block(thing)
     end_over = np.array([0.0, 0.0, high[2] - low[2] + _OVER])
-    ways = {one.hand: one.lay.where(points) - points[one.lay.point] + end_over for one in taken}
-    length = max(float(np.linalg.norm(way[:2])) for way in ways.values())
+    ends = {}
+    for one in taken:
+        T_now, point = one.hand.pinch_at(one.hand.joints), points[one.lay.point]
+        in_pinch = T_now[:3, :3].T @ (point - T_now[:3, 3])
+        ends[one.hand] = T_now, pose(one.lay.where(points) + end_over - one.R_end @ in_pinch, one.R_end)
+    length = max(float(np.linalg.norm((T_end - T_now)[:2, 3])) for T_now, T_end in ends.values())
     return {
-        hand: bench.curve(hand, partial(_arch, hand.pinch_at(hand.joints), way, arch * length), length / _SPEED)
-        for hand, way in ways.items()
+        hand: bench.curve(hand, partial(_arch, *both, arch * length), length / speed) for hand, both in ends.items()
     }
 
 
-def _arch(T_start: Array, way: Array, height: float, share: float) -> Array:
+def _arch(T_start: Array, T_end: Array, height: float, share: float) -> Array:
     """A frame (4, 4) on its way over an arch so high, m."""
-    T = T_start.copy()
-    T[:2, 3] += way[:2] * (1 - math.cos(math.pi * share)) / 2
-    T[2, 3] += way[2] * share + height * math.sin(math.pi * share)
-    return T
+    way, across = T_end[:3, 3] - T_start[:3, 3], (1 - math.cos(math.pi * share)) / 2
+    up = way[2] * share + height * math.sin(math.pi * share)
+    R = interpolate_rotation(T_start[:3, :3], T_end[:3, :3], across)
+    return pose(T_start[:3, 3] + [*(way[:2] * across), up], R)
