@@ -90,7 +90,10 @@ class FoldSmall(Skill):
 
     def _ordered(self, ways: Sequence[Fold]) -> list[Fold]:
         """Whole sides that make it small enough come first, then what makes it smallest."""
-        return sorted(ways, key=lambda way: (way.area > _SURELY * self.area, len(way.corners) < 2, way.layers, way.beneath, way.area))
+        return sorted(
+            ways,
+            key=lambda way: (way.area > _SURELY * self.area, way.layers, len(way.corners) < 2, way.beneath, way.area),
+        )
 
 
 def _nearer(bench: Bench, thing: str) -> list[Taken] | None:

@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import math
+import zlib
 from typing import Any
 
+import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
 from ..core.config.cloth import Cloth, cloth_object
 from ..core.config.loader import load_config
 from ..core.config.scene import Table
 from ..core.config.things import ObjectConfig
+from ..core.geometry.se3 import Array
 from ..core.resources import Locations
+from ..core.scene.compiled import CompiledScene
+from ..core.sim.crumple import crumpled
 
 #: The kind of goal whose things are cloth.
 FOLD = "fold"
 
 #: Asset -> our sheet of its nominal size.
 SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
+
+#: What a scene says of a cloth that is crumpled, and how high and far it was taken for each level, of its half length.
+CRUMPLED = "crumple_level"
+_CRUMPLED = {"light": 0.3, "moderate": 0.6}
 
 # The table goes on for so far around cloth, m.
 _EDGE = 0.05
@@ -53,6 +62,22 @@ def sheet_of(item: SceneObject, blueprint: SceneBlueprint, where: Locations) -> 
     cloth = Cloth.model_validate({**ours.model_dump(mode="json"), **grown})
     data = {"name": item.name, "cloth": cloth.model_dump(mode="json")}
     return ObjectConfig.model_validate({**data, **cloth_object(data)})
+
+
+def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array, timestep: float) -> Array:
+    """MuJoCo's positions (nq,) with the cloths of a scene crumpled as it says: of the same values, always the same way.
+
+    Args:
+        start: the same with the cloths flat.
+    """
+    level = blueprint.conditions.get(CRUMPLED)
+    if level is None:
+        return start
+    said = repr(sorted((name, str(value)) for name, value in blueprint.values.items()))
+    rng = np.random.default_rng(zlib.crc32(said.encode()))
+    for name in scene.cloths:
+        start = crumpled(scene, start, name, rng, _CRUMPLED[str(level)], timestep)
+    return start
 
 
 def laid(table: Table, item: SceneObject, middle: tuple[float, float]) -> Table:

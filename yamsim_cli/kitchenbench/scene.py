@@ -25,7 +25,7 @@ from ..core.sim.watched import settle
 from ..core.sim.world import Region
 from ..core.types import Layout
 from .catalog import COMPARTMENT, thing_of
-from .linen import FOLD, laid, sheet_of
+from .linen import CRUMPLED, FOLD, crumpled_start, laid, sheet_of
 from .places import BESIDE, T_in_world, free_places, origin
 
 #: Kinds of goals that are realized.
@@ -52,7 +52,7 @@ _TRAY_FLOOR = 0.005
 _UP_TO_THE_POLICY = frozenset(
     {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
 )
-_REALIZED = frozenset({"slot_width_cm"})
+_REALIZED = frozenset({"slot_width_cm", CRUMPLED})
 
 
 @dataclass(frozen=True)
@@ -121,6 +121,7 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
     simulator = Simulator(base.with_values(task=task, scene=scene), cast)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
     start = settle(simulator.scene, _let_down(simulator, free_places(simulator, blueprint)), task.timing.timestep)
+    start = crumpled_start(blueprint, simulator.scene, start, task.timing.timestep)
     offsets = {
         name: round(1000 * float(np.linalg.norm(_place(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()

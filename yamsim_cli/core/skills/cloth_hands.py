@@ -115,7 +115,9 @@ def _taken(bench: Bench, hand: Hand, points: Array, lay: Lay) -> Taken | None:
     aside = (inwards @ ahead) * ahead - inwards
     # Fingers down and closing across the way from the arm, so that both tips are as high however the hand leans.
     level = rotation_z(heading + math.pi) @ np.diag([1.0, -1.0, -1.0])
-    turns = [rotation_from_vector((lean * math.sin(heading), -lean * math.cos(heading), 0.0)) @ level for lean in _LEANS]
+    turns = [
+        rotation_from_vector((lean * math.sin(heading), -lean * math.cos(heading), 0.0)) @ level for lean in _LEANS
+    ]
     for lean, R in zip(_LEANS, turns, strict=True):
         up = _HALF_PAD * math.cos(lean) + _HALF_WIDTH * math.sin(lean) + _TIPS - _layers(points, place)
         T_at = pose((*(place[:2] + _INWARDS * inwards), place[2] + up), R)
