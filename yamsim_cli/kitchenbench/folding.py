@@ -32,8 +32,8 @@ _LINE = 0.008
 # A fold has to make the block smaller by this share at least, and there are so many of them at most.
 _WORTH, _FOLDS = 0.06, 5
 
-# What has several layers is laid so much farther, as a multiple of their height, and
-# by a share of the way at most: the outer ones have the longer way.
+# What has several layers is laid so much farther, as a multiple of their height, and by a share of the way at most: the
+# outer ones have the longer way.
 _TAUT, _FARTHER = 2.0, 0.08
 
 # Of hands with cloth, m/s: there are only so many actions. Several layers come apart where they are hurried.
@@ -89,7 +89,7 @@ class FoldSmall(Skill):
             raise SkillFailedError(Cause.UNREACHABLE, f"no hands reach what would make the {thing} smaller")
 
     def _ordered(self, ways: Sequence[Fold]) -> list[Fold]:
-        """Whole sides that make it small enough come first, then what makes it smallest."""
+        """What makes it small enough comes first, then what has few layers, whole sides, and what makes it smallest."""
         return sorted(
             ways,
             key=lambda way: (way.area > _SURELY * self.area, way.layers, len(way.corners) < 2, way.beneath, way.area),

@@ -1,4 +1,4 @@
-"""An expert for the benchmark's rigid tasks: it knows which realization it is in, and plans in a twin of it."""
+"""An expert for the benchmark's tasks: it knows which realization it is in, and plans in a twin of it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _LOG = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
-    """Does the benchmark's rigid tasks by skills, planned in a twin of the scene, from the realization's number.
+    """Does the benchmark's tasks by skills, planned in a twin of the scene, from the realization's number.
 
     That number is privileged: no other policy may use it. Where a skill fails, it is tried again from the state that it
     left; after three times, the arms stay where they are.
