@@ -31,7 +31,7 @@ from .judges import Judge, KitchenJudge, OwnJudge
 from .motion import ACTION_DIM, ARM_JOINTS, CLOSING, Motion
 from .opening import open_base
 from .own import BENCHMARK, GOAL_KIND, realize_own
-from .scene import RIGID_KINDS, TICK_HZ, realize
+from .scene import KINDS, TICK_HZ, realize
 
 #: State keys: what a real station tells, and the number from which a realization follows, which only an expert may use.
 JOINTS, SEED = "joint_pos", "realization_seed"
@@ -120,7 +120,7 @@ class YamsimEmbodiment:
             control_hz=TICK_HZ / self._ticks,
             is_simulated=True,
             capabilities=frozenset({SEEDABLE, RESETTABLE, PRIVILEGED_SUCCESS, *([RENDERABLE] if images else [])}),
-            supported_target_kinds=RIGID_KINDS | {GOAL_KIND},
+            supported_target_kinds=KINDS | {GOAL_KIND},
             docs=_NOTES,
             environment_id="yamsim",
             environment_revision=__version__,

@@ -60,6 +60,9 @@ class Motion:
         self._loop = ClosedLoop(self._scene, realization.start, None, timing)
         self.data = self._loop.data
         self.on_tick: Callable[[], None] = _nothing
+        # Cloth sways for long, and its own speed says little of it.
+        cloth = [one.dof.ravel() for one in self._scene.cloths.values()]
+        self._stiff = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
         self._reference = self.state()
         self._reach = np.concatenate(
             [[*(arm.motor_speed * self._tick), self._tick / CLOSING] for arm in self._scene.arms]
@@ -82,7 +85,7 @@ class Motion:
     def at_rest(self) -> bool:
         """Whether arms, fingers and things are as good as still."""
         fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in hands(self._scene.arms))
-        return float(np.abs(self.data.qvel).max()) <= _SLOW and fingers <= _FINGERS_SLOW
+        return float(np.abs(self.data.qvel[self._stiff]).max()) <= _SLOW and fingers <= _FINGERS_SLOW
 
     def act(self, action: Array) -> None:
         """Let an action (14,) act."""
@@ -115,6 +118,8 @@ class Motion:
         """Bring poses and contacts up to date with the positions: after a step, they are those of the step before."""
         mujoco.mj_kinematics(self._scene.model, self.data)
         mujoco.mj_comPos(self._scene.model, self.data)
+        if self._scene.cloths:
+            mujoco.mj_flex(self._scene.model, self.data)
         mujoco.mj_collision(self._scene.model, self.data)
 
 

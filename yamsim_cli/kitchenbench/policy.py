@@ -1,4 +1,4 @@
-"""An expert for the benchmark's rigid tasks and our own: it knows which realization it is in, and plans in its twin."""
+"""An expert for the benchmark's tasks and our own: it knows which realization it is in, and plans in its twin."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _LOG = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
-    """Does the benchmark's rigid tasks, and our own, by skills, planned in a twin of the scene, by its number.
+    """Does the benchmark's tasks, and our own, by skills, planned in a twin of the scene, by its number.
 
     That number is privileged: no other policy may use it. Where a skill fails, it is tried again from the state that it
     left; after three times, the arms stay where they are.
