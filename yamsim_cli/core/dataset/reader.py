@@ -256,7 +256,8 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
         ) from error
     if is_real(dataset):
         raise DatasetError(
-            f"{dataset} holds real recordings: they were not simulated, so that cannot be done with them"
+            f"{dataset} holds real recordings: they were not simulated, so nothing can make them again; "
+            f"yamsim summarize {dataset} --strict checks every file by its hash, and the recordings themselves"
         )
     try:
         return parse_config(RecordConfig, text, str(file), locations, as_recorded=True)

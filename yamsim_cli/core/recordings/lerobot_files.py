@@ -12,10 +12,11 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
+from ..config.real import GripperUnit
 from ..config.rig import RigConfig
 from ..errors import DatasetError, ResourceError
 from ..geometry.se3 import Array
@@ -29,6 +30,8 @@ from .times import from_seconds
 
 INFO = "meta/info.json"
 _STATE, _ACTION, _PICTURE = "observation.state", "action", "observation.images."
+# What yamsim's own export of real recordings adds: the times at which frames were recorded, and the grippers' unit.
+_OWN_TIME, _OWN_FILE, _OWN_UNIT = "recorded_time", "meta/yamsim.json", "gripper"
 _QUALITY = 95
 _MOST_BYTES = 1 << 26
 
@@ -54,6 +57,16 @@ class _Source:
         if not isinstance(names, list) or len(names) != width or not all(isinstance(name, str) for name in names):
             raise DatasetError(f"{self.path / INFO}: {key}: names are {names!r}; valid: {width} names in a list")
         return names
+
+    @property
+    def gripper(self) -> GripperUnit | None:
+        """The unit of grippers where yamsim wrote the dataset and said it."""
+        try:
+            said = json.loads((self.path / _OWN_FILE).read_bytes())
+        except (OSError, ValueError):
+            return None
+        unit = said.get(_OWN_UNIT) if isinstance(said, dict) else None
+        return unit if unit in get_args(GripperUnit) else None
 
     @property
     def cameras(self) -> list[str]:
@@ -107,7 +120,8 @@ def _recording(
         needed = [one for arm in names.arms.values() for one in (*arm.joints, *([arm.gripper] if arm.gripper else []))]
         # An action of something else, such as poses of hands, is none that drives were told.
         commanded = dict(zip(others, told.T, strict=True)) if set(needed) <= set(others) else None
-    times = from_seconds(np.asarray(table["timestamp"], dtype=np.float64).ravel(), name)
+    stamps = table.get(_OWN_TIME, table["timestamp"])
+    times = from_seconds(np.asarray(stamps, dtype=np.float64).ravel(), name)
     arms = arms_of(names, source.rig, dict(zip(columns, measured.T, strict=True)), commanded)
     samples = np.arange(len(times), dtype=np.int64)
     pictures = {
@@ -117,7 +131,7 @@ def _recording(
         for key in source.cameras
     }
     task = int(np.asarray(table["task_index"]).ravel()[0]) if "task_index" in table else -1
-    return Recording(Motion(name, times, arms), names.gripper, pictures, tasks.get(task, ""))
+    return Recording(Motion(name, times, arms), source.gripper or names.gripper, pictures, tasks.get(task, ""))
 
 
 def _rows(table: Mapping[str, Any], key: str, name: str) -> Array:
