@@ -13,7 +13,8 @@ from .console import note, print_json, print_line, progress_bar
 from .session import Json, opener
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.export.real_source import RealSource
+    from yamsim_cli.core.export.raiden_options import RaidenOptions
+    from yamsim_cli.core.export.real_source import ActionSource, RealSource
     from yamsim_cli.core.export.source import Exported, Source
     from yamsim_cli.core.resources import Locations
 
@@ -77,6 +78,7 @@ def raiden(
         typer.Option(help="Hand poses as the simulated arm has them, or as raiden's kinematics of the same joints do."),
     ] = "yamsim",
     workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 2,
+    actions: RealActions = None,
     episodes: Episodes = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -85,11 +87,26 @@ def raiden(
 
     Example: yamsim export raiden dataset/ real_layout/
     """
+    from yamsim_cli.core.dataset.real import is_real
     from yamsim_cli.core.export.raiden_options import RaidenOptions
 
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} is for other times than the recorded ones: leave out --fps source")
     options = RaidenOptions(_rate(fps), pictures or "draw", images, single, hand_frame)
+    if is_real(dataset):
+        if pictures == "draw":
+            raise UsageError(f"--pictures draw: {dataset} is real, and its pictures are those that were recorded")
+        done = _real_raiden(dataset, out, options, actions, episodes, overwrite)
+    else:
+        _require_real("--actions", actions, dataset)
+        done = _simulated_raiden(dataset, out, options, workers, episodes, overwrite)
+    _show(done, json)
+
+
+def _simulated_raiden(
+    dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
+) -> Exported:
+    """Export a simulation, whose pictures may be rendered anew."""
     where = opener.locations()
     if options.renders:
         where = _with_renderer(where)
@@ -108,8 +125,31 @@ def raiden(
         def progress(n: int, total: int) -> None:
             advance(n, total, "")
 
-        done = export_raiden(source, out, where, progress, options, workers=workers, overwrite=overwrite)
-    _show(done, json)
+        return export_raiden(source, out, where, progress, options, workers=workers, overwrite=overwrite)
+
+
+def _real_raiden(
+    dataset: Path,
+    out: Path,
+    options: RaidenOptions,
+    actions: ActionSource | None,
+    episodes: str | None,
+    overwrite: bool,
+) -> Exported:
+    """Export real recordings, of which nothing is rendered."""
+    opener.skip_gl()
+
+    from yamsim_cli.core.export.raiden_real import export_real_raiden
+    from yamsim_cli.core.export.real_source import open_real_source
+
+    where = opener.locations()
+    source = open_real_source(dataset, episodes, where, options.fps)
+    with progress_bar("exporting", "episodes") as advance:
+
+        def progress(n: int, total: int) -> None:
+            advance(n, total, "")
+
+        return export_real_raiden(source, out, where, progress, options, actions or "recorded", overwrite=overwrite)
 
 
 @app.command()

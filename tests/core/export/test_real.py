@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -20,7 +22,9 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.export.lerobot import export_real_lerobot
 from yamsim_cli.core.export.lerobot_options import RealOptions
-from yamsim_cli.core.export.real_source import nearest_to_even, open_real_source
+from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_real import export_real_raiden
+from yamsim_cli.core.export.real_source import ActionSource, nearest_to_even, open_real_source
 from yamsim_cli.core.export.source import Exported, open_source
 from yamsim_cli.core.export.videos import export_mp4, export_sheet
 from yamsim_cli.core.motion import Motion
@@ -205,3 +209,62 @@ def test_rerun_has_the_recorded_times(filmed: Real, locations: Locations, tmp_pa
     done = export_rerun(open_real_source(filmed.dataset, None, locations), tmp_path / "out", ignore)
     assert (done.episodes, done.frames) == (1, 50)
     assert (tmp_path / "out/ep_000000.rrd").stat().st_size > 1000
+
+
+def to_raiden(
+    dataset: Path,
+    out: Path,
+    locations: Locations,
+    options: RaidenOptions | None = None,
+    actions: ActionSource = "recorded",
+) -> Exported:
+    options = options or RaidenOptions()
+    source = open_real_source(dataset, None, locations, options.fps)
+    return export_real_raiden(source, out, locations, ignore, options, actions)
+
+
+def test_raidens_layout_has_recorded_frames_at_30_a_second(filmed: Real, locations: Locations, tmp_path: Path) -> None:
+    done = to_raiden(filmed.dataset, tmp_path / "out", locations)
+    assert (done.episodes, done.frames) == (1, 15)
+    frames = [pickle.loads(file.read_bytes()) for file in sorted((tmp_path / "out/0000/lowdim").iterdir())]
+    said = json.loads((tmp_path / "out/0000/metadata.json").read_text())
+    chosen = said["pictures"]["recorded_frames"]
+    assert chosen == [round(100 * k / 30) for k in range(15)]
+    assert (said["framerate"], said["control"], said["cameras"], said["num_frames"]) == (30, "unknown", ["top"], 15)
+    measured, told = (np.hstack(rows) for rows in shares(filmed.motion, filmed.rig))
+    np.testing.assert_allclose([frame["joints"] for frame in frames], measured[chosen], atol=1e-6)
+    np.testing.assert_allclose([frame["action_joints"] for frame in frames], told[chosen], atol=1e-6)
+    assert str(frames[0]["language_prompt"]) == PROMPT
+    # Nobody told where the camera stood, nor where the right base is, and nobody calibrated anything.
+    assert frames[0]["extrinsics"] == frames[0]["intrinsics"] == {}
+    assert "T_left_from_right" not in frames[0]
+    assert not (tmp_path / "out/calibration_results.json").exists()
+    # Hands follow from the joints; rotations are rotations.
+    rotation = frames[3]["actual_poses"][3:12].reshape(3, 3)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-5)
+    greys = [cv2.imread(str(file)).mean() for file in sorted((tmp_path / "out/0000/rgb/top").glob("*.png"))]
+    np.testing.assert_allclose(greys, [grey_of(k) for k in chosen], atol=3)
+
+
+def test_raidens_layout_comes_back(filmed: Real, locations: Locations, tmp_path: Path) -> None:
+    to_raiden(filmed.dataset, tmp_path / "out", locations, RaidenOptions(fps=None, images="jpg"))
+    original = (filmed.dataset / "ep_000000/rgb/top/000007.jpg").read_bytes()
+    assert (tmp_path / "out/0000/rgb/top/0000000007.jpg").read_bytes() == original
+    (back,) = read_motions([tmp_path / "out"], filmed.rig, locations)
+    np.testing.assert_allclose(back.times, filmed.motion.times, atol=1e-6)
+    for arm, truth in zip(back.arms, filmed.motion.arms, strict=True):
+        np.testing.assert_allclose(arm.joints, truth.joints, atol=1e-6)
+        np.testing.assert_allclose(arm.openings, truth.openings, atol=1e-6)  # type: ignore[arg-type]
+
+
+def test_what_raidens_layout_has_no_place_for(
+    filmed: Real, single: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    blind = of_tables(tmp_path, [swinging(single, 0.3)], single, locations)
+    with pytest.raises(DatasetError, match=r"has no pictures.*export it as lerobot"):
+        to_raiden(blind, tmp_path / "out", locations)
+    with pytest.raises(UsageError, match="--actions none"):
+        to_raiden(filmed.dataset, tmp_path / "out", locations, actions="none")
+    with pytest.raises(UsageError, match="--single"):
+        to_raiden(filmed.dataset, tmp_path / "out", locations, RaidenOptions(single=True))
+    assert not (tmp_path / "out").exists()
