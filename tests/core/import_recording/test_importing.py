@@ -89,7 +89,7 @@ def codes(dataset: Path, locations: Locations) -> set[str]:
     return {problem.code for problem in survey_dataset(dataset, locations, 1, lambda done, total: None).problems}
 
 
-@pytest.mark.parametrize("what", ["degrees", "swapped", "share", "upside_down"])
+@pytest.mark.parametrize("what", ["degrees", "swapped", "share", "upside_down", "told_upside_down"])
 def test_what_a_recording_does_not_say_is_asked_for(
     what: str, station: RigConfig, locations: Locations, tmp_path: Path
 ) -> None:
@@ -97,7 +97,8 @@ def test_what_a_recording_does_not_say_is_asked_for(
     left, right = motion.arms
     assert left.openings is not None
     assert left.commands is not None
-    widest = float(left.openings.max())
+    # Of the station's gripper, m.
+    full = 0.0475
     spoilt, flag, said = {
         "degrees": (
             [replace(arm, joints=np.rad2deg(arm.joints), commands=np.rad2deg(arm.commands)) for arm in motion.arms],  # type: ignore[arg-type]
@@ -114,26 +115,34 @@ def test_what_a_recording_does_not_say_is_asked_for(
         ),
         "share": (
             [
-                replace(arm, openings=arm.openings / 0.0475, commanded_openings=arm.commanded_openings / 0.0475)  # type: ignore[operator]
+                replace(arm, openings=arm.openings / full, commanded_openings=arm.commanded_openings / full)  # type: ignore[operator]
                 for arm in motion.arms
             ],
             "--gripper share",
             Corrections(gripper="share"),
         ),
-        "upside_down": ([replace(left, openings=widest - left.openings), right], "--gripper closed_share", None),
+        "upside_down": (
+            [replace(arm, openings=full - arm.openings) for arm in motion.arms],  # type: ignore[operator]
+            "--mirror-gripper measured",
+            Corrections(mirrored="measured"),
+        ),
+        "told_upside_down": (
+            [replace(arm, commanded_openings=full - arm.commanded_openings) for arm in motion.arms],  # type: ignore[operator]
+            "or commanded",
+            Corrections(mirrored="commanded"),
+        ),
     }[what]
     source = write_csv(tmp_path / "log.csv", replace(motion, arms=tuple(spoilt)), station)
     request = ImportRequest([source], station, out=tmp_path / "real")
     with pytest.raises(DatasetError, match=flag):
         bring_in(request, locations)
     assert not (tmp_path / "real").exists()
-    if said is None:
-        return
     bring_in(replace(request, corrections=said), locations)
     (back,) = read_motions([tmp_path / "real"], station, locations)
     for arm, truth in zip(back.arms, motion.arms, strict=True):
         np.testing.assert_allclose(arm.joints, truth.joints, atol=1e-5)
-        np.testing.assert_allclose(arm.openings, truth.openings, atol=1e-3)  # type: ignore[arg-type]
+        np.testing.assert_allclose(arm.openings, truth.openings, atol=1e-6)  # type: ignore[arg-type]
+        np.testing.assert_allclose(arm.commanded_openings, truth.commanded_openings, atol=1e-6)  # type: ignore[arg-type]
 
 
 def test_gaps_and_jumps_are_told_and_kept_in_the_record(

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow.parquet
 import pytest
 
-from tests.core.recordings.foreign import PROMPT, grey_of, write_lerobot_v2, write_raiden_raw
+from tests.core.export.real_datasets import NAMES
+from tests.core.recordings.foreign import (
+    PROMPT,
+    grey_of,
+    write_lerobot_v2,
+    write_lerobot_v3,
+    write_lowdim,
+    write_raiden_raw,
+)
 from tests.core.recordings.making import swinging
 from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.loader import load_config
@@ -165,6 +175,47 @@ def test_the_layout_of_raidens_converter(
     assert set(recording.intrinsics) == set(recording.extrinsics) == set(recording.pictures)
     images = next(iter(recording.pictures.values())).read()
     assert all(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None for data in images)
+
+
+def test_a_camera_that_raiden_did_not_calibrate_has_no_place(
+    station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    """Its converter writes the identity then, which would put the camera into the arm's base."""
+    folder = write_lowdim(tmp_path / "one", swinging(station, 0.1), station)
+    for file in (folder / "lowdim").iterdir():
+        frame = pickle.loads(file.read_bytes())
+        frame |= {
+            "intrinsics": {"scene_camera": np.diag([600.0, 600.0, 1.0])},
+            "extrinsics": {"scene_camera": np.eye(4)},
+        }
+        file.write_bytes(pickle.dumps(frame))
+    recording = only(folder, station, locations)
+    assert set(recording.intrinsics) == {"scene_camera"}
+    assert recording.extrinsics == {}
+
+
+def test_what_raiden_itself_calls_cut_off_is_told(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_raiden_raw(tmp_path / "raw", swinging(station, 0.5), station)
+    assert only(folder, station, locations).problems == ()
+    (folder / "metadata.json").write_text(json.dumps({"complete": False}))
+    (problem,) = only(folder, station, locations).problems
+    assert "says that it is not complete" in problem
+    other = write_lowdim(tmp_path / "one", swinging(station, 0.1), station)
+    (other / "metadata.json").write_text(json.dumps({"num_frames": 12}))
+    (problem,) = only(other, station, locations).problems
+    assert "there are 10 frames" in problem
+
+
+@pytest.mark.parametrize("version", ["v2", "v3"])
+def test_episodes_with_fewer_rows_than_they_say(
+    version: str, station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    write = {"v2": write_lerobot_v2, "v3": write_lerobot_v3}[version]
+    folder = write(tmp_path / "one", swinging(station, 0.3), station, NAMES)
+    (file,) = (folder / "data").glob("**/*.parquet")
+    pyarrow.parquet.write_table(pyarrow.parquet.read_table(file).slice(0, 20), file)
+    with pytest.raises(DatasetError, match=r"episode 0: has 20 rows, and meta/ says 30: was it cut off"):
+        only(folder, station, locations)
 
 
 def test_the_labs_own_layout(recorded: Path, config: RecordConfig, locations: Locations, tmp_path: Path) -> None:

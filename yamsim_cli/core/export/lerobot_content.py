@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,6 +20,8 @@ from .real_source import RealEpisode, RealSource, actions_of
 from .source import Source
 
 Frames = Sequence[Mapping[str, Any]]
+
+_APART = "unlike the first one: export them apart, see --episodes"
 
 
 class Content(Protocol):
@@ -70,7 +72,7 @@ class SimulatedContent:
         if self._things:
             told = state_names(self._things, source.first.record.joints)
             features[schema.ENVIRONMENT_STATE] = schema.rows(told)
-        return features | (schema.matrices(source.cameras) if self.pictures else {})
+        return features | (schema.matrices(source.cameras, source.cameras) if self.pictures else {})
 
     def values(self, episode: StoredEpisode, frames: Frames) -> dict[str, NDArray[Any]]:
         """An episode's values.
@@ -90,7 +92,7 @@ class SimulatedContent:
         values = {schema.STATE: np.array(states), schema.ACTION: np.array(commands)}
         if self._things:
             values[schema.ENVIRONMENT_STATE] = np.array([_things_row(frame, self._things) for frame in frames])
-        return values | (_matrices(self._source.cameras, frames) if self.pictures else {})
+        return values | (_matrices(self._source.cameras, self._source.cameras, frames) if self.pictures else {})
 
     def origin(self, episode: StoredEpisode) -> dict[str, Any]:
         """From which numbers an episode can be made again."""
@@ -116,7 +118,8 @@ class RealContent:
         self._source, self._actions = source, options.actions
         frame = source.first.frames()[0]
         self._velocities = "joint_velocities" in frame
-        self._placed = source.cameras if self.pictures and "extrinsics" in frame else {}
+        self._lenses = tuple(frame.get("intrinsics", ())) if self.pictures else ()
+        self._places = tuple(frame.get("extrinsics", ())) if self.pictures else ()
 
     def columns(self) -> dict[str, Feature]:
         """The features: those that were recorded, and an action unless nobody wants one."""
@@ -127,7 +130,7 @@ class RealContent:
         features[schema.RECORDED_TIME] = Feature("float64", (1,))
         if self._velocities:
             features[schema.VELOCITIES] = schema.rows(self._joints())
-        return features | schema.matrices(self._placed)
+        return features | schema.matrices(self._lenses, self._places)
 
     def values(self, episode: RealEpisode, frames: Frames) -> dict[str, NDArray[Any]]:
         """An episode's values.
@@ -142,9 +145,11 @@ class RealContent:
         values[schema.RECORDED_TIME] = np.array([frame["timestamp"] for frame in frames])
         if self._velocities:
             values[schema.VELOCITIES] = np.reshape(_each(episode, frames, "joint_velocities"), (n, -1))
-        if self._placed:
-            _each(episode, frames, "extrinsics")
-            values |= _matrices(self._placed, frames)
+        for key, cameras in (("intrinsics", self._lenses), ("extrinsics", self._places)):
+            for camera in cameras:
+                if not all(camera in held for held in _each(episode, frames, key)):
+                    raise DatasetError(f"{episode.directory} has no {key} of {camera}, {_APART}")
+        values |= _matrices(self._lenses, self._places, frames)
         if (note := source.unevenness(episode, frames)) is not None:
             self.notes.append(f"{note}, and {schema.RECORDED_TIME} the recorded times")
         return values
@@ -178,13 +183,15 @@ def _things_row(frame: Mapping[str, Any], things: Sequence[str]) -> NDArray[Any]
     return state_row([(frame[f"{thing}_pose"], frame.get(joints_key(thing), ())) for thing in things])
 
 
-def _matrices(cameras: Mapping[str, object], frames: Frames) -> dict[str, NDArray[Any]]:
+def _matrices(lenses: Iterable[str], places: Iterable[str], frames: Frames) -> dict[str, NDArray[Any]]:
     """The cameras' matrices, row by row."""
-    values = {}
-    for camera in cameras:
-        for key, name in ((schema.intrinsics_key, "intrinsics"), (schema.extrinsics_key, "extrinsics")):
-            values[key(camera)] = np.array([np.ravel(frame[name][camera]) for frame in frames])
-    return values
+    lens = {
+        schema.intrinsics_key(camera): [np.ravel(frame["intrinsics"][camera]) for frame in frames] for camera in lenses
+    }
+    place = {
+        schema.extrinsics_key(camera): [np.ravel(frame["extrinsics"][camera]) for frame in frames] for camera in places
+    }
+    return {key: np.array(rows) for key, rows in (lens | place).items()}
 
 
 def _each(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
@@ -194,7 +201,7 @@ def _each(episode: RecordedEpisode, frames: Frames, key: str) -> list[Any]:
         DatasetError: one has nothing there.
     """
     if not all(key in frame for frame in frames):
-        raise DatasetError(f"{episode.directory} has no {key}, unlike the first one: export them apart, see --episodes")
+        raise DatasetError(f"{episode.directory} has no {key}, {_APART}")
     return [frame[key] for frame in frames]
 
 

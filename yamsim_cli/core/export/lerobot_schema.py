@@ -5,7 +5,7 @@ Source: lerobot 0.4.4 and 0.6.1, `lerobot.datasets`; the format's version is `CO
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,12 +116,14 @@ def rows(names: Sequence[str]) -> Feature:
     return Feature("float32", (len(names),), tuple(names))
 
 
-def matrices(cameras: Iterable[str]) -> dict[str, Feature]:
-    """The features of what is known of cameras."""
+def matrices(lenses: Collection[str], places: Collection[str]) -> dict[str, Feature]:
+    """The features of what is known of cameras: of some their K, of some their pose."""
     features = {}
-    for camera in cameras:
-        features[intrinsics_key(camera)] = _matrix("K", 3)
-        features[extrinsics_key(camera)] = _matrix("T", 4)
+    for camera in dict.fromkeys((*lenses, *places)):
+        if camera in lenses:
+            features[intrinsics_key(camera)] = _matrix("K", 3)
+        if camera in places:
+            features[extrinsics_key(camera)] = _matrix("T", 4)
     return features
 
 

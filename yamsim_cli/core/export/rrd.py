@@ -91,7 +91,7 @@ def _log_camera(stream: Any, source: AnySource, camera: str, frame: Mapping[str,
     """The place of a camera's pictures: in the base where its pose is known, else beside it."""
     import rerun
 
-    if "extrinsics" not in frame:
+    if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):
         return f"cameras/{camera}"
     place = f"base/{camera}"
     width, height = source.cameras[camera]

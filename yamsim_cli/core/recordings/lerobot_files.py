@@ -97,8 +97,11 @@ def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Loc
     source = _Source(path, info, rig, mapping, locations)
     tasks = _tasks(path)
     rows = _episode_rows(path) if version.startswith("v3") else {}
+    lengths = {number: row.get("length") for number, row in rows.items()} or _lengths(path)
     recordings = []
     for number, table in _episodes(path):
+        if (said := lengths.get(number)) is not None and said != (held := len(table["episode_index"])):
+            raise DatasetError(f"{path} episode {number}: has {held} rows, and meta/ says {said}: was it cut off?")
         recordings.append(_recording(source, number, table, tasks, rows.get(number)))
     if not recordings:
         raise DatasetError(f"{path}/data: holds no episode")
@@ -195,6 +198,13 @@ def _tasks(path: Path) -> dict[int, str]:
     return found
 
 
+def _lengths(path: Path) -> dict[int, Any]:
+    """Episode -> how many rows version 2 says that it has."""
+    lines = path / "meta/episodes.jsonl"
+    rows = _json_lines(lines) if lines.is_file() else []
+    return {row["episode_index"]: row.get("length") for row in rows if isinstance(row.get("episode_index"), int)}
+
+
 def _json_lines(file: Path) -> list[dict[str, Any]]:
     try:
         if file.stat().st_size > _MOST_BYTES:
@@ -211,7 +221,9 @@ def _episode_rows(path: Path) -> dict[int, dict[str, Any]]:
     for file in sorted((path / "meta/episodes").glob("chunk-*/*.parquet")):
         table = _table(file)
         for k, number in enumerate(table["episode_index"]):
-            found[int(number)] = {key: values[k] for key, values in table.items() if key.startswith("videos/")}
+            found[int(number)] = {
+                key: values[k] for key, values in table.items() if key.startswith(("videos/", "length"))
+            }
     return found
 
 
