@@ -120,6 +120,25 @@ def test_lerobot_version_2_with_its_film(station: RigConfig, locations: Location
         assert abs(float(picture.mean()) - grey_of(k)) < 3
 
 
+def test_lerobot_with_a_picture_in_each_row(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.1), station, NAMES)
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"]["observation.images.top"]["dtype"] = "image"
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    (file,) = (folder / "data").glob("**/*.parquet")
+    table = pyarrow.parquet.read_table(file)
+    pictures = [cv2.imencode(".png", np.full((48, 64, 3), grey_of(k), np.uint8))[1].tobytes() for k in range(10)]
+    held = table.append_column("observation.images.top", [[{"bytes": data, "path": None} for data in pictures]])
+    pyarrow.parquet.write_table(held, file)
+    found = [decode_jpeg(data) for data in only(folder, station, locations).pictures["top"].read()]
+    np.testing.assert_allclose([picture.mean() for picture in found if picture is not None], [*map(grey_of, range(10))])
+    pictures[4] = pictures[4][:-20]
+    held = table.append_column("observation.images.top", [[{"bytes": data, "path": None} for data in pictures]])
+    pyarrow.parquet.write_table(held, file)
+    with pytest.raises(DatasetError, match=r"observation\.images\.top: row 4 holds no whole picture"):
+        list(only(folder, station, locations).pictures["top"].read())
+
+
 def test_names_that_nobody_knows_need_a_mapping(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     motion = swinging(station, 0.3)
     folder = write_lerobot_v2(tmp_path / "two", motion, station, [f"motor{k}" for k in range(14)])

@@ -1,4 +1,4 @@
-"""LeRobot datasets of YAM arms, versions 2.0 to 3.0: rows in Parquet, pictures in MP4.
+"""LeRobot datasets of YAM arms, versions 2.0 to 3.0: rows in Parquet, pictures in MP4 or in the rows.
 
 Source: lerobot 0.4.4 and 0.6.1: `meta/info.json` with `codebase_version`, `video_path`, `features`; of v2, a Parquet
 file and an MP4 an episode; of v3, several episodes in each, found by `meta/episodes/`.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -21,6 +21,7 @@ from ..config.rig import RigConfig
 from ..errors import DatasetError, ResourceError
 from ..geometry.se3 import Array
 from ..images.films import film_frames
+from ..images.image_files import decode_image
 from ..images.jpeg import encode_jpeg
 from ..motion import Motion
 from ..resources import Locations
@@ -33,6 +34,7 @@ _STATE, _ACTION, _PICTURE = "observation.state", "action", "observation.images."
 # What yamsim's own export of real recordings adds: the times at which frames were recorded, and the grippers' unit.
 _OWN_TIME, _OWN_FILE, _OWN_UNIT = "recorded_time", "meta/yamsim.json", "gripper"
 _QUALITY = 95
+_JPEG_START = b"\xff\xd8"
 _MOST_BYTES = 1 << 26
 
 
@@ -68,11 +70,10 @@ class _Source:
         unit = said.get(_OWN_UNIT) if isinstance(said, dict) else None
         return unit if unit in get_args(GripperUnit) else None
 
-    @property
-    def cameras(self) -> list[str]:
-        """The cameras that have films."""
+    def cameras(self, kind: str) -> list[str]:
+        """The cameras that have a `video`, or an `image` in each row."""
         features = self.info["features"]
-        return [key for key, value in features.items() if key.startswith(_PICTURE) and value.get("dtype") == "video"]
+        return [key for key, value in features.items() if key.startswith(_PICTURE) and value.get("dtype") == kind]
 
 
 def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
@@ -127,12 +128,13 @@ def _recording(
     times = from_seconds(np.asarray(stamps, dtype=np.float64).ravel(), name)
     arms = arms_of(names, source.rig, dict(zip(columns, measured.T, strict=True)), commanded)
     samples = np.arange(len(times), dtype=np.int64)
-    pictures = {
-        key.removeprefix(_PICTURE).replace(".", "_"): Pictures(
-            samples, functools.partial(_jpegs, source, key, number, row, len(times))
-        )
-        for key in source.cameras
+    made: dict[str, Callable[[], Iterator[bytes]]] = {
+        key: functools.partial(_jpegs, source, key, number, row, len(times)) for key in source.cameras("video")
     }
+    made |= {
+        key: functools.partial(_stored, table[key], f"{name}: {key}") for key in source.cameras("image") if key in table
+    }
+    pictures = {key.removeprefix(_PICTURE).replace(".", "_"): Pictures(samples, read) for key, read in made.items()}
     task = int(np.asarray(table["task_index"]).ravel()[0]) if "task_index" in table else -1
     return Recording(Motion(name, times, arms), source.gripper or names.gripper, pictures, tasks.get(task, ""))
 
@@ -248,6 +250,16 @@ def _jpegs(source: _Source, key: str, number: int, row: Mapping[str, Any] | None
         raise DatasetError(
             f"{file}: has {count} pictures of episode {number} from {begin:.3f} s on, and it {frames} rows"
         )
+
+
+def _stored(rows: Sequence[Any], source: str) -> Iterator[bytes]:
+    """The pictures that rows hold as PNG or JPEG."""
+    for k, row in enumerate(rows):
+        data = row.get("bytes") if isinstance(row, dict) else None
+        image = decode_image(data) if isinstance(data, bytes) else None
+        if image is None or not isinstance(data, bytes):
+            raise DatasetError(f"{source}: row {k} holds no whole picture; was it copied whole?")
+        yield data if data.startswith(_JPEG_START) else encode_jpeg(image, _QUALITY)
 
 
 def is_lerobot(path: Path) -> bool:
