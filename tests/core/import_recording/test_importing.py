@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.core.recordings.foreign import PROMPT, write_lerobot_v2, write_raiden_raw
+from tests.core.recordings.foreign import PROMPT, write_lerobot_v2, write_lowdim, write_raiden_raw
 from tests.core.recordings.making import swinging, write_csv
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.opening import OpenMode
-from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded
+from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded, recorded_rig
+from yamsim_cli.core.dataset.summary import summarize
 from yamsim_cli.core.errors import ConfigError, DatasetError, UsageError
+from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.import_recording.corrections import Corrections
 from yamsim_cli.core.import_recording.importing import ImportReport, ImportRequest, import_recordings
 from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.summarize.surveying import survey_dataset
@@ -75,11 +79,37 @@ def test_pictures_and_words_come_along(station: RigConfig, locations: Locations,
     assert all(episode.image("top", k)[:2] == b"\xff\xd8" for k in range(episode.record.frames))
 
 
+def test_photos_with_a_known_place_are_overlaid_on(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    """Each frame gives a photo with the camera's own lens and place, and says how the rig's arm stands."""
+    motion = swinging(single, 0.1)
+    folder = write_lowdim(tmp_path / "one", motion, single)
+    T = pose([0.4, 0.0, 0.9], np.diag([1.0, -1.0, -1.0]))
+    for file in (folder / "lowdim").iterdir():
+        known = {"intrinsics": {"scene_camera": np.diag([30.0, 30.0, 1.0])}, "extrinsics": {"scene_camera": T}}
+        file.write_bytes(pickle.dumps(pickle.loads(file.read_bytes()) | known))
+    bring_in(ImportRequest([folder], single, out=tmp_path / "real"), locations)
+    rig = recorded_rig(tmp_path / "real", locations)
+    photos = episode_photos(tmp_path / "real/ep_000000", None, rig)
+    assert (rig.name, len(photos)) == ("single", 10)
+    assert photos[3].T_base_in_cam is not None
+    np.testing.assert_allclose(photos[3].T_base_in_cam, np.linalg.inv(T), atol=1e-6)
+    assert photos[3].time == pytest.approx(0.03)
+
+
+def test_photos_without_a_place_say_how_they_are_used(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_lowdim(tmp_path / "one", swinging(single, 0.1), single)
+    bring_in(ImportRequest([folder], single, out=tmp_path / "real"), locations)
+    with pytest.raises(DatasetError, match=r"--img .*rgb/scene_camera"):
+        episode_photos(tmp_path / "real/ep_000000", None, single)
+
+
 def test_a_dataset_of_real_recordings_is_checked(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     raw = write_raiden_raw(tmp_path / "raw", swinging(station, 0.5), station)
     out = tmp_path / "real"
     bring_in(ImportRequest([raw], station, out=out), locations)
     assert codes(out, locations) == set()
+    report = summarize(survey_dataset(out, locations, 1, lambda done, total: None), (0.05,))
+    assert (report["real"], report["success_rate"], report["noted_at_import"]) == (True, {}, {})
     (out / "ep_000000/lowdim/000007.pkl").write_bytes((out / "ep_000000/lowdim/000008.pkl").read_bytes())
     (out / "ep_000000/lowdim/000049.pkl").unlink()
     assert {"file.hash", "file.missing"} <= codes(out, locations)

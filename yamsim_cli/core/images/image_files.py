@@ -40,7 +40,7 @@ def read_image(path: Path) -> Image:
 
 
 def decode_image(data: bytes) -> Image | None:
-    """The RGB image (height, width, 3) of a PNG or a JPEG, turned upright by its EXIF data; None of what is not whole."""
+    """The RGB image (height, width, 3) of a PNG or a JPEG, turned upright by its EXIF data; None if it is not whole."""
     if not _whole(data):
         return None
     try:
