@@ -288,7 +288,9 @@ def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> So
 def _require_real(flag: str, value: object, dataset: Path) -> None:
     """Refuse a flag of real recordings with simulated ones."""
     if value is not None:
-        raise UsageError(f"{flag} is for real recordings, and {dataset} was simulated: it has all that; leave it out")
+        raise UsageError(
+            f"{flag} is for real recordings, and {dataset} was simulated, with even times and all actions: leave it out"
+        )
 
 
 def _show(done: Exported, json: bool) -> None:

@@ -202,13 +202,43 @@ def test_altered_files_are_refused(filmed: Real, locations: Locations, tmp_path:
     assert not (tmp_path / "out").exists()
 
 
-def test_rerun_has_the_recorded_times(filmed: Real, locations: Locations, tmp_path: Path) -> None:
+def test_rerun_has_the_recorded_times_and_nothing_else(
+    filmed: Real, single: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
     pytest.importorskip("rerun", reason="yamsim[rerun] is not installed")
+    chunks = pytest.importorskip("rerun.chunk", reason="this rerun cannot read its files")
     from yamsim_cli.core.export.rrd import export_rerun
 
-    done = export_rerun(open_real_source(filmed.dataset, None, locations), tmp_path / "out", ignore)
-    assert (done.episodes, done.frames) == (1, 50)
-    assert (tmp_path / "out/ep_000000.rrd").stat().st_size > 1000
+    motion = some(swinging(single, 0.4), np.r_[0:10, 15:40])
+    blind = of_tables(tmp_path, [without_commands(motion)], single, locations)
+    export_rerun(open_real_source(filmed.dataset, None, locations), tmp_path / "filmed", ignore)
+    export_rerun(open_real_source(blind, None, locations), tmp_path / "blind", ignore)
+
+    def read(file: Path) -> tuple[set[str], dict[str, list[float]]]:
+        """Entities, and the seconds at which each joint was logged."""
+        entities, times = set(), {}
+        for chunk in chunks.RrdReader(file).stream():
+            entities.add(chunk.entity_path)
+            batch = chunk.to_record_batch()
+            if "time" in batch.schema.names:
+                seconds = [value.total_seconds() for value in batch.column("time").to_pylist()]
+                times.setdefault(chunk.entity_path, []).extend(seconds)
+        return entities, times
+
+    entities, _ = read(tmp_path / "filmed/ep_000000.rrd")
+    sides = ("left", "right")
+    drives = [f"{side}_{name}" for side in sides for name in (*[f"joint{k}" for k in range(1, 7)], "gripper")]
+    logged = {f"/{key}/{name}" for key in ("joints", "ctrl") for name in drives}
+    # What the file says of itself is under /__properties.
+    assert {path for path in entities if not path.startswith("/__")} == {
+        *logged,
+        "/cameras/top/rgb",
+        "/base",
+        "/episode",
+    }
+    entities, times = read(tmp_path / "blind/ep_000000.rrd")
+    assert not [path for path in entities if path.startswith(("/ctrl", "/cameras"))]
+    np.testing.assert_allclose(sorted(times["/joints/joint3"]), motion.times, atol=1e-6)
 
 
 def to_raiden(
