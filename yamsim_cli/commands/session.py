@@ -23,6 +23,13 @@ RigName = Annotated[
 Revision = Annotated[
     str | None, typer.Option(help="Of the rig's robots, in place of the rig's own; `yamsim robots list` has them.")
 ]
+Robot = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="How your arm moves otherwise than its model: what `yamsim identify` writes, for all arms of that model.",
+    ),
+]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
 
 

@@ -14,6 +14,7 @@ from ..documents.explain import dotted, explain, explain_conflict, kind_instead,
 from ..documents.units import AS_RECORDED
 from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
+from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Gripper
 from . import robot_names
 from .camera import CameraConfig
@@ -38,11 +39,15 @@ KINDS: Mapping[str, type[Config]] = {
     "record": RecordConfig,
     "robots": ArmModel,
     "grippers": Gripper,
+    "revisions": Dynamics,
 }
 
 # The key by which an override asks for another revision of a rig's robots; between a robot's name and its gripper's.
 REVISION = "revision"
+# The key by which one puts how an arm moves over the arms of a rig that it is of.
+ROBOT = "robot"
 _JOINED = "+"
+_DYNAMICS = "revisions"
 
 C = TypeVar("C", bound=Config)
 
@@ -98,12 +103,14 @@ def load_config(
     # References are resolved between the two passes, so that a flag may reach inside a config named by another flag.
     changes = overrides or {}
     for path, (place, value) in changes.items():
-        if len(path) == 1 and path[-1] != REVISION:
+        if len(path) == 1 and path[-1] not in (REVISION, ROBOT):
             document.set(path, value, place)
     _resolve_references(model, document, (), locations)
     for path, (place, value) in changes.items():
         if path[-1] == REVISION:
             _revise(document, path[:-1], value, place, locations)
+        elif path[-1] == ROBOT:
+            _move_as(document, path[:-1], value, place, locations)
         elif len(path) > 1:
             document.set(path, value, place)
     flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
@@ -148,18 +155,46 @@ def _joined(name: str) -> Document:
 
 def _revise(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
     """Put another revision of its family in for each arm of the rig at `path`."""
+    for k, model in _models(document, path).items():
+        try:
+            name = robot_names.revised(model, str(revision), locations)
+        except ConfigError as error:
+            raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
+        document.set((*path, "arms", k, "model"), name, place)
+
+
+def _move_as(document: Document, path: KeyPath, file: str, place: str, locations: Locations) -> None:
+    """Put one's dynamics in for each arm of the rig at `path` that is of the robot model which they are of."""
+    try:
+        dynamics = _named(Dynamics, _DYNAMICS, file, locations)
+    except ConfigError as error:
+        raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
+    if instead := _other_kind(Dynamics, dynamics):
+        raise ConfigError(instead)
+    base, models = dynamics.data.get("base"), _models(document, path)
+    for k, model in models.items():
+        if model == base:
+            document.graft((*path, "arms", k, "dynamics"), dynamics)
+    if isinstance(base, str) and base not in models.values():
+        raise (UsageError if is_setting(place) else ConfigError)(
+            f"{place}: {file} is of {base!r}, and the rig has {' and '.join(dict.fromkeys(models.values()))}; "
+            "choose another rig"
+        )
+
+
+def _models(document: Document, path: KeyPath) -> dict[int, str]:
+    """Number of an arm of the rig at `path` -> its robot model."""
     rig: Any = document.data
     for key in path:
         rig = rig[key]
     arms = rig.get("arms") if isinstance(rig, dict) else None
+    models: dict[int, str] = {}
     for k, arm in enumerate(arms if isinstance(arms, list) else ()):
         model = arm.get("model") if isinstance(arm, dict) else None
-        if isinstance(model, dict) and isinstance(model.get("name"), str):
-            try:
-                name = robot_names.revised(model["name"], str(revision), locations)
-            except ConfigError as error:
-                raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
-            document.set((*path, "arms", k, "model"), name, place)
+        name = model.get("name") if isinstance(model, dict) else model
+        if isinstance(name, str):
+            models[k] = name
+    return models
 
 
 def _read(model: type[Config], path: Path) -> Document:
@@ -249,6 +284,8 @@ def _put_in(
     document: Document, path: KeyPath, kind: str, target: type[Config], name: str, locations: Locations
 ) -> None:
     """Replace the name of a config at `path` by its content."""
+    if kind == robot_names.ARMS and name.endswith((".yaml", ".yml")):
+        name = _with_dynamics(document, path, name, locations)
     try:
         other = _named(target, kind, name, locations)
     except ConfigError as error:
@@ -256,3 +293,17 @@ def _put_in(
     if instead := _other_kind(target, other):
         raise ConfigError(f"{document.place(path)}: {dotted(path)}: {instead}")
     document.graft(path, other)
+
+
+def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Locations) -> str:
+    """The robot model of a file of dynamics, which is named in its place at `path` and put in beside it."""
+    key = (*path[:-1], "dynamics")
+    try:
+        dynamics = _named(Dynamics, _DYNAMICS, file, locations)
+    except ConfigError as error:
+        raise ConfigError(f"{document.place(path)}: {dotted(path)}: {error}") from error
+    base = dynamics.data.get("base")
+    if not isinstance(base, str):
+        raise ConfigError(f"{file}: base: says no robot model; name the one that it is a revision of")
+    document.graft(key, dynamics)
+    return base

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -9,7 +10,7 @@ import numpy as np
 
 from ..assets import AssetStore, resolve_own
 from ..config.recording import SHADOW_REACH
-from ..config.rig import RigCamera, RigConfig
+from ..config.rig import ArmConfig, RigCamera, RigConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations, Meshes
@@ -24,6 +25,8 @@ from .surroundings import add_background, add_lights, add_table
 from .things import add_object
 from .varied_model import add_variable_parts
 
+# How MuJoCo reads what was told between two steps.
+_LINEAR = 1
 # Of each arm, after its prefix: the weld by which its hand can hold a thing.
 WELD = "grasp_weld"
 
@@ -119,11 +122,26 @@ def hold_by_friction(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
     spec.option.impratio = impratio
 
 
+def delay_commands(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float) -> None:
+    """Let an arm's drives follow what they were told as long ago as its dynamics say."""
+    assert arm.dynamics is not None, "asked of arms with dynamics"
+    delay = arm.dynamics.command_delay_ms / 1000
+    for name in arm.robot.drives:
+        drive = spec.actuator(arm.prefix + name)
+        drive.delay = delay
+        drive.nsample = math.ceil(delay / timestep) + 2
+        # Between two steps, since a delay need not be a whole number of them.
+        drive.interp = _LINEAR
+
+
 def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig) -> None:
     """The time step, contacts that hold where nothing else does, and the welds, which start inactive."""
     spec.option.timestep = physics.timestep
     if physics.impratio is not None:
         hold_by_friction(spec, physics.impratio)
+    for arm in rig.arms:
+        if arm.dynamics is not None and arm.dynamics.command_delay_ms:
+            delay_commands(spec, arm, physics.timestep)
     for arm in rig.arms if physics.carried is not None else ():
         spec.add_equality(
             name=arm.prefix + WELD,
