@@ -16,11 +16,11 @@ from .plant import ArmPlant, Run, Values
 _BEGINNING = 0.5
 # As fine as anything is read at best, rad, so that no joint counts without end.
 _FINEST = 1e-4
-_MOST_STEPS, _MOST_AGAIN = 8, 3
+_MOST_STEPS, _MOST_AGAIN = 8, 2
 # Delays that are tried first, s: from one that is far off, a descent goes astray.
 _DELAYS = tuple(0.01 * k for k in range(11))
 # A fit stands still when a step moves nothing by more than this share of its scale, or gains less than this share.
-_STILL, _LITTLE = 2e-3, 1e-4
+_STILL, _LITTLE = 0.01, 1e-3
 
 
 @dataclass(frozen=True)
