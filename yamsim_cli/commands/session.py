@@ -24,10 +24,11 @@ Revision = Annotated[
     str | None, typer.Option(help="Of the rig's robots, in place of the rig's own; `yamsim robots list` has them.")
 ]
 Robot = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         metavar="FILE",
-        help="How your arm moves otherwise than its model: what `yamsim identify` writes, for all arms of that model.",
+        help="How your arm moves otherwise than its model, as `yamsim identify` writes it: for all arms of that model. "
+        "Give it again for another arm.",
     ),
 ]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, MutableMapping
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -134,7 +134,7 @@ class Opener:
         overrides: dict[KeyPath, tuple[str, Any]] = {
             path: (self.spell(setting), given[setting])
             for setting, path in _SETS.items()
-            if given.get(setting) is not None
+            if given.get(setting) is not None and given[setting] != []
         }
         if given.get("task") is not None and given.get("rig") is None and (rig := self._own_rig(given["task"], where)):
             overrides["rig",] = (self.spell("task"), rig)
@@ -178,7 +178,7 @@ class Opener:
         where: Locations,
         margin: float | None = None,
         revision: str | None = None,
-        robot: str | None = None,
+        robot: Sequence[str] | None = None,
     ) -> RigConfig:
         """The named rig, with another margin, another revision of its robots, or one's dynamics, if one was given."""
         from .config.loader import load_config
@@ -189,7 +189,7 @@ class Opener:
             overrides["margin",] = (self.spell("margin"), margin)
         if revision is not None:
             overrides["revision",] = (self.spell("revision"), revision)
-        if robot is not None:
+        if robot:
             overrides["robot",] = (self.spell("robot"), robot)
         return load_config(RigConfig, "rigs", name, where, overrides)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -155,7 +155,7 @@ def _joined(name: str) -> Document:
 
 def _revise(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
     """Put another revision of its family in for each arm of the rig at `path`."""
-    for k, model in _models(document, path).items():
+    for k, (model, _) in _arms(document, path).items():
         try:
             name = robot_names.revised(model, str(revision), locations)
         except ConfigError as error:
@@ -163,38 +163,41 @@ def _revise(document: Document, path: KeyPath, revision: str, place: str, locati
         document.set((*path, "arms", k, "model"), name, place)
 
 
-def _move_as(document: Document, path: KeyPath, file: str, place: str, locations: Locations) -> None:
-    """Put one's dynamics in for each arm of the rig at `path` that is of the robot model which they are of."""
-    try:
-        dynamics = _named(Dynamics, _DYNAMICS, file, locations)
-    except ConfigError as error:
-        raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
-    if instead := _other_kind(Dynamics, dynamics):
-        raise ConfigError(instead)
-    base, models = dynamics.data.get("base"), _models(document, path)
-    for k, model in models.items():
-        if model == base:
+def _move_as(document: Document, path: KeyPath, files: Sequence[str], place: str, locations: Locations) -> None:
+    """Put each of one's dynamics in for the arms of the rig at `path` that it is of: by their model and their side."""
+    for file in files:
+        try:
+            dynamics = _named(Dynamics, _DYNAMICS, file, locations)
+        except ConfigError as error:
+            raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
+        if instead := _other_kind(Dynamics, dynamics):
+            raise ConfigError(instead)
+        base, side = dynamics.data.get("base"), dynamics.data.get("side")
+        arms = _arms(document, path)
+        meant = [k for k, (model, on) in arms.items() if model == base and side in (None, on)]
+        for k in meant:
             document.graft((*path, "arms", k, "dynamics"), dynamics)
-    if isinstance(base, str) and base not in models.values():
-        raise (UsageError if is_setting(place) else ConfigError)(
-            f"{place}: {file} is of {base!r}, and the rig has {' and '.join(dict.fromkeys(models.values()))}; "
-            "choose another rig"
-        )
+        if isinstance(base, str) and not meant:
+            there = " and ".join(dict.fromkeys(f"{model!r} on the {on}" for model, on in arms.values()))
+            raise (UsageError if is_setting(place) else ConfigError)(
+                f"{place}: {file} is of {base!r}{f' on the {side}' if side else ''}, and the rig has {there}; choose "
+                "another rig"
+            )
 
 
-def _models(document: Document, path: KeyPath) -> dict[int, str]:
-    """Number of an arm of the rig at `path` -> its robot model."""
+def _arms(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
+    """Number of an arm of the rig at `path` -> its robot model, and its side."""
     rig: Any = document.data
     for key in path:
         rig = rig[key]
     arms = rig.get("arms") if isinstance(rig, dict) else None
-    models: dict[int, str] = {}
+    found: dict[int, tuple[str, Any]] = {}
     for k, arm in enumerate(arms if isinstance(arms, list) else ()):
         model = arm.get("model") if isinstance(arm, dict) else None
         name = model.get("name") if isinstance(model, dict) else model
         if isinstance(name, str):
-            models[k] = name
-    return models
+            found[k] = name, arm.get("side")
+    return found
 
 
 def _read(model: type[Config], path: Path) -> Document:

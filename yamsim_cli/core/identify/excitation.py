@@ -22,10 +22,13 @@ RATE = 100
 _SPEED, _TORQUE = 0.5, 0.5
 # Of the sines that are added up for each joint: how many, and from which to which frequency, Hz. The quicker a joint's
 # motor (turns a second), the quicker they are.
-_SINES, _SLOWEST, _FASTEST = 8, 0.1, (2.0, 4.0)
+_SINES, _SLOWEST, _FASTEST = 8, 0.1, (2.0, 5.0)
 _PER_TURN = 2.0
-# The motion is cycles of about so many seconds. Sines take this part of each, slow turns and rests what is left, so that
-# every third of the motion has all of it.
+# How much less a sine moves, the quicker it is: as its frequency to the power of this, of the slowest joints and of the
+# quickest, whose inertia is small and shows only where they are.
+_LESS = (0.8, 0.4)
+# The motion is cycles of about so many seconds. Sines take this part of each, slow turns and rests what is left, so
+# that every third of the motion has all of it.
 _CYCLE, _QUICK_SHARE = 20.0, 0.6
 # How fast slow turns are, rad/s, and how long an arm rests after each, s.
 _SLOW, _REST = (0.05, 0.5), 0.4
@@ -103,8 +106,7 @@ def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
     """Sines of random frequencies and phases, added up (n,), -1..1."""
     edges = np.geomspace(_SLOWEST, fastest, _SINES + 1)
     frequencies = rng.uniform(edges[:-1], edges[1:])
-    # Less, the quicker: speeds of all are alike then.
-    sizes = frequencies**-0.8
+    sizes = frequencies ** -np.interp(fastest, _FASTEST, _LESS)
     total = (sizes * np.sin(2 * np.pi * frequencies * times[:, None] + rng.uniform(0, 2 * np.pi, _SINES))).sum(axis=1)
     found: Array = total / np.abs(total).max()
     return found

@@ -14,12 +14,14 @@ from ..motion import ArmMotion, Motion
 from ..recordings.faults import Fault, find_faults
 from ..robots.dynamics import Dynamics, JointDynamics
 from .estimates import Estimate, cannot_tell, check_told, estimates, rms
-from .fit import Fitted, compared, fit
+from .fit import Fitted, compared, fit, parameters
 from .plant import ArmPlant, Log, Run, Values
 from .usable import check_usable
 
 # What of each log is held out where no other one is given.
 _HELD_OUT = 1 / 3
+# How often the arm is simulated, about, for each parameter that is varied.
+_ABOUT = 5
 # Faults by which a log is about another motion than the arm made. A joint that stands still is told with what to record
 # instead.
 _GRAVE = (Fault.GAP, Fault.DEGREES, Fault.BEYOND_STOPS, Fault.TOO_FAST, Fault.SWAPPED_ARMS)
@@ -89,14 +91,14 @@ def identify(
     held_out: Sequence[Motion],
     revision: str,
     side: str | None = None,
-    step: Callable[[str, int], None] = lambda arm, done: None,
+    step: Callable[[str, int, int], None] = lambda arm, done, total: None,
 ) -> list[Identified]:
     """What motions say of each arm of a rig, or of the one on a side; the left one's first.
 
     Args:
         held_out: motions by which it is judged; without any, the last third of each is kept for that.
         revision: what the result is called.
-        step: told which arm is fitted, and how often it has been simulated.
+        step: told which arm is fitted, how often it has been simulated, and about how often it will be.
 
     Raises:
         DatasetError: a motion has no commands or faults that make it another motion, or does not excite a joint.
@@ -118,7 +120,7 @@ def identify(
             others = [log.between(cut * log.seconds, log.seconds) for log in logs]
             logs = [log.between(0.0, cut * log.seconds) for log in logs]
             check_usable(logs, plant.robot.joint_names, called)
-        counter = _Counter(called or arm.name, step)
+        counter = _Counter(called or arm.name, _ABOUT * len(parameters(plant)), step)
         fitted = fit(plant, [Run(plant, log) for log in logs], counter)
         told = estimates(plant, fitted)
         check_told(plant, told, ", ".join(log.name for log in logs))
@@ -132,12 +134,13 @@ def identify(
 @dataclass
 class _Counter:
     arm: str
-    step: Callable[[str, int], None]
+    total: int
+    step: Callable[[str, int, int], None]
     done: int = 0
 
     def __call__(self) -> None:
         self.done += 1
-        self.step(self.arm, self.done)
+        self.step(self.arm, self.done, max(self.total, self.done))
 
 
 def _check(motion: Motion, rig: RigConfig) -> None:
@@ -146,7 +149,7 @@ def _check(motion: Motion, rig: RigConfig) -> None:
     for arm in motion.arms:
         if arm.commands is None or not np.isfinite(arm.commands).any(axis=0).all():
             raise DatasetError(
-                f"{_whose(motion, arm)}: holds no commands for its joints; what an arm does tells nothing of it without "
+                f"{_whose(motion, arm)}: holds no commands for its joints; what an arm does says little of it without "
                 "what it was told: record both"
             )
     grave = [problem for problem in find_faults(motion, rig) if problem.fault in _GRAVE]

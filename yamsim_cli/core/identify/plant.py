@@ -123,7 +123,7 @@ class ArmPlant:
         # A step takes the damping at its end, which is as much more inertia: a fit that left it would find too little.
         taken = values.armature - (self.kv + values.damping) * TIMESTEP / 2
         model.dof_armature[self.dof] = np.maximum(taken, _LEAST_INERTIA - self._links / 2)
-        # MuJoCo's friction is -(a + b v) / r until it is full. With b = 1 / step that is a damping of 1 / (b r), stepped
+        # MuJoCo's friction is -(a + b v) / r until it is full. With b = 1 / step that is a damping of b / r, stepped
         # implicitly, which keeps it stable however strong it is.
         b = 1 / TIMESTEP
         r = b * np.maximum(values.creep, _LEAST_CREEP) / np.maximum(values.friction, _LEAST_FRICTION)
@@ -217,8 +217,8 @@ class Run:
         data.qpos[self.plant.fingers] = told[0] * np.array(robot.finger_signs)
 
 
-# What a joint keeps of its inertia whatever is taken off, kg m2, beside half of what hangs on it; and how many poses tell
-# how little that is.
+# What a joint keeps of its inertia whatever is taken off, kg m2, beside half of what hangs on it; and how many poses
+# tell how little that is.
 _LEAST_INERTIA, _POSES = 2e-4, 64
 # How fast joints creep unless a log says otherwise, rad/s.
 _CREEP = 0.005

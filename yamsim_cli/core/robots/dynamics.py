@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
@@ -40,6 +40,7 @@ class Dynamics(Config):
     Attributes:
         revision: what it is called.
         base: the robot model that it is a revision of.
+        side: of which arms of a rig it is, `left` or `right`; left out, of all that have the model.
         source: what it was identified from, in a few words.
         joints: joint -> how it moves. Others move as the model says.
         command_delay_ms: how long after it was told a command acts.
@@ -51,6 +52,7 @@ class Dynamics(Config):
 
     revision: Name
     base: Name
+    side: Literal["left", "right"] | None = None
     source: str | None = None
     joints: dict[Part, JointDynamics] = Field(default_factory=dict)
     command_delay_ms: _Milliseconds = 0.0
