@@ -124,7 +124,7 @@ def _controls(scene: CompiledScene, motion: Motion) -> Array:
     timestep = float(scene.model.opt.timestep)
     # A sample that rounding puts just behind a step needs no further one.
     steps = int(np.ceil(motion.duration / timestep - 1e-6))
-    edges: Array = np.arange(steps + 1) * timestep
+    edges = np.arange(steps + 1, dtype=np.float64) * timestep
     ctrl = np.zeros((steps, scene.model.nu))
     for arm, told in zip(scene.arms, motion.arms, strict=True):
         assert told.commands is not None, "checked before"
