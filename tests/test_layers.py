@@ -49,6 +49,7 @@ FLOORS: dict[str, int] = {
     "core.viewers": 6,
     "core.report": 6,
     "core.things": 6,
+    "core.recordings": 6,
     "core.attempt": 8,
     "core.skills": 7,
     # One for each thing that a user does.
