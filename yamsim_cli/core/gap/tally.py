@@ -2,19 +2,39 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import SimulationError
+from ..errors import ResourceError, SimulationError
+from ..files import write_file
 from .figures import Following, Gap, HandGap, JointGap, Size, Worst
 from .phases import PHASES
 
 # Two-sided 95 % of Student's t distribution, by degrees of freedom from 1 on.
 # Source: NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.2.
-_T95 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120)
+_T95: tuple[float, ...] = (
+    12.706,
+    4.303,
+    3.182,
+    2.776,
+    2.571,
+    2.447,
+    2.365,
+    2.306,
+    2.262,
+    2.228,
+    2.201,
+    2.179,
+    2.160,
+    2.145,
+    2.131,
+    2.120,
+)
 _T95 += (2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042)
 _Z95 = 1.959963984540054
 
@@ -33,8 +53,9 @@ def student95(values: Sequence[float]) -> tuple[float, float] | None:
 def report_of(gaps: Sequence[Gap], rig: str) -> dict[str, Any]:
     """The gap of recordings as plain data, for JSON: means over the recordings, the worst of all, and each of them.
 
-    A figure is a mean over the recordings that tell it, null where none does; `intervals` has its 95 % interval where
-    two or more do. Errors are what was measured less what was simulated, in rad and mm.
+    A figure is a mean over the recordings that tell it, null where none does, and of the largest errors the largest.
+    `intervals` has its 95 % interval where two or more tell it. Errors are what was measured less what was simulated,
+    in rad and mm.
 
     Args:
         gaps: of recordings of the same arms, at least one.
@@ -88,17 +109,36 @@ def require_small(report: Mapping[str, Any], most_mrad: float | None) -> None:
         )
 
 
+def write_report(report: Mapping[str, Any], path: Path) -> None:
+    """Write a report as JSON, replacing what is there.
+
+    Raises:
+        ResourceError: the file cannot be written.
+    """
+    try:
+        write_file(path, (json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --out") from error
+
+
 def spoken(row: Mapping[str, Any]) -> str:
     """A joint's or a hand's name as people say it: `left joint2`, `joint2`."""
     return " ".join(part for part in (row["arm"], row.get("name", "hand")) if part)
 
 
 def _means(rows: Sequence[Any], told: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
-    """Figure -> its mean over the rows that tell it, and under `intervals` figure -> the mean's 95 % interval."""
+    """Figure -> its mean over the rows that tell it, and under `intervals` figure -> the mean's 95 % interval.
+
+    Of the largest errors it is the largest.
+    """
     said = [told(row) for row in rows]
     known = {key: [value for one in said if (value := one[key]) is not None] for key in said[0]}
-    means = {key: float(np.mean(values)) if values else None for key, values in known.items()}
-    intervals = {key: bounds for key, values in known.items() if (bounds := student95(values))}
+    largest = {key for key in known if "max" in key.split("_")}
+    means = {
+        key: float(np.max(values) if key in largest else np.mean(values)) if values else None
+        for key, values in known.items()
+    }
+    intervals = {key: bounds for key, values in known.items() if key not in largest and (bounds := student95(values))}
     return {**means, **({"intervals": {key: list(bounds) for key, bounds in intervals.items()}} if intervals else {})}
 
 
@@ -134,7 +174,7 @@ def _hands(rows: Sequence[HandGap]) -> dict[str, Any]:
 
 
 def _phases(rows: Sequence[Mapping[str, Size]]) -> list[dict[str, Any]]:
-    """For each phase that occurs: the mean errors over the recordings in which it does, and its share of all samples."""
+    """For each phase that occurs: the mean errors over the recordings in which it does, and its share of samples."""
     samples = sum(size.samples for row in rows for size in row.values())
     found = []
     for phase in map(str, PHASES):
@@ -153,8 +193,3 @@ def _worst(worst: Worst) -> dict[str, Any]:
         "joint": worst.joint,
         "error_rad": worst.error,
     }
-
-
-def gaps_by_size(gaps: Iterable[Gap]) -> list[Gap]:
-    """Gaps, the largest first."""
-    return sorted(gaps, key=lambda gap: -gap.error.rms)

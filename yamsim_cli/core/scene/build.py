@@ -18,6 +18,9 @@ from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFinge
 from .compose import WELD, compile_spec, compose
 from .composed_meshes import composed_meshes
 
+# Of physics of a rig alone, s: that of the tasks, unless they say otherwise.
+TIMESTEP = 0.002
+
 
 def build_scene(session: Session) -> CompiledScene:
     """Compose and compile the scene of a recording.
@@ -49,7 +52,9 @@ def build_scene(session: Session) -> CompiledScene:
     )
 
 
-def build_rig_scene(rig: RigConfig, scene: SceneConfig, locations: Locations, timestep: float) -> CompiledScene:
+def build_rig_scene(
+    rig: RigConfig, scene: SceneConfig, locations: Locations, timestep: float = TIMESTEP
+) -> CompiledScene:
     """Compose and compile a rig's arms and nothing else that they could touch: no floor, no table, no boards.
 
     Args:
