@@ -130,7 +130,9 @@ def write_inputs(folder: Path, locations: Locations) -> None:
         scan.export(folder / "scan.obj")
     with Studio("russet", locations, CAMERA) as studio:
         shot = studio.shoot(looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1)), JOINTS)
-    cv2.imwrite(str(folder / "photo.png"), shot.image[:, :, ::-1])
+    (folder / "morning").mkdir()
+    for photo in ("photo.png", "morning/0001.png"):
+        cv2.imwrite(str(folder / photo), shot.image[:, :, ::-1])
     # The left arm's come first.
     np.save(folder / "joints.npy", JOINTS[::-1].reshape(-1))
     camera = {
