@@ -22,6 +22,7 @@ from .commands.doctor import doctor
 from .commands.evaluate import evaluate
 from .commands.excite import excite
 from .commands.identify import identify
+from .commands.gap import gap
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
@@ -55,6 +56,7 @@ app.command("render-views")(render_views)
 app.command()(overlay)
 app.command()(identify)
 app.command()(excite)
+app.command()(gap)
 app.command()(boards)
 app.command()(view)
 app.command()(doctor)

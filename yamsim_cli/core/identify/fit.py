@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..config.rig import ArmConfig
 from ..geometry.least_squares import LeastSquares, descend
 from ..geometry.se3 import Array
-from .plant import ArmPlant, Run, Values
+from .plant import FINE_TIMESTEP, ArmPlant, Log, Run, Values
 
 # A log's beginning is not compared, s: nobody knows how fast the arm was, nor which way its friction pulled.
 _BEGINNING = 0.5
 # As fine as anything is read at best, rad, so that no joint counts without end.
 _FINEST = 1e-4
-_MOST_STEPS, _MOST_AGAIN = 8, 2
+_MOST_STEPS, _MOST_FINE = 6, 4
 # Delays that are tried first, s: from one that is far off, a descent goes astray.
 _DELAYS = tuple(0.01 * k for k in range(11))
 # A fit stands still when a step moves nothing by more than this share of its scale, or gains less than this share.
@@ -77,13 +78,10 @@ def with_value(values: Values, parameter: Parameter, number: float) -> Values:
 class _Compared:
     """Logs and what becomes of them by some values: the problem there, linearized when it is asked for."""
 
-    def __init__(self, problem: _Problem, values: Values, same: _Compared | None = None) -> None:
+    def __init__(self, problem: _Problem, values: Values) -> None:
         self._problem, self.values = problem, values
-        self.errors = same.errors if same else problem.errors(values)
-        if same:
-            self.slopes = same.slopes
-        believed = problem.believed(values)
-        self.cost = float(np.sum((self.errors * problem.weights) ** 2) + believed @ believed)
+        self.errors = problem.errors(values)
+        self.cost = problem.cost(self.errors, values)
 
     @functools.cached_property
     def slopes(self) -> Array:
@@ -98,53 +96,57 @@ class _Compared:
     @property
     def normal(self) -> Array:
         """The normal equations' matrix (k, k)."""
-        weighted = self.slopes * self._problem.weights[None, :, None]
-        flat = weighted.reshape(-1, weighted.shape[-1])
-        return flat.T @ flat + np.diag(self._problem.precision)
+        return self._problem.normal(self.slopes)
 
     @property
     def gradient(self) -> Array:
         """Their right-hand side (k,)."""
-        weighted = self.slopes * self._problem.weights[None, :, None] ** 2
-        flat = weighted.reshape(-1, weighted.shape[-1])
-        believed = self._problem.believed(self.values)
-        return -(flat.T @ self.errors.ravel()) - np.sqrt(self._problem.precision) * believed
+        return self._problem.gradient(self.slopes, self.errors, self.values)
 
 
 class _Problem(LeastSquares[Values, _Compared]):
-    def __init__(
-        self,
-        plant: ArmPlant,
-        runs: Sequence[Run],
-        weights: Array,
-        step: Callable[[], None],
-        known: _Compared | None = None,
-    ) -> None:
+    """An arm that is to follow its logs, by joints that count as their `weights` (dof,) say, 1/rad."""
+
+    def __init__(self, plant: ArmPlant, runs: Sequence[Run], weights: Array, step: Callable[[], None]) -> None:
         self.parameters = parameters(plant)
         self.weights = weights
-        self.precision = np.array([(each.scale / each.spread) ** 2 for each in self.parameters])
+        self._precision = np.array([(each.scale / each.spread) ** 2 for each in self.parameters])
         self._centre = plant.values
-        # Where another problem of other weights has been already, errors and slopes are its own.
-        self._runs, self._step, self._known = runs, step, known
+        self._runs, self._step = runs, step
 
     def errors(self, values: Values) -> Array:
         """What is read less what was measured, of every compared sample of all runs (samples, dof), rad."""
         self._step()
         return np.concatenate([(run.follow(values) - run.log.joints)[compared(run)] for run in self._runs])
 
-    def believed(self, values: Values) -> Array:
+    def cost(self, errors: Array, values: Values) -> float:
+        """What is to become small."""
+        return float(np.sum((errors * self.weights) ** 2) + np.sum(self._believed(values) ** 2))
+
+    def normal(self, slopes: Array) -> Array:
+        """The normal equations' matrix (k, k), for slopes (samples, dof, k)."""
+        flat = (slopes * self.weights[None, :, None]).reshape(-1, slopes.shape[-1])
+        found: Array = flat.T @ flat + np.diag(self._precision)
+        return found
+
+    def gradient(self, slopes: Array, errors: Array, values: Values) -> Array:
+        """Their right-hand side (k,)."""
+        pulled = np.einsum("ijk,ij->k", slopes, errors * self.weights**2)
+        found: Array = -pulled - np.sqrt(self._precision) * self._believed(values)
+        return found
+
+    def _believed(self, values: Values) -> Array:
         """How far each parameter is from what was believed, in its spread (k,)."""
         return np.array([(value(values, p) - value(self._centre, p)) / p.spread for p in self.parameters])
 
     def linearized(self, state: Values, before: _Compared | None) -> _Compared | None:
-        same = self._known if self._known is not None and self._known.values is state else None
-        there = _Compared(self, state, same)
+        there = _Compared(self, state)
         return there if np.isfinite(there.cost) else None
 
     def moved(self, state: Values, step: Array) -> Values:
         for parameter, part in zip(self.parameters, step, strict=True):
-            number = float(np.clip(value(state, parameter) + part * parameter.scale, parameter.least, parameter.most))
-            state = with_value(state, parameter, number)
+            number = value(state, parameter) + part * parameter.scale
+            state = with_value(state, parameter, float(np.clip(number, parameter.least, parameter.most)))
         return state
 
     def settled(self, state: Values, known: _Compared, step: Array, gain: Array) -> bool:
@@ -177,26 +179,32 @@ class Fitted:
     times: Array
 
 
-def fit(plant: ArmPlant, runs: Sequence[Run], step: Callable[[], None] = lambda: None) -> Fitted:
-    """The values by which an arm follows runs best.
+def fit(arm: ArmConfig, logs: Sequence[Log], step: Callable[[], None] = lambda: None) -> Fitted:
+    """The values by which an arm follows logs best.
+
+    What a step of physics is long enough to change shows as inertia and delay. So the arm follows by the steps of tasks
+    until little is left, and then by finer ones, along the slopes that are known.
 
     Args:
-        step: called before each time that the runs are followed.
+        step: called before each time that the logs are followed.
     """
-    weights = np.full(len(plant.kp), 1 / _FINEST)
-    problem = _Problem(plant, runs, weights, step)
-    delays = {plant.values.delay, *_DELAYS} if plant.values.delay < _DELAYS[-1] else {plant.values.delay}
-    tried = [replace(plant.values, delay=delay) for delay in sorted(delays)]
-    values = min(tried, key=lambda one: float(np.sum(problem.errors(one) ** 2)))
-    there: _Compared | None = None
-    for most in (_MOST_STEPS, _MOST_AGAIN):
-        problem = _Problem(plant, runs, weights, step, there)
-        found = descend(problem, values, most)
-        assert found is not None, "the model itself can be simulated"
-        values, there = found
-        spread = np.sqrt(np.mean(there.errors**2, axis=0))
-        weights = 1 / np.maximum(spread, _FINEST)
-    offsets = np.concatenate([[0.0], np.cumsum([run.log.seconds + 1 for run in runs])])
+    plant, fine = ArmPlant(arm), ArmPlant(arm, FINE_TIMESTEP)
+    runs, fine_runs = [Run(plant, log) for log in logs], [Run(fine, log) for log in logs]
+    problem = _Problem(plant, runs, np.full(len(plant.kp), 1 / _FINEST), step)
+    tried = [replace(plant.values, delay=delay) for delay in sorted({plant.values.delay, *_DELAYS})]
+    first = min(tried, key=lambda one: float(np.sum(problem.errors(one) ** 2)))
+    found = descend(problem, first, _MOST_STEPS)
+    assert found is not None, "the model itself can be simulated"
+    values, there = found
+    slopes, errors = there.slopes, there.errors
+    for _ in range(_MOST_FINE):
+        spread = np.sqrt(np.mean(errors**2, axis=0))
+        problem = _Problem(fine, fine_runs, 1 / np.maximum(spread, _FINEST), step)
+        errors = problem.errors(values)
+        moved = np.linalg.solve(problem.normal(slopes), problem.gradient(slopes, errors, values))
+        if np.abs(moved).max() < _STILL:
+            break
+        values = problem.moved(values, moved)
+    offsets = np.concatenate([[0.0], np.cumsum([log.seconds + 1 for log in logs])])
     times = np.concatenate([run.log.times[compared(run)] + at for run, at in zip(runs, offsets, strict=False)])
-    assert there is not None
-    return Fitted(values, problem.parameters, there.errors, there.slopes, weights, times)
+    return Fitted(values, problem.parameters, errors, slopes, problem.weights, times)

@@ -121,7 +121,7 @@ def identify(
             logs = [log.between(0.0, cut * log.seconds) for log in logs]
             check_usable(logs, plant.robot.joint_names, called)
         counter = _Counter(called or arm.name, _ABOUT * len(parameters(plant)), step)
-        fitted = fit(plant, [Run(plant, log) for log in logs], counter)
+        fitted = fit(arm, logs, counter)
         told = estimates(plant, fitted)
         check_told(plant, told, ", ".join(log.name for log in logs))
         source = f"{counted(len(motions), 'recording')}: {', '.join(motion.name for motion in motions)}"

@@ -15,8 +15,8 @@ from ..motion import ArmMotion, Motion
 from ..robots.dynamics import Dynamics
 from ..scene.robot import arm_spec
 
-# Of physics, s: what tasks are stepped with.
-TIMESTEP = 0.002
+# Of physics, s: what tasks are stepped with; and where nothing may depend on it.
+TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005
 
 
 @dataclass(frozen=True)
@@ -87,11 +87,13 @@ class ArmPlant:
         values: as its model has them.
         kp, kv: of the joints' drives (dof,), N m/rad and N m s/rad.
         most_torque: of these drives (dof,), N m.
+        timestep: of physics, s.
     """
 
-    def __init__(self, arm: ArmConfig) -> None:
+    def __init__(self, arm: ArmConfig, timestep: float = TIMESTEP) -> None:
+        self.timestep = timestep
         spec = arm_spec(arm, None)
-        spec.option.timestep = TIMESTEP
+        spec.option.timestep = timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.robot = robot = arm.robot
@@ -121,11 +123,11 @@ class ArmPlant:
         """The same nearer to what moves without steps, and with friction that sets in gently."""
         model = self.plain_model(values)
         # A step takes the damping at its end, which is as much more inertia: a fit that left it would find too little.
-        taken = values.armature - (self.kv + values.damping) * TIMESTEP / 2
+        taken = values.armature - (self.kv + values.damping) * self.timestep / 2
         model.dof_armature[self.dof] = np.maximum(taken, _LEAST_INERTIA - self._links / 2)
         # MuJoCo's friction is -(a + b v) / r until it is full. With b = 1 / step that is a damping of b / r, stepped
         # implicitly, which keeps it stable however strong it is.
-        b = 1 / TIMESTEP
+        b = 1 / self.timestep
         r = b * np.maximum(values.creep, _LEAST_CREEP) / np.maximum(values.friction, _LEAST_FRICTION)
         impedance = 1 / (1 + r / model.dof_invweight0[self.dof])
         model.dof_solref[self.dof] = np.column_stack([np.full(len(r), -1.0), -b * impedance])
@@ -154,15 +156,15 @@ class Run:
     def __init__(self, plant: ArmPlant, log: Log) -> None:
         self.plant, self.log = plant, log
         self.read = np.isfinite(log.joints).all(axis=1)
-        self._steps = int(np.ceil(log.seconds / TIMESTEP)) + 1
-        self._grid = TIMESTEP * np.arange(self._steps + 1)
+        self._steps = int(np.ceil(log.seconds / self.plant.timestep)) + 1
+        self._grid = self.plant.timestep * np.arange(self._steps + 1)
         self._clipped = np.clip(log.commands, *plant.model.actuator_ctrlrange[plant.drives].T)
         held = self._clipped[:-1] * np.diff(log.times)[:, None]
         self._told = np.concatenate([np.zeros((1, held.shape[1])), np.cumsum(held, axis=0)])
         measured = np.column_stack(
             [np.interp(self._grid[:-1], log.times[self.read], column[self.read]) for column in log.joints.T]
         )
-        coarse = np.arange(0, self._steps, _WEIGHED)
+        coarse = np.arange(0, self._steps, max(1, round(_WEIGHED / plant.timestep)))
         weights = plant.weights(measured[coarse])
         self._weights = np.column_stack([np.interp(np.arange(self._steps), coarse, column) for column in weights.T])
         self._data = mujoco.MjData(plant.model)
@@ -176,7 +178,7 @@ class Run:
         plant, log = self.plant, self.log
         model = plant.plain_model(values) if plain else plant.fitted_model(values)
         controls = np.zeros((1, self._steps, model.nu + model.nv))
-        controls[0, :, plant.drives] = self._delayed(values.delay - (TIMESTEP / 2 if plain else 0)).T
+        controls[0, :, plant.drives] = self._delayed(values.delay - (self.plant.timestep / 2 if plain else 0)).T
         controls[0, :, model.nu + plant.dof] = ((values.gravity - 1) * self._weights).T
         data = self._data
         mujoco.mj_resetData(model, data)
@@ -194,13 +196,13 @@ class Run:
     def _delayed(self, delay: float) -> Array:
         """What the drives are told in each step (steps, dof): the mean over it, as long ago as it takes to act."""
         # A step begins with the pull of what is told then, so it is told the mean around its beginning.
-        asked, log = self._grid - TIMESTEP / 2 - delay, self.log
+        asked, log = self._grid - self.plant.timestep / 2 - delay, self.log
         columns = []
         for first, last, total in zip(self._clipped[0], self._clipped[-1], self._told.T, strict=True):
             sums = np.interp(asked, log.times, total)
             sums = np.where(asked < 0, first * asked, sums)
             sums = np.where(asked > log.times[-1], total[-1] + last * (asked - log.times[-1]), sums)
-            columns.append(np.diff(sums) / TIMESTEP)
+            columns.append(np.diff(sums) / self.plant.timestep)
         return np.column_stack(columns)
 
     def _hold_fingers(self, controls: Array, data: mujoco.MjData) -> None:
@@ -222,10 +224,10 @@ class Run:
 _LEAST_INERTIA, _POSES = 2e-4, 64
 # How fast joints creep unless a log says otherwise, rad/s.
 _CREEP = 0.005
+# How often an arm's weight is looked at, s.
+_WEIGHED = 0.01
 # Friction and creep below these, N m and rad/s, are as good as none.
 _LEAST_FRICTION, _LEAST_CREEP = 1e-6, 1e-5
-# How many steps lie between poses whose weight is looked at.
-_WEIGHED = 5
 
 
 def _filled(commands: Array) -> Array:

@@ -94,7 +94,7 @@ class ClosedLoop:
         data.ctrl[:] = told
         self._ctrl.append(told)
         self._magnet.append(holds)
-        mujoco.mj_step(scene.model, data, self._timing.physics_steps_per_tick)
+        scene.step(data, self._timing.physics_steps_per_tick)
         # After mj_step, poses are those of the step before.
         mujoco.mj_kinematics(scene.model, data)
         if self._grips:

@@ -115,7 +115,7 @@ def simulate(
             acting = Actions(actions.ctrl[until], actions.magnet[until], actions.joints[until])
             states.append(StepState(data.time, data.qpos.copy(), acting))
         for _ in range(steps):
-            mujoco.mj_step(model, data)
+            scene.step(data)
             watch.step(data)
             if see:
                 see(data)

@@ -108,7 +108,7 @@ class WatchedLoop:
                 magnet[tick] = self._grips.update(data, ctrl)
             data.ctrl[:] = ctrl
             for _ in range(timing.physics_steps_per_tick):
-                mujoco.mj_step(model, data)
+                self._scene.step(data)
                 self._limits.step(data)
                 if self._see:
                     self._see(data)
@@ -193,7 +193,7 @@ def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
     stiff = [np.arange(dof, dof + 6) for dof in scene.object_dof.values()]
     dofs = np.concatenate([*stiff, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
     for _ in range(int(_SETTLE_SECONDS / timestep / _SETTLE_STEPS)):
-        mujoco.mj_step(scene.model, data, _SETTLE_STEPS)
+        scene.step(data, _SETTLE_STEPS)
         if float(np.abs(data.qvel[dofs]).max()) < _AT_REST:
             break
     settled: Array = data.qpos.copy()
