@@ -57,13 +57,30 @@ def random_plant(arm: ArmConfig, rng: np.random.Generator) -> Planted:
     )
 
 
-def _friction(planted: Planted) -> Callable[[Array], Array]:
-    match planted.law:
-        case "tanh":
-            return lambda speed: planted.friction * np.tanh(speed / 0.02)
-        case "stribeck":
-            return lambda speed: planted.friction * (1 + 0.15 * np.exp(-((speed / 0.05) ** 2))) * np.tanh(speed / 0.02)
-    return lambda speed: planted.friction * np.tanh(speed / 0.005)
+# How fast a joint turns where friction is nearly full, rad/s, by the law's name.
+_SETS_IN = {"tanh": 0.02, "stribeck": 0.02, "coulomb": 0.005}
+
+
+def _friction(planted: Planted, invweight: Array) -> Callable[[Array], Array]:
+    """What friction takes (dof,), N m, of speeds (dof,), rad/s, as it is in the middle of a step.
+
+    Args:
+        invweight: how much a joint speeds up by a torque (dof,), 1/(kg m2).
+    """
+    slow = _SETS_IN[planted.law]
+
+    def law(speed: Array) -> Array:
+        bump = 0.15 * np.exp(-((speed / 0.05) ** 2)) if planted.law == "stribeck" else 0.0
+        found: Array = planted.friction * (1 + bump) * np.tanh(speed / slow)
+        return found
+
+    def at(speed: Array) -> Array:
+        # Where it sets in it is stiff: a step that took it at its beginning would overshoot.
+        stiff = planted.friction / slow / np.cosh(np.clip(speed / slow, -20, 20)) ** 2
+        found: Array = law(speed) / (1 + stiff * invweight * _STEP / 2)
+        return found
+
+    return at
 
 
 def drive(
@@ -97,7 +114,7 @@ def drive(
     model.dof_damping[dof] = planted.damping
     model.dof_armature[dof] = planted.armature
     mujoco.mj_setConst(model, data)
-    friction = _friction(planted)
+    friction = _friction(planted, model.dof_invweight0[dof])
     mujoco.mj_resetData(model, data)
     data.qpos[qpos] = commands[0]
     mujoco.mj_forward(model, data)

@@ -21,8 +21,8 @@ from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
 from .commands.evaluate import evaluate
 from .commands.excite import excite
-from .commands.identify import identify
 from .commands.gap import gap
+from .commands.identify import identify
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views

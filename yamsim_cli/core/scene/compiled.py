@@ -82,6 +82,7 @@ class SceneArm:
         gravity: by how many times the joints' weight their gravity compensation gives too much (dof,); None where it is
             exact.
         offset: what is read of each joint where it is at 0 (dof,), rad, or 0 of all of them.
+        sensors: ids of what reads the joints and the left finger late (drives,); None where they are read at once.
         dynamics: as it was named, of an arm that moves otherwise than its model.
     """
 
@@ -103,6 +104,7 @@ class SceneArm:
     gravity: Array | None = None
     offset: Array | float = 0.0
     dynamics: Dynamics | None = None
+    sensors: Ids | None = None
 
     @property
     def dof(self) -> int:
@@ -248,6 +250,10 @@ class CompiledScene:
             data.ctrl[arm.drives] = qpos[arm.recorded_qpos]
         for drive in np.flatnonzero(self.model.actuator_history[:, 0]):
             _tell(self.model, data, int(drive), float((data.ctrl if told is None else told)[drive]))
+        for arm in self.arms:
+            if arm.sensors is not None:
+                for sensor, place in zip(arm.sensors, data.qpos[arm.recorded_qpos], strict=True):
+                    _see(self.model, data, int(sensor), float(place))
         mujoco.mj_forward(self.model, data)
 
     def step(self, data: mujoco.MjData, steps: int = 1) -> None:
@@ -269,6 +275,16 @@ class CompiledScene:
 
 def _tell(model: mujoco.MjModel, data: mujoco.MjData, drive: int, told: float) -> None:
     """Let a drive that acts late have been told this all along: MuJoCo begins with zeros."""
-    samples = int(model.actuator_history[drive, 0])
-    times = (np.arange(samples) - samples) * model.opt.timestep
-    mujoco.mj_initCtrlHistory(model, data, drive, times, np.full(samples, told))
+    times = _before(int(model.actuator_history[drive, 0]), model.opt.timestep)
+    mujoco.mj_initCtrlHistory(model, data, drive, times, np.full(len(times), told))
+
+
+def _see(model: mujoco.MjModel, data: mujoco.MjData, sensor: int, place: float) -> None:
+    """Let a sensor that reads late have seen a joint there all along."""
+    times = _before(int(model.sensor_history[sensor, 0]), model.opt.timestep)
+    mujoco.mj_initSensorHistory(model, data, sensor, times, np.full((len(times), 1), place), 0.0)
+
+
+def _before(samples: int, timestep: float) -> Array:
+    """Times of as many steps before the beginning, s."""
+    return np.arange(-samples, 0) * timestep

@@ -27,6 +27,8 @@ from .varied_model import add_variable_parts
 
 # How MuJoCo reads what was told between two steps.
 _LINEAR = 1
+# After a joint's name: the sensor that reads it late.
+READING = "_reading"
 # Of each arm, after its prefix: the weld by which its hand can hold a thing.
 WELD = "grasp_weld"
 
@@ -122,16 +124,26 @@ def hold_by_friction(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
     spec.option.impratio = impratio
 
 
-def delay_commands(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float) -> None:
-    """Let an arm's drives follow what they were told as long ago as its dynamics say."""
-    assert arm.dynamics is not None, "asked of arms with dynamics"
-    delay = arm.dynamics.command_delay_ms / 1000
-    for name in arm.robot.drives:
-        drive = spec.actuator(arm.prefix + name)
-        drive.delay = delay
-        drive.nsample = math.ceil(delay / timestep) + 2
-        # Between two steps, since a delay need not be a whole number of them.
-        drive.interp = _LINEAR
+def _delay(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float) -> None:
+    """Let an arm's drives follow what they were told, and its encoders read where it was, as long ago as it takes."""
+    dynamics, robot = arm.dynamics, arm.robot
+    assert dynamics is not None, "asked of arms with dynamics"
+    if delay := dynamics.command_delay_ms / 1000:
+        for name in robot.drives:
+            drive = spec.actuator(arm.prefix + name)
+            # Between two steps, since a delay need not be a whole number of them.
+            drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR
+    if delay := dynamics.sensor_delay_ms / 1000:
+        for name in (*robot.joint_names, *(robot.fingers.joints[:1] if robot.fingers else ())):
+            spec.add_sensor(
+                name=arm.prefix + name + READING,
+                type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=arm.prefix + name,
+                delay=delay,
+                nsample=math.ceil(delay / timestep) + 2,
+                interp=_LINEAR,
+            )
 
 
 def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig) -> None:
@@ -140,8 +152,8 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig) -> N
     if physics.impratio is not None:
         hold_by_friction(spec, physics.impratio)
     for arm in rig.arms:
-        if arm.dynamics is not None and arm.dynamics.command_delay_ms:
-            delay_commands(spec, arm, physics.timestep)
+        if arm.dynamics is not None:
+            _delay(spec, arm, physics.timestep)
     for arm in rig.arms if physics.carried is not None else ():
         spec.add_equality(
             name=arm.prefix + WELD,
