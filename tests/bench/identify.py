@@ -85,9 +85,11 @@ def main() -> None:
         rows += here
         falls.append(found.gap.fallen)
         missed = [f"{r.joint} {r.name} {r.error:.3g}" for r in here if r.told and r.error > _GOALS[r.name][0]]
+        outside = [f"{r.joint} {r.name}" for r in here if not r.inside]
         gap = f"gap {1000 * found.gap.before:.1f} -> {1000 * found.gap.after:.2f} mrad"
         sys.stdout.write(
-            f"plant {number}: {planted.law}, {planted.integrator}, {spent:.0f} s, {gap}; missed: {', '.join(missed)}\n"
+            f"plant {number}: {planted.law}, {planted.integrator}, {spent:.0f} s, {gap}; missed: {', '.join(missed)}; "
+            f"outside: {', '.join(outside)}\n"
         )
         sys.stdout.flush()
     sys.stdout.write("| parameter | goal | median | 95 % | most | within the goal | inside its interval | told |\n")

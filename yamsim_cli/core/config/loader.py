@@ -172,12 +172,12 @@ def _move_as(document: Document, path: KeyPath, files: Sequence[str], place: str
             raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
         if instead := _other_kind(Dynamics, dynamics):
             raise ConfigError(instead)
-        base, side = dynamics.data.get("base"), dynamics.data.get("side")
+        base, side = _base(dynamics), dynamics.data.get("side")
         arms = _arms(document, path)
         meant = [k for k, (model, on) in arms.items() if model == base and side in (None, on)]
         for k in meant:
             document.graft((*path, "arms", k, "dynamics"), dynamics)
-        if isinstance(base, str) and not meant:
+        if not meant:
             there = " and ".join(dict.fromkeys(f"{model!r} on the {on}" for model, on in arms.values()))
             raise (UsageError if is_setting(place) else ConfigError)(
                 f"{place}: {file} is of {base!r}{f' on the {side}' if side else ''}, and the rig has {there}; choose "
@@ -305,8 +305,13 @@ def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Loca
         dynamics = _named(Dynamics, _DYNAMICS, file, locations)
     except ConfigError as error:
         raise ConfigError(f"{document.place(path)}: {dotted(path)}: {error}") from error
+    document.graft(key, dynamics)
+    return _base(dynamics)
+
+
+def _base(dynamics: Document) -> str:
+    """The robot model that one's dynamics are of."""
     base = dynamics.data.get("base")
     if not isinstance(base, str):
-        raise ConfigError(f"{file}: base: says no robot model; name the one that it is a revision of")
-    document.graft(key, dynamics)
+        raise ConfigError(f"{dynamics.place(('base',))}: base: {base!r} is no robot model; name the one it is of")
     return base

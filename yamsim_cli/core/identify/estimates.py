@@ -21,9 +21,10 @@ NAMES = {
     "offset": "offset_rad",
     "gravity": "gravity_factor",
 }
-# An interval is no narrower than what other physics would make of the same log: a controller's own step, s; the law of
-# friction; an encoder's step, rad.
+# An interval is no narrower than what other physics would make of the same log: a controller's own step, s; another law
+# of friction, which shows as friction, and a share of it as damping and inertia; an encoder's step, rad.
 _DELAY, _FRICTION, _DAMPING, _ARMATURE, _OFFSET, _GRAVITY = 0.0006, 0.03, 0.02, 0.05, 0.0004, 0.003
+_OTHER_LAW = 0.05
 # A log tells nothing of what stays as it was believed before: an interval more than this share of that.
 _TOLD = 0.7
 # A joint is badly excited if these are not known to within this share of their size.
@@ -72,8 +73,8 @@ def estimates(plant: ArmPlant, fitted: Fitted) -> list[Estimate]:
 
 def _least_half(plant: ArmPlant, fitted: Fitted, parameter: Parameter) -> float:
     """Half of how narrow an interval may be at least."""
-    size, k = value(fitted.values, parameter), parameter.joint
-    damped = 0.0 if k is None else float(plant.kv[k] + fitted.values.damping[k])
+    size, k = value(fitted.values, parameter), 0 if parameter.joint is None else parameter.joint
+    damped = float(plant.kv[k] + fitted.values.damping[k])
     match parameter.name:
         case "delay":
             return _DELAY
@@ -83,7 +84,8 @@ def _least_half(plant: ArmPlant, fitted: Fitted, parameter: Parameter) -> float:
             return _DAMPING * damped
         case "armature":
             # Where in its step a controller damps shows as inertia.
-            return _ARMATURE * size + damped * TIMESTEP / 4
+            law = _OTHER_LAW * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
+            return _ARMATURE * size + damped * TIMESTEP / 4 + law
         case "offset":
             return _OFFSET
     return _GRAVITY

@@ -17,6 +17,8 @@ from .plant import FINE_TIMESTEP, ArmPlant, Log, Run, Values
 _BEGINNING = 0.5
 # As fine as anything is read at best, rad, so that no joint counts without end.
 _FINEST = 1e-4
+# Accelerations are taken over so long, s.
+_OVER = 0.04
 _MOST_STEPS, _MOST_FINE = 6, 4
 # Delays that are tried first, s: from one that is far off, a descent goes astray.
 _DELAYS = tuple(0.01 * k for k in range(11))
@@ -169,6 +171,7 @@ class Fitted:
         slopes: how these change with each parameter, in its scale (samples, dof, parameters).
         weights: of each joint (dof,), 1/rad.
         times: of the samples, each run's after the one before (samples,), s.
+        accelerations: root mean square of each joint's in the logs (dof,), rad/s2.
     """
 
     values: Values
@@ -177,6 +180,7 @@ class Fitted:
     slopes: Array
     weights: Array
     times: Array
+    accelerations: Array
 
 
 def fit(arm: ArmConfig, logs: Sequence[Log], step: Callable[[], None] = lambda: None) -> Fitted:
@@ -207,4 +211,16 @@ def fit(arm: ArmConfig, logs: Sequence[Log], step: Callable[[], None] = lambda: 
         values = problem.moved(values, moved)
     offsets = np.concatenate([[0.0], np.cumsum([log.seconds + 1 for log in logs])])
     times = np.concatenate([run.log.times[compared(run)] + at for run, at in zip(runs, offsets, strict=False)])
-    return Fitted(values, problem.parameters, errors, slopes, problem.weights, times)
+    return Fitted(values, problem.parameters, errors, slopes, problem.weights, times, _accelerations(logs))
+
+
+def _accelerations(logs: Sequence[Log]) -> Array:
+    """Root mean square of the joints' accelerations (dof,), rad/s2, from positions that are read in steps."""
+    squares = []
+    for log in logs:
+        known = np.isfinite(log.joints).all(axis=1)
+        grid = np.arange(0.0, log.seconds, _OVER)
+        places = np.column_stack([np.interp(grid, log.times[known], column[known]) for column in log.joints.T])
+        squares.append(np.square(np.diff(places, 2, axis=0) / _OVER**2))
+    found: Array = np.sqrt(np.concatenate(squares).mean(axis=0))
+    return found
