@@ -12,12 +12,10 @@ from yamsim_cli.core.errors import SimulationError, UsageError
 
 from .console import note, print_json, print_line, print_table, progress_bar
 from .session import Json, Margin, Revision, RigName, Robot, opener
+from .tables import listing
 
 if TYPE_CHECKING:
     from yamsim_cli.core.identify.identify import Identified
-
-# What a table says for what the names say in JSON.
-_UNITS = {"delay_s": "s", "friction_nm": "N m", "damping_nms": "N m s/rad", "armature": "kg m2", "offset_rad": "rad"}
 
 
 def identify(
@@ -134,18 +132,11 @@ def _plain_arm(one: Identified) -> dict[str, Any]:
 
 
 def _show(one: Identified, file: Path) -> None:
-    rows = [
-        (
-            each.joint or "all",
-            each.name.rpartition("_")[0] or each.name if each.name in _UNITS else each.name,
-            f"{each.value:.4g}" + ("" if each.told else " (not told)"),
-            f"{each.low:.4g} .. {each.high:.4g}",
-            f"{each.before:.4g}",
-            _UNITS.get(each.name, ""),
-        )
-        for each in one.estimates
-    ]
-    print_table((("joint", "parameter", "value", "95 %", "model", "unit"), *rows))
+    table = listing(("joint", "parameter", "value", "from", "to", "model"), numbers_from=2, numbers_to=6)
+    for each in one.estimates:
+        figures = [f"{number:.4g}" for number in (each.value, each.low, each.high, each.before)]
+        table.add_row(each.joint or "all", each.name, *figures)
+    print_table(table)
     gap = one.gap
     print_line(
         f"Held out ({gap.source}, {gap.seconds:.0f} s): {1000 * gap.before:.2f} mrad with the model, "

@@ -98,7 +98,7 @@ def test_a_recordings_config_says_all_of_it(tmp_path: Path) -> None:
     ],
 )
 def test_what_does_not_fit_is_told(tmp_path: Path, text: str, rig: str, error: type[Exception], said: str) -> None:
-    with pytest.raises((ConfigError, UsageError), match="mine.yaml") as told:
+    with pytest.raises((ConfigError, UsageError), match=r"mine\.yaml") as told:
         _rig([_file(tmp_path, text)], rig)
 
     assert said in str(told.value)
@@ -106,5 +106,5 @@ def test_what_does_not_fit_is_told(tmp_path: Path, text: str, rig: str, error: t
 
 
 def test_a_file_that_is_not_there_is_told() -> None:
-    with pytest.raises(UsageError, match="--robot: revision config file nope.yaml does not exist"):
+    with pytest.raises(UsageError, match=r"--robot: revision config file nope\.yaml does not exist"):
         _rig(["nope.yaml"])

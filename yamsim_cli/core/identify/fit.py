@@ -5,8 +5,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.rig import ArmConfig
 from ..geometry.least_squares import LeastSquares, descend
@@ -32,7 +34,7 @@ class Parameter:
 
     Attributes:
         name: of the field of `Values`.
-        joint: number of the joint; None of what all have in common.
+        joint: number of the joint; None of the delay, which all have in common.
         scale: how large a step is that changes something.
         spread: standard deviation of what is believed before any log is seen, around what the model has.
         least, most: no value is smaller or larger.
@@ -71,10 +73,11 @@ def value(values: Values, parameter: Parameter) -> float:
 def with_value(values: Values, parameter: Parameter, number: float) -> Values:
     """The same values but for one parameter's."""
     if parameter.joint is None:
-        return replace(values, **{parameter.name: number})
-    changed = getattr(values, parameter.name).copy()
+        return replace(values, delay=number)
+    changed: Array = getattr(values, parameter.name).copy()
     changed[parameter.joint] = number
-    return replace(values, **{parameter.name: changed})
+    fields: dict[str, Any] = {parameter.name: changed}
+    return replace(values, **fields)
 
 
 class _Compared:
@@ -155,9 +158,10 @@ class _Problem(LeastSquares[Values, _Compared]):
         return bool(np.abs(step).max() < _STILL or 0 <= float(gain) < _LITTLE * known.cost)
 
 
-def compared(run: Run) -> Array:
+def compared(run: Run) -> NDArray[np.bool_]:
     """Which samples of a run are compared (n,)."""
-    return run.read & (run.log.times >= min(_BEGINNING, run.log.seconds / 10))
+    found: NDArray[np.bool_] = run.read & (run.log.times >= min(_BEGINNING, run.log.seconds / 10))
+    return found
 
 
 @dataclass(frozen=True)
@@ -205,7 +209,7 @@ def fit(arm: ArmConfig, logs: Sequence[Log], step: Callable[[], None] = lambda: 
         spread = np.sqrt(np.mean(errors**2, axis=0))
         problem = _Problem(fine, fine_runs, 1 / np.maximum(spread, _FINEST), step)
         errors = problem.errors(values)
-        moved = np.linalg.solve(problem.normal(slopes), problem.gradient(slopes, errors, values))
+        moved: Array = np.linalg.solve(problem.normal(slopes), problem.gradient(slopes, errors, values))
         if np.abs(moved).max() < _STILL:
             break
         values = problem.moved(values, moved)

@@ -48,4 +48,4 @@ def _student(freedom: int) -> float:
     """
     z = 1.959964
     terms = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96, (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
-    return z + sum(term / freedom ** (k + 1) for k, term in enumerate(terms))
+    return z + float(sum(term / freedom ** (k + 1) for k, term in enumerate(terms)))

@@ -209,12 +209,9 @@ class Run:
         robot, openings = self.plant.robot, self.log.openings
         if robot.fingers is None:
             return
-        known = openings is not None and np.isfinite(openings).all()
-        told = (
-            np.interp(self._grid[:-1], self.log.times, openings)
-            if known
-            else np.full(self._steps, robot.fingers.opened)
-        )
+        told = np.full(self._steps, robot.fingers.opened)
+        if openings is not None and np.isfinite(openings).all():
+            told = np.interp(self._grid[:-1], self.log.times, openings)
         controls[0, :, self.plant.model.actuator(robot.fingers.drive).id] = told
         data.qpos[self.plant.fingers] = told[0] * np.array(robot.finger_signs)
 
@@ -262,4 +259,5 @@ def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, full)
         least = np.minimum(least, 1 / np.diag(np.linalg.inv(full))[dof])
-    return np.maximum(least - model.dof_armature[dof], 0.0)
+    found: Array = np.maximum(least - model.dof_armature[dof], 0.0)
+    return found

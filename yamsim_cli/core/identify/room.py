@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
@@ -109,10 +110,11 @@ def _width(box: Box) -> float:
     return float(np.log(box.half).mean() + np.log(box.half.min()))
 
 
-def _of_hand(model: mujoco.MjModel, flange: str) -> np.ndarray:
+def _of_hand(model: mujoco.MjModel, flange: str) -> NDArray[np.bool_]:
     """Which geoms are of the flange or hang on it (ngeom,)."""
     found = np.zeros(model.nbody, bool)
     found[model.body(flange).id] = True
     for body in range(1, model.nbody):
         found[body] |= found[model.body_parentid[body]]
-    return found[model.geom_bodyid]
+    geoms: NDArray[np.bool_] = found[model.geom_bodyid]
+    return geoms

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import DatasetError
 from ..geometry.se3 import Array
@@ -47,8 +48,8 @@ def check_usable(logs: Sequence[Log], names: Sequence[str], side: str = "") -> N
             raise DatasetError(f"{where}: {whose}{name} {fault}; {_REMEDY}")
 
 
-def _known(log: Log) -> Array:
-    known: Array = np.isfinite(log.joints).all(axis=1)
+def _known(log: Log) -> NDArray[np.bool_]:
+    known: NDArray[np.bool_] = np.isfinite(log.joints).all(axis=1)
     return known
 
 
