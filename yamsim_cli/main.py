@@ -23,6 +23,7 @@ from .commands.evaluate import evaluate
 from .commands.excite import excite
 from .commands.gap import gap
 from .commands.identify import identify
+from .commands.import_recording import import_recording
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
@@ -57,6 +58,7 @@ app.command()(overlay)
 app.command()(identify)
 app.command()(excite)
 app.command()(gap)
+app.command("import")(import_recording)
 app.command()(boards)
 app.command()(view)
 app.command()(doctor)

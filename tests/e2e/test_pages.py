@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.core.recordings.making import swinging, write_csv
 from tests.core.things.test_fits import block
 from tests.e2e.page_lines import prepared, reason_not_to_run, serves
 from tests.mugs import has_import_extra, mug, write_mugs
@@ -27,6 +28,8 @@ from tests.pages import Block, blocks, shell_blocks, snippet
 from tests.racks import rack_sdf
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking
 from yamsim_cli.core.assets import AssetStore, load_lock
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.resources import Locations
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]
@@ -119,6 +122,8 @@ def write_inputs(folder: Path, locations: Locations) -> None:
     """What a user brings: the pages' own text where they show some, else what a test can make."""
     (folder / "my_policy.py").write_text(snippet("python", "class MyPolicy"))
     (folder / "first_policy.py").write_text(snippet("python", "class FirstPolicy"))
+    single = load_config(RigConfig, "rigs", "single", locations)
+    write_csv(folder / "log.csv", swinging(single, 1.0), single)
     (folder / "stream.jsonl").write_text(snippet("json", '"event": "start"'))
     (folder / "mug.stl").write_bytes(block((0.04, 0.04, 0.09)))
     (folder / "my_rack.sdf").write_text(rack_sdf())

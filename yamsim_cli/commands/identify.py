@@ -57,8 +57,8 @@ def identify(
     from yamsim_cli.core.identify.identify import identify as run
     from yamsim_cli.core.recordings.reading import read_motions
 
-    motions = read_motions(recordings, settings)
-    others = read_motions(held_out, settings) if held_out else []
+    motions = read_motions(recordings, settings, where)
+    others = read_motions(held_out, settings, where) if held_out else []
     with progress_bar("identifying", "simulations") as advance:
         found = run(settings, motions, others, name, arm, lambda one, done, total: advance(done, total, one))
     files = _write(found, out)

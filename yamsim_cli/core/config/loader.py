@@ -21,6 +21,7 @@ from .camera import CameraConfig
 from .policy import PolicyConfig
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
+from .real import RecordingNames
 from .recording import AnyTask, RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import SceneConfig
@@ -37,6 +38,7 @@ KINDS: Mapping[str, type[Config]] = {
     "randomization": RandomizationConfig,
     "policies": PolicyConfig,
     "record": RecordConfig,
+    "recordings": RecordingNames,
     "robots": ArmModel,
     "grippers": Gripper,
     "revisions": Dynamics,
