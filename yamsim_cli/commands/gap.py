@@ -78,7 +78,7 @@ def gap(
     from yamsim_cli.core.scene.build import build_rig_scene
 
     surroundings = load_config(SceneConfig, "scenes", "studio", where)
-    motions = read_motions(recordings, settings)
+    motions = read_motions(recordings, settings, where)
     problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, settings)]
     for name, problem in problems:
         note(f"{name}: {problem.text}")

@@ -61,10 +61,11 @@ def _some(plant: ArmPlant) -> list[Parameter]:
 
 def test_planted_values_are_found_of_one_joint_with_the_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fitting, "parameters", _some)
+    monkeypatch.setattr(fitting, "FINE_TIMESTEP", 0.002)
     friction, damping, offset, gravity = (ArmPlant(ARM).values.friction.copy(), np.zeros(6), np.zeros(6), np.ones(6))
     friction[1], damping[1], offset[1], gravity[1] = 0.18, 0.6, 0.01, 1.08
     planted = _planted(delay=0.023, friction=friction, damping=damping, offset=offset, gravity=gravity)
-    motion = drive(ARM, planted, *_commands(12.0), np.random.default_rng(0))
+    motion = drive(ARM, planted, *_commands(8.0), np.random.default_rng(0))
 
     found = fit(ARM, [Log.of(motion, motion.arms[0])]).values
 
@@ -75,6 +76,7 @@ def test_planted_values_are_found_of_one_joint_with_the_delay(monkeypatch: pytes
     assert found.gravity[1] == pytest.approx(1.08, abs=0.01)
 
 
+@pytest.mark.slow
 def test_an_offset_is_told_from_a_gravity_factor_by_poses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fitting, "parameters", _some)
     moving, still = _commands(12.0), _commands(12.0)
@@ -107,16 +109,16 @@ def test_finer_steps_change_little_and_what_is_told_late_acts_late() -> None:
     coarse, fine = ArmPlant(ARM), ArmPlant(ARM, 0.0005)
     late = replace(coarse.values, delay=0.02)
 
-    at_once, finer, later = Run(coarse, log).follow(coarse.values), Run(fine, log).follow(fine.values), None
+    at_once, finer = Run(coarse, log).follow(coarse.values), Run(fine, log).follow(fine.values)
     later = Run(coarse, log).follow(late)
 
-    assert np.abs(at_once - finer).max() < 5e-4
+    assert np.abs(at_once - finer).max() < 1e-3
     assert np.abs(later[52:] - at_once[50:-2]).max() < np.abs(later - at_once).max() / 5
 
 
 def test_intervals_are_wide_where_a_log_says_nothing() -> None:
     plant = ArmPlant(ARM)
-    times, commands = _commands(12.0)
+    times, commands = _commands(5.0)
     log = Log("log", times, commands, commands, None)
     joints = Run(plant, log).follow(plant.values) + np.random.default_rng(0).normal(0, 1e-4, commands.shape)
     run = Run(plant, replace(log, joints=joints))

@@ -35,8 +35,8 @@ def test_a_joint_that_is_badly_excited_is_named_with_what_to_record(seed: int) -
     joints[:, joint], said, remedy = (
         (noise, "hardly moves", "swinging to and fro by 0.5 rad"),
         (0.8 * share + noise, "never turns back", "swinging to and fro at least 4 times"),
-        (0.4 * np.sin(np.pi * share) + noise, "turns back only 1 times", "at least 4 times"),
-        (0.3 * np.sin(8 * np.pi * share) + noise, "is always slow", "quicker swings"),
+        (0.4 * np.sin(np.pi * share) + noise, "turns back only once", "at least 4 times"),
+        (0.12 * np.sin(8 * np.pi * share) + noise, "is always slow", "quicker swings"),
     )[way]
 
     with pytest.raises(DatasetError) as told:

@@ -209,7 +209,9 @@ def fit(arm: ArmConfig, logs: Sequence[Log], step: Callable[[], None] = lambda: 
         spread = np.sqrt(np.mean(errors**2, axis=0))
         problem = _Problem(fine, fine_runs, 1 / np.maximum(spread, _FINEST), step)
         errors = problem.errors(values)
-        moved: Array = np.linalg.solve(problem.normal(slopes), problem.gradient(slopes, errors, values))
+        moved = np.asarray(
+            np.linalg.solve(problem.normal(slopes), problem.gradient(slopes, errors, values)), dtype=np.float64
+        )
         if np.abs(moved).max() < _STILL:
             break
         values = problem.moved(values, moved)

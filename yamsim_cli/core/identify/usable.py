@@ -49,8 +49,7 @@ def check_usable(logs: Sequence[Log], names: Sequence[str], side: str = "") -> N
 
 
 def _known(log: Log) -> NDArray[np.bool_]:
-    known: NDArray[np.bool_] = np.isfinite(log.joints).all(axis=1)
-    return known
+    return np.asarray(np.isfinite(log.joints).all(axis=1))
 
 
 def _fault(paths: Sequence[tuple[Array, Array]]) -> str | None:
@@ -63,7 +62,7 @@ def _fault(paths: Sequence[tuple[Array, Array]]) -> str | None:
         )
     turns = sum(_turns(path) for _, path in paths)
     if turns < _TURNS:
-        times = "never turns back" if not turns else f"turns back only {turns} times"
+        times = "never turns back" if not turns else f"turns back only {'once' if turns == 1 else f'{turns} times'}"
         return (
             f"{times}, so that friction cannot be told from an offset or from weight; record it swinging to and fro at "
             f"least {_TURNS} times"

@@ -287,5 +287,5 @@ def _see(model: mujoco.MjModel, data: mujoco.MjData, sensor: int, place: float) 
 
 def _before(samples: int, timestep: float) -> Array:
     """Times of as many steps before the beginning, s."""
-    times: Array = np.arange(-samples, 0) * float(timestep)
+    times: Array = np.arange(-samples, 0, dtype=np.float64) * timestep
     return times
