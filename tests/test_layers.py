@@ -60,6 +60,7 @@ FLOORS: dict[str, int] = {
     "core.import_thing": 9,
     "core.overlay": 9,
     "core.record": 9,
+    "core.identify": 9,
     "core.robots_there": 9,
     "core.summarize": 9,
     "core.trials": 9,

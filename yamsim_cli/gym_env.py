@@ -247,7 +247,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         replica, T_base = self._simulator.replica, self._simulator.scene.T_base_in_world
         replica.show(self._loop.data.qpos)
         hands = of_arms(T_base @ replica.T_grasp_in_base())
-        seen: dict[str, Any] = {"joints": replica.joints().ravel(), "ee_pose_world": hands}
+        seen: dict[str, Any] = {"joints": self._loop.readings(self._attempt.job).ravel(), "ee_pose_world": hands}
         if not self._images:
             seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
             items = {item.name: item for item in self._simulator.config.task.objects}

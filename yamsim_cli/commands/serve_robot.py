@@ -11,7 +11,7 @@ import typer
 
 from .can_run import Folder, bus_folder
 from .console import note, print_json, print_line
-from .session import Json, Revision, opener
+from .session import Json, Revision, Robot, opener
 from .settings import ConfigOption, Object, Rig, Seed, Target, Task
 from .signals import stoppable
 
@@ -23,6 +23,7 @@ _GAP_US = 571.0
 def serve_robot(
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     task: Task = None,
     item: Object = None,
     target: Target = None,
@@ -72,6 +73,7 @@ def serve_robot(
         renders=False,
         rig=rig or "yam_v1+linear_4310",
         revision=revision,
+        robot=robot,
         task=task,
         object=item,
         target=target,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -15,7 +17,7 @@ from ..session import Session
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import grip_name, rest_points
 from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFingers
-from .compose import WELD, compile_spec, compose
+from .compose import READING, WELD, compile_spec, compose
 from .composed_meshes import composed_meshes
 
 # Of physics of a rig alone, s: that of the tasks, unless they say otherwise.
@@ -109,7 +111,23 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
         motor_speed=np.array([joint.motor_rad_s for joint in robot.joints]),
         most_torque=model.actuator_forcerange[moving, 1].copy(),
         fingers=None if robot.fingers is None else _finger_addresses(model, arm, robot.fingers),
+        **_otherwise(model, arm),
     )
+
+
+def _otherwise(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
+    """What of an arm's dynamics no MJCF says, as `SceneArm` has it."""
+    if arm.dynamics is None:
+        return {}
+    joints = [arm.dynamics.joint(name) for name in arm.robot.joint_names]
+    gravity = np.array([joint.gravity_factor - 1 for joint in joints])
+    offset = np.array([joint.offset_rad for joint in joints])
+    found = {"gravity": gravity if gravity.any() else None, "offset": offset, "dynamics": arm.dynamics}
+    if not arm.dynamics.sensor_delay_ms:
+        return found
+    fingers = arm.robot.fingers
+    read = (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))
+    return found | {"sensors": np.array([model.sensor(arm.prefix + name + READING).id for name in read])}
 
 
 def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectConfig) -> SceneCloth:

@@ -95,28 +95,18 @@ class _Run:
 def _run(scene: CompiledScene, name: str, start: Array, speeds: Array, ctrl: Array) -> _Run:
     """Step once for each row of `ctrl` (n, nu)."""
     model, data = scene.model, mujoco.MjData(scene.model)
-    scene.reset(data, start)
+    scene.reset(data, start, told=ctrl[0] if len(ctrl) else None)
     data.qvel[:] = speeds
     qpos, qvel = np.empty((len(ctrl) + 1, model.nq)), np.empty((len(ctrl) + 1, model.nv))
     qpos[0], qvel[0] = data.qpos, data.qvel
-    if len(ctrl):
-        _told_before(model, data, ctrl[0])
     for k, told in enumerate(ctrl):
         data.ctrl[:] = told
-        mujoco.mj_step(model, data)
+        scene.step(data)
         qpos[k + 1], qvel[k + 1] = data.qpos, data.qvel
         if (k % _LOOK_STEPS == 0 or k == len(ctrl) - 1) and (text := breakdown(data)):
             # The time is counted in steps, since MuJoCo has reset its own clock.
             raise SimulationError(f"{name}: physics broke down within {(k + 1) * model.opt.timestep:.3f} s: {text}")
     return _Run(np.arange(len(ctrl) + 1) * model.opt.timestep, qpos, qvel)
-
-
-def _told_before(model: mujoco.MjModel, data: mujoco.MjData, ctrl: Array) -> None:
-    """Let drives that act late have been told the first command all along."""
-    for drive in np.flatnonzero(model.actuator_history[:, 0] > 0):
-        samples = int(model.actuator_history[drive, 0])
-        times = (np.arange(samples) - samples) * model.opt.timestep
-        mujoco.mj_initCtrlHistory(model, data, int(drive), times, np.full(samples, ctrl[drive]))
 
 
 def _controls(scene: CompiledScene, motion: Motion) -> Array:
@@ -184,7 +174,7 @@ def _start(scene: CompiledScene, motion: Motion) -> Array:
     """MuJoCo's positions (nq,) where everything was measured first."""
     qpos: Array = scene.model.qpos0.copy()
     for arm, told in zip(scene.arms, motion.arms, strict=True):
-        qpos[arm.joint_qpos] = _first_known(told.joints)
+        qpos[arm.joint_qpos] = _first_known(told.joints) - arm.offset
         if arm.fingers is not None:
             measured = None if told.openings is None else _first_known(told.openings[:, None])[0]
             opening = measured if measured is not None and np.isfinite(measured) else _asked_openings(arm, told)[0]
@@ -210,7 +200,7 @@ def _misfit(scene: CompiledScene, motion: Motion, run: _Run, first: int) -> floa
     """RMS distance of a run from the first samples that were measured, rad."""
     times = motion.times[:first]
     off = [
-        _at(run.times, run.qpos[:, arm.joint_qpos], times) - told.joints[:first]
+        _at(run.times, run.qpos[:, arm.joint_qpos], times) + arm.offset - told.joints[:first]
         for arm, told in zip(scene.arms, motion.arms, strict=True)
     ]
     known = np.concatenate([rows[np.isfinite(rows)] for rows in off])
@@ -228,7 +218,7 @@ def _sampled(arm: SceneArm, told: ArmMotion, run: _Run, times: Array) -> ArmMoti
         openings = _at(run.times, run.qpos[:, arm.fingers.qpos[:1]] * arm.fingers.sign[0], times)[:, 0]
     return replace(
         told,
-        joints=_at(run.times, run.qpos[:, arm.joint_qpos], times),
+        joints=_at(run.times, run.qpos[:, arm.joint_qpos], times) + arm.offset,
         openings=openings,
         velocities=_at(run.times, run.qvel[:, arm.joint_dof], times),
     )
