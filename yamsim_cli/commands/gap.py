@@ -13,7 +13,7 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
 from .report_path import require_free
-from .session import Json, Margin, Revision, opener
+from .session import Json, Margin, Revision, Robot, opener
 from .settings import ReportFile
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def gap(
         typer.Option(help="A name from configs/rigs/ or a YAML file.  [default: single, or an episode's own]"),
     ] = None,
     revision: Revision = None,
+    robot: Robot = None,
     margin: Margin = None,
     begin: Annotated[
         float | None, typer.Option("--from", min=0, metavar="S", help="Compare from here on, s after the first sample.")
@@ -68,7 +69,7 @@ def gap(
     if html:
         require_free(html, overwrite)
     where = opener.locations()
-    settings = _rig(rig, revision, recordings[0], margin, where)
+    settings = _rig(rig, revision, robot, margin, recordings[0], where)
 
     from yamsim_cli.core.config.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
@@ -105,17 +106,24 @@ def gap(
     require_small(report, fail_above)
 
 
-def _rig(name: str | None, revision: str | None, recording: Path, margin: float | None, where: Locations) -> RigConfig:
+def _rig(
+    name: str | None,
+    revision: str | None,
+    robot: list[str] | None,
+    margin: float | None,
+    recording: Path,
+    where: Locations,
+) -> RigConfig:
     """The named rig; without a name, the one that a dataset was recorded with."""
     from yamsim_cli.core.dataset.layout import CONFIG
     from yamsim_cli.core.dataset.reader import dataset_config
 
     datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG).is_file()]
     if name is None and recording.is_dir() and datasets:
-        if margin is not None or revision is not None:
-            raise UsageError("--margin and --revision change a rig that is named; give --rig with them")
+        if margin is not None or revision is not None or robot:
+            raise UsageError("--margin, --revision and --robot change a rig that is named; give --rig with them")
         return dataset_config(datasets[0], where).rig
-    return opener.rig(name or "single", where, margin, revision)
+    return opener.rig(name or "single", where, margin, revision, robot)
 
 
 def _gaps(
