@@ -27,9 +27,11 @@ from tests.mugs import has_import_extra, mug, write_mugs
 from tests.pages import Block, blocks, shell_blocks, snippet
 from tests.racks import rack_sdf
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking
+from tests.rig_scenes import later, plant, rig_scene, swings, table
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.recordings.csv_file import csv_bytes
 from yamsim_cli.core.resources import Locations
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]
@@ -147,6 +149,11 @@ def write_inputs(folder: Path, locations: Locations) -> None:
         "distortion": list(CAMERA.distortion),
     }
     (folder / "camera.yaml").write_text(yaml.safe_dump(camera))
+    times = np.arange(0, 4.0, 0.01)
+    logged = later(plant(rig_scene(), times, [swings(times)]), 2)
+    single = load_config(RigConfig, "rigs", "single", locations)
+    for log in ("log.csv", "monday.csv", "tuesday.csv"):
+        (folder / log).write_bytes(csv_bytes(single, times, table(logged)))
 
 
 def failure(line: str, problem: str, log: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,13 +13,15 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
 from .report_path import require_free
-from .session import Json, Margin, Revision, opener
+from .session import Json, Margin, Revision, Robot, opener
 from .settings import ReportFile
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.gap.figures import Gap
+    from yamsim_cli.core.gap_photos.compare import PhotoRequest
+    from yamsim_cli.core.motion import Motion
     from yamsim_cli.core.report.gap_page import Shown
     from yamsim_cli.core.resources import Locations
 
@@ -33,6 +36,7 @@ def gap(
         typer.Option(help="A name from configs/rigs/ or a YAML file.  [default: single, or an episode's own]"),
     ] = None,
     revision: Revision = None,
+    robot: Robot = None,
     margin: Margin = None,
     begin: Annotated[
         float | None, typer.Option("--from", min=0, metavar="S", help="Compare from here on, s after the first sample.")
@@ -65,30 +69,28 @@ def gap(
     if html:
         require_free(html, overwrite)
     where = opener.locations()
-    settings = _rig(rig, revision, recordings[0], margin, where)
-    if not pictures:
-        opener.skip_gl()
+    settings = _rig(rig, revision, robot, margin, recordings[0], where)
 
+    from yamsim_cli.core.config.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.gap.figures import gap_of
-    from yamsim_cli.core.gap.tally import report_of, require_small, write_report
-    from yamsim_cli.core.recordings.faults import find_faults
-    from yamsim_cli.core.recordings.reading import read_motions
-    from yamsim_cli.core.scene.build import build_rig_scene
 
     surroundings = load_config(SceneConfig, "scenes", "studio", where)
+    model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
+    if pictures:
+        where = opener.use_gl(where)
+    else:
+        opener.skip_gl()
+
+    from yamsim_cli.core.gap.tally import report_of, require_small
+    from yamsim_cli.core.recordings.faults import find_faults
+    from yamsim_cli.core.recordings.reading import read_motions
+
     motions = read_motions(recordings, settings, where)
     problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, settings)]
     for name, problem in problems:
         note(f"{name}: {problem.text}")
-    scene = build_rig_scene(settings, surroundings, where)
-    gaps = []
-    with progress_bar("gap", "recordings") as advance:
-        for k, motion in enumerate(motions):
-            advance(k, len(motions), "")
-            gaps.append(gap_of(scene, motion, begin or 0.0, float("inf") if end is None else end))
-        advance(len(motions), len(motions), "")
+    gaps = _gaps(motions, settings, surroundings, where, (begin or 0.0, math.inf if end is None else end))
     report = report_of(gaps, settings.name)
     report["problems"] = [
         {"recording": name, "fault": str(problem.fault), "time_s": problem.time, "text": problem.text}
@@ -96,7 +98,73 @@ def gap(
     ]
     shown: list[Shown] = []
     if pictures:
-        report["pictures"], shown = _photos(gaps, settings, surroundings, where, pictures, camera, episode_camera)
+        from yamsim_cli.core.gap_photos.compare import PhotoRequest
+
+        request = PhotoRequest(pictures, model, episode_camera)
+        report["pictures"], shown = _photos(gaps, settings, request, surroundings, where)
+    _tell(report, gaps, shown, html, out, json)
+    require_small(report, fail_above)
+
+
+def _rig(
+    name: str | None,
+    revision: str | None,
+    robot: list[str] | None,
+    margin: float | None,
+    recording: Path,
+    where: Locations,
+) -> RigConfig:
+    """The named rig; without a name, the one that a dataset was recorded with."""
+    from yamsim_cli.core.dataset.layout import CONFIG
+    from yamsim_cli.core.dataset.reader import dataset_config
+
+    datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG).is_file()]
+    if name is None and recording.is_dir() and datasets:
+        if margin is not None or revision is not None or robot:
+            raise UsageError("--margin, --revision and --robot change a rig that is named; give --rig with them")
+        return dataset_config(datasets[0], where).rig
+    return opener.rig(name or "single", where, margin, revision, robot)
+
+
+def _gaps(
+    motions: Sequence[Motion],
+    rig: RigConfig,
+    surroundings: SceneConfig,
+    where: Locations,
+    part: tuple[float, float],
+) -> list[Gap]:
+    from yamsim_cli.core.gap.figures import gap_of
+    from yamsim_cli.core.scene.build import build_rig_scene
+
+    scene = build_rig_scene(rig, surroundings, where)
+    gaps = []
+    with progress_bar("gap", "recordings") as advance:
+        for k, motion in enumerate(motions):
+            advance(k, len(motions), "")
+            gaps.append(gap_of(scene, motion, *part))
+        advance(len(motions), len(motions), "")
+    return gaps
+
+
+def _photos(
+    gaps: Sequence[Gap], rig: RigConfig, request: PhotoRequest, surroundings: SceneConfig, where: Locations
+) -> tuple[dict[str, Any], list[Shown]]:
+    """What the recordings' photos say, as plain data, and pictures for the page."""
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.recording import RenderConfig
+    from yamsim_cli.core.gap_photos.compare import compare_photos
+    from yamsim_cli.core.scene.compose import rig_mesh_sets
+
+    quality = load_config(RenderConfig, "quality", "fast", where)
+    where = opener.find_meshes(where, rig_mesh_sets(rig))
+    with progress_bar("photos", "photos") as advance:
+        return compare_photos(gaps, rig, request, surroundings, quality, where, lambda k, n: advance(k, n, ""))
+
+
+def _tell(
+    report: dict[str, Any], gaps: Sequence[Gap], shown: Sequence[Shown], html: Path | None, out: Path | None, json: bool
+) -> None:
+    """Write and print the report."""
     if html:
         from yamsim_cli.core.gap.page_file import write_gap_page
 
@@ -104,6 +172,8 @@ def gap(
         report["html"] = str(html)
         note(f"The page is in {html}.")
     if out is not None:
+        from yamsim_cli.core.gap.tally import write_report
+
         write_report(report, out)
         note(f"Written to {out}.")
     if json:
@@ -112,44 +182,3 @@ def gap(
         from .gap_table import gap_tables
 
         print_table(gap_tables(report))
-    require_small(report, fail_above)
-
-
-def _rig(name: str | None, revision: str | None, recording: Path, margin: float | None, where: Locations) -> RigConfig:
-    """The named rig; without a name, the one that a dataset was recorded with."""
-    from yamsim_cli.core.dataset.layout import CONFIG
-    from yamsim_cli.core.dataset.reader import dataset_config
-
-    datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG).is_file()]
-    if name is None and recording.is_dir() and datasets:
-        if margin is not None or revision is not None:
-            raise UsageError("--margin and --revision change a rig that is named; give --rig with them")
-        return dataset_config(datasets[0], where).rig
-    return opener.rig(name or "single", where, margin, revision)
-
-
-def _photos(
-    gaps: Sequence[Gap],
-    rig: RigConfig,
-    surroundings: SceneConfig,
-    where: Locations,
-    most: int,
-    camera: str | None,
-    episode_camera: str | None,
-) -> tuple[dict[str, Any], list[Shown]]:
-    """What the recordings' photos say, as plain data, and pictures for the page."""
-    from yamsim_cli.core.config.camera import CameraConfig
-    from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.recording import RenderConfig
-
-    model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
-    quality = load_config(RenderConfig, "quality", "fast", where)
-    opener.use_gl(where)
-
-    from yamsim_cli.core.gap_photos.compare import PhotoRequest, compare_photos
-    from yamsim_cli.core.scene.compose import rig_mesh_sets
-
-    where = opener.find_meshes(where, rig_mesh_sets(rig))
-    request = PhotoRequest(most, model, episode_camera)
-    with progress_bar("photos", "photos") as advance:
-        return compare_photos(gaps, rig, request, surroundings, quality, where, lambda k, n: advance(k, n, ""))

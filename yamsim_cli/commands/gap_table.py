@@ -72,7 +72,7 @@ def _joints(report: Mapping[str, Any]) -> Listing:
     table = listing(headings, "Measured less simulated", whole=True)
     for joint in report["joints"]:
         errors = (_mrad(joint, f"{key}_rad") for key in ("rms", "p95", "max"))
-        delay = "" if joint["delay_s"] is None else f"{joint['delay_s'] * 1000:.1f}"
+        delay = "" if joint["delay_s"] is None else f"{round(joint['delay_s'] * 1000, 1) + 0.0:.1f}"
         table.add_row(spoken(joint), *errors, delay, _mrad(joint, "sag_rad"), _mrad(joint, "overshoot_rad"))
     return table
 

@@ -91,8 +91,11 @@ def stands_at(motion: Motion, sample: int, rig: RigConfig) -> Stands:
     """How a rig's arms stand at a sample of a motion, in the rig's order."""
     stands = {}
     for arm, number in zip(motion.arms, rig.recorded, strict=True):
-        opening = 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
-        stands[number] = Stand(arm.joints[sample], opening)
+        config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
+        dynamics, names = config.dynamics, config.robot.joint_names
+        # A joint stands where it is read less what its encoder is off.
+        off = [0.0 if dynamics is None else dynamics.joint(name).offset_rad for name in names]
+        stands[number] = Stand(arm.joints[sample] - off, opening)
     return tuple(stands[number] for number in range(len(rig.arms)))
 
 

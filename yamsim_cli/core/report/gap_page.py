@@ -233,7 +233,9 @@ def _mrad(row: Mapping[str, Any], key: str) -> str:
 
 
 def _ms(row: Mapping[str, Any]) -> str:
-    return _NONE if row["delay_s"] is None else f"{row['delay_s'] * 1000:.1f} ms{_bracket(row, 'delay_s', 1000)}"
+    if row["delay_s"] is None:
+        return _NONE
+    return f"{_number(round(row['delay_s'] * 1000, 1))} ms{_bracket(row, 'delay_s', 1000)}"
 
 
 def _bracket(row: Mapping[str, Any], key: str, scale: float) -> str:

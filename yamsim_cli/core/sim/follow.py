@@ -39,7 +39,8 @@ def follow(scene: CompiledScene, motion: Motion) -> Motion:
         motion: with commands. Where openings were not told, fingers are told what was measured.
 
     Returns:
-        The same samples with the joints, openings and velocities of the simulation. The same inputs give the same bits.
+        The same samples with the joints, openings and velocities of the simulation, as the arms' encoders would read
+        them without their noise and steps. The same inputs give the same bits.
 
     Raises:
         DatasetError: the motion has no commands, or other arms than the scene.
@@ -200,32 +201,33 @@ def _misfit(scene: CompiledScene, motion: Motion, run: _Run, first: int) -> floa
     """RMS distance of a run from the first samples that were measured, rad."""
     times = motion.times[:first]
     off = [
-        _at(run.times, run.qpos[:, arm.joint_qpos], times) + arm.offset - told.joints[:first]
+        _read(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.offset - told.joints[:first]
         for arm, told in zip(scene.arms, motion.arms, strict=True)
     ]
     known = np.concatenate([rows[np.isfinite(rows)] for rows in off])
     return float(np.sqrt(np.mean(np.square(known)))) if len(known) else 0.0
 
 
-def _at(grid: Array, rows: Array, times: Array) -> Array:
-    """Rows (n, k) on a grid of times (n,) as they are at other times (m,), (m, k)."""
-    return np.column_stack([np.interp(times, grid, column) for column in rows.T])
+def _read(arm: SceneArm, run: _Run, rows: Array, times: Array) -> Array:
+    """Rows (n, k) of a run as an arm's encoders read them at other times (m,), (m, k): late, where they are."""
+    late = 0.0 if arm.dynamics is None else arm.dynamics.sensor_delay_ms / 1000
+    return np.column_stack([np.interp(times - late, run.times, column) for column in rows.T])
 
 
 def _sampled(arm: SceneArm, told: ArmMotion, run: _Run, times: Array) -> ArmMotion:
     openings = None
     if arm.fingers is not None:
-        openings = _at(run.times, run.qpos[:, arm.fingers.qpos[:1]] * arm.fingers.sign[0], times)[:, 0]
+        openings = _read(arm, run, run.qpos[:, arm.fingers.qpos[:1]] * arm.fingers.sign[0], times)[:, 0]
     return replace(
         told,
-        joints=_at(run.times, run.qpos[:, arm.joint_qpos], times) + arm.offset,
+        joints=_read(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.offset,
         openings=openings,
-        velocities=_at(run.times, run.qvel[:, arm.joint_dof], times),
+        velocities=_read(arm, run, run.qvel[:, arm.joint_dof], times),
     )
 
 
 def hand_poses(scene: CompiledScene, number: int, joints: Array) -> Array:
-    """Pose (n, 4, 4) of an arm's `grasp_site` in its base, for joints (n, dof); NaN where a joint is.
+    """Pose (n, 4, 4) of an arm's `grasp_site` in its base, for joints as they are read (n, dof); NaN where one is.
 
     Args:
         number: of the arm in `scene.arms`.
@@ -234,7 +236,7 @@ def hand_poses(scene: CompiledScene, number: int, joints: Array) -> Array:
     site, T_world_in_base = data.site(f"{arm.prefix}grasp_site"), inverse(arm.T_base_in_world)
     poses = np.full((len(joints), 4, 4), np.nan)
     for row in np.flatnonzero(np.isfinite(joints).all(axis=1)):
-        data.qpos[arm.joint_qpos] = joints[row]
+        data.qpos[arm.joint_qpos] = joints[row] - arm.offset
         mujoco.mj_kinematics(scene.model, data)
         poses[row] = T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3))
     return poses
