@@ -21,6 +21,7 @@ from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
 from .commands.evaluate import evaluate
 from .commands.gap import gap
+from .commands.import_recording import import_recording
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
@@ -53,6 +54,7 @@ app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)
 app.command()(gap)
+app.command("import")(import_recording)
 app.command()(boards)
 app.command()(view)
 app.command()(doctor)

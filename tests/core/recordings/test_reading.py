@@ -46,11 +46,11 @@ def test_the_header_is_what_users_were_told(single: RigConfig) -> None:
     assert header(single) == ["t", *kinds[0], *kinds[1]]
 
 
-def test_a_csv_comes_back_to_the_last_bit(rig: RigConfig, tmp_path: Path) -> None:
+def test_a_csv_comes_back_to_the_last_bit(rig: RigConfig, locations: Locations, tmp_path: Path) -> None:
     motion = swinging(rig, 0.5)
     path = tmp_path / "log.csv"
     path.write_bytes(csv_bytes(rig, motion.times + 12.5, table(motion)))
-    (read,) = read_motions([path], rig)
+    (read,) = read_motions([path], rig, locations)
     np.testing.assert_allclose(read.times, motion.times, atol=1e-12)
     for arm, other in zip(read.arms, motion.arms, strict=True):
         assert arm.side == other.side
@@ -106,13 +106,13 @@ def test_what_is_no_motion_is_told_with_its_line(single: RigConfig, tmp_path: Pa
     assert message in str(caught.value)
 
 
-def test_what_is_not_there_or_no_recording_is_told(single: RigConfig, tmp_path: Path) -> None:
+def test_what_is_not_there_or_no_recording_is_told(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("")
     for path, message in ((tmp_path / "log.txt", "is no recording"), (tmp_path / "no.csv", "does not exist")):
         with pytest.raises(DatasetError, match=message):
-            read_motions([path], single)
+            read_motions([path], single, locations)
     with pytest.raises(UsageError, match="no recording"):
-        read_motions([], single)
+        read_motions([], single, locations)
 
 
 def test_another_rigs_csv_is_refused_with_the_columns(locations: Locations, single: RigConfig, tmp_path: Path) -> None:
@@ -138,10 +138,12 @@ def recorded(
     return config, path
 
 
-def test_an_episodes_motion_has_a_command_a_tick_and_joints_at_frames(recorded: tuple[RecordConfig, Path]) -> None:
+def test_an_episodes_motion_has_a_command_a_tick_and_joints_at_frames(
+    recorded: tuple[RecordConfig, Path], locations: Locations
+) -> None:
     config, path = recorded
-    (motion,) = read_motions([path], config.rig)
-    (again,) = read_motions([path / "ep_000000"], config.rig)
+    (motion,) = read_motions([path], config.rig, locations)
+    (again,) = read_motions([path / "ep_000000"], config.rig, locations)
     frames = open_episode(path / "ep_000000").frames()
     np.testing.assert_allclose(np.diff(motion.times), 0.032, atol=1e-9)
     assert len(motion.times) == 2 * len(frames)
@@ -160,4 +162,4 @@ def test_an_episode_of_another_rig_is_refused(recorded: tuple[RecordConfig, Path
     config, path = recorded
     other = "russet" if config.rig.name == "single" else "single"
     with pytest.raises(DatasetError, match=f"give --rig {config.rig.name}"):
-        read_motions([path], load_config(RigConfig, "rigs", other, locations))
+        read_motions([path], load_config(RigConfig, "rigs", other, locations), locations)

@@ -20,6 +20,7 @@ from .camera import CameraConfig
 from .policy import PolicyConfig
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
+from .real import RecordingNames
 from .recording import AnyTask, RecordConfig, RenderConfig
 from .rig import RigConfig
 from .scene import SceneConfig
@@ -36,6 +37,7 @@ KINDS: Mapping[str, type[Config]] = {
     "randomization": RandomizationConfig,
     "policies": PolicyConfig,
     "record": RecordConfig,
+    "recordings": RecordingNames,
     "robots": ArmModel,
     "grippers": Gripper,
 }

@@ -1,4 +1,4 @@
-"""Motions from whatever holds them: a CSV, an episode, or all episodes of a dataset."""
+"""Motions from whatever holds them: episodes and datasets of ours, and the recordings of others."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ from pathlib import Path
 
 from ..config.rig import RigConfig
 from ..dataset.layout import EPISODE
-from ..dataset.reader import open_episode, open_episodes
-from ..errors import DatasetError, UsageError
+from ..dataset.reader import open_recorded, recorded_episodes
+from ..dataset.real import is_ours
+from ..errors import UsageError
 from ..motion import Motion
-from .csv_file import read_csv
+from ..resources import Locations
 from .episodes import read_episode
+from .formats import format_of, reader_of
 
-_VALID = "a .csv, an episode's directory, or a dataset's"
 
+def read_motions(
+    recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None = None
+) -> list[Motion]:
+    """The motions of recordings, in order, with all samples that there are; those of a dataset are all its episodes'.
 
-def read_motions(recordings: Sequence[Path], rig: RigConfig) -> list[Motion]:
-    """The motions of recordings, in order; those of a dataset are all its episodes'.
+    Args:
+        mapping: how somebody else's columns are called, see `naming.naming_of`.
 
     Raises:
         DatasetError: one is not there, cannot be read, is damaged or of another rig.
@@ -25,15 +30,12 @@ def read_motions(recordings: Sequence[Path], rig: RigConfig) -> list[Motion]:
     """
     motions: list[Motion] = []
     for path in recordings:
-        if not path.exists():
-            raise DatasetError(f"{path} does not exist; give {_VALID}")
-        if path.is_dir():
-            stored = [open_episode(path)] if (path / EPISODE).exists() else open_episodes(path)
+        if is_ours(path):
+            stored = [open_recorded(path)] if (path / EPISODE).exists() else recorded_episodes(path)
             motions += [read_episode(episode, rig) for episode in stored]
-        elif path.suffix.lower() == ".csv":
-            motions.append(read_csv(path, rig))
         else:
-            raise DatasetError(f"{path}: is no recording; give {_VALID}")
+            read = reader_of(format_of(path))
+            motions += [recording.in_metres(rig) for recording in read(path, rig, mapping, locations)]
     if not motions:
-        raise UsageError(f"no recording holds a motion; give {_VALID}")
+        raise UsageError("no recording holds a motion; give a .csv, an episode's directory, or a dataset's")
     return motions
