@@ -87,10 +87,3 @@ def later(motion: Motion, samples: int) -> Motion:
         for arm in motion.arms
     )
     return replace(motion, arms=arms)
-
-
-def table(motion: Motion) -> Array:
-    """A motion's columns in the order of a CSV's header."""
-    told = [np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms]  # type: ignore[list-item]
-    measured = [np.column_stack([arm.joints, arm.openings]) for arm in motion.arms]  # type: ignore[list-item]
-    return np.hstack([*told, *measured])

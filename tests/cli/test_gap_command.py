@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
-from tests.rig_scenes import later, plant, rig_scene, swings, table
+from tests.core.recordings.making import write_csv
+from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.motion import Motion
-from yamsim_cli.core.recordings.csv_file import csv_bytes
 from yamsim_cli.core.resources import Locations
 
 TIMES = np.arange(0, 3.0, 0.01)
@@ -32,7 +33,7 @@ def made() -> Motion:
 def logs(single: RigConfig, made: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("my logs")
     for name, motion in (("perfect", made), ("late", later(made, 2)), ("later", later(made, 3))):
-        (folder / f"{name}.csv").write_bytes(csv_bytes(single, motion.times + 100.0, table(motion)))
+        write_csv(folder / f"{name}.csv", motion, single)
     return folder
 
 
@@ -72,20 +73,31 @@ def test_a_part_is_compared(logs: Path) -> None:
 
 
 def test_what_looks_wrong_with_a_recording_is_told(single: RigConfig, made: Motion, tmp_path: Path) -> None:
-    columns = table(made)
-    columns[:, [6, 13]] *= 20
-    path = tmp_path / "shares.csv"
-    path.write_bytes(csv_bytes(single, made.times, columns))
+    (arm,) = made.arms
+    assert arm.openings is not None and arm.commanded_openings is not None
+    shares = replace(arm, openings=20 * arm.openings, commanded_openings=20 * arm.commanded_openings)
+    path = write_csv(tmp_path / "shares.csv", replace(made, arms=(shares,)), single)
     run = yamsim("gap", path, "--json")
     assert run.code == 0
     assert "gripper is at" in run.err
     assert run.json["problems"][0]["fault"] == "gripper_share"
 
 
-def test_a_dataset_is_compared_with_its_own_rig(logs: Path, tmp_path: Path) -> None:
-    assert yamsim("gap", tmp_path / "none").message.startswith(str(tmp_path / "none"))
+def test_what_was_imported_has_the_gap_that_it_had_before(logs: Path, tmp_path: Path) -> None:
+    real = tmp_path / "real"
+    assert yamsim("import", logs / "late.csv", "--rig", "single", "--out", real).code == 0
+    # Its rig is that of the dataset.
+    before, after, one = (yamsim("gap", path, "--json").json for path in (logs / "late.csv", real, real / "ep_000000"))
+    assert after["rms_rad"] == pytest.approx(before["rms_rad"], rel=1e-4)
+    assert one["recordings"][0]["rms_rad"] == after["rms_rad"]
+    assert "change a rig that is named" in yamsim("gap", real, "--revision", "v1").message
+
+
+def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    assert yamsim("gap", tmp_path / "empty").code == 4
+    for name in ("none", "empty", "none.csv"):
+        run = yamsim("gap", tmp_path / name)
+        assert run.code == 4 and str(tmp_path / name) in run.message
 
 
 @pytest.mark.parametrize(

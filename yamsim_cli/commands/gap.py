@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 def gap(
     recordings: Annotated[
         list[Path],
-        typer.Argument(help="Each a CSV, an episode, or a dataset with all its episodes.", show_default=False),
+        typer.Argument(
+            help="Each a CSV, an episode, a dataset with all its episodes, or what else `yamsim import` reads.",
+            show_default=False,
+        ),
     ],
     rig: Annotated[
         str | None,
@@ -38,6 +41,13 @@ def gap(
     revision: Revision = None,
     robot: Robot = None,
     margin: Margin = None,
+    mapping: Annotated[
+        str | None,
+        typer.Option(
+            help="How columns of somebody else's are called: a name from configs/recordings/ or a YAML.  "
+            "[default: found out]"
+        ),
+    ] = None,
     begin: Annotated[
         float | None, typer.Option("--from", min=0, metavar="S", help="Compare from here on, s after the first sample.")
     ] = None,
@@ -86,7 +96,7 @@ def gap(
     from yamsim_cli.core.recordings.faults import find_faults
     from yamsim_cli.core.recordings.reading import read_motions
 
-    motions = read_motions(recordings, settings, where)
+    motions = read_motions(recordings, settings, where, mapping)
     problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, settings)]
     for name, problem in problems:
         note(f"{name}: {problem.text}")
@@ -117,12 +127,13 @@ def _rig(
     """The named rig; without a name, the one that a dataset was recorded with."""
     from yamsim_cli.core.dataset.layout import CONFIG
     from yamsim_cli.core.dataset.reader import dataset_config
+    from yamsim_cli.core.dataset.real import is_real, real_config
 
     datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG).is_file()]
     if name is None and recording.is_dir() and datasets:
         if margin is not None or revision is not None or robot:
             raise UsageError("--margin, --revision and --robot change a rig that is named; give --rig with them")
-        return dataset_config(datasets[0], where).rig
+        return (real_config if is_real(datasets[0]) else dataset_config)(datasets[0], where).rig
     return opener.rig(name or "single", where, margin, revision, robot)
 
 

@@ -25,7 +25,7 @@ def test_an_episode_has_no_gap_until_something_is_held(
 ) -> None:
     config = make_config({("rig",): rig, ("task",): task})
     write_dataset(tmp_path / "dataset", config, locations, 1)
-    (motion,) = read_motions([tmp_path / "dataset"], config.rig)
+    (motion,) = read_motions([tmp_path / "dataset"], config.rig, locations)
     frames = open_episode(Path(motion.name)).frames()
     held = next(frame["timestamp"] for frame in frames if np.any(frame["magnet"]))
     scene = rig_scene(rig)

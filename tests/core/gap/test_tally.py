@@ -53,6 +53,8 @@ def test_a_report_has_means_intervals_and_the_worst(gaps: list[Gap]) -> None:
     assert low < 0.02 < high
     assert joint["max_rad"] == max(gap.joints[2].error.max for gap in gaps)
     assert "max_rad" not in joint["intervals"]
+    # Three recordings say little, and no size is below 0.
+    assert min(row["intervals"]["rms_rad"][0] for row in report["joints"]) == 0
     worst = max(gaps, key=lambda gap: abs(gap.worst.error))
     assert report["worst"] == {"recording": "plant"} | report["recordings"][gaps.index(worst)]["worst"]
     assert sum(phase["share"] for phase in report["phases"]) == pytest.approx(1)

@@ -138,8 +138,17 @@ def _means(rows: Sequence[Any], told: Callable[[Any], Mapping[str, float | None]
         key: float(np.max(values) if key in largest else np.mean(values)) if values else None
         for key, values in known.items()
     }
-    intervals = {key: bounds for key, values in known.items() if key not in largest and (bounds := student95(values))}
-    return {**means, **({"intervals": {key: list(bounds) for key, bounds in intervals.items()}} if intervals else {})}
+    intervals = {
+        key: [max(0.0, bounds[0]) if _is_size(key) else bounds[0], bounds[1]]
+        for key, values in known.items()
+        if key not in largest and (bounds := student95(values))
+    }
+    return {**means, **({"intervals": intervals} if intervals else {})}
+
+
+def _is_size(key: str) -> bool:
+    """Whether a figure is a size of errors, which is never below 0."""
+    return not {"rms", "p95"}.isdisjoint(key.split("_"))
 
 
 def _joints(rows: Sequence[JointGap]) -> dict[str, Any]:
