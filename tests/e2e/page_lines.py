@@ -23,7 +23,7 @@ CHEAPER = {
     "yamsim teleop": "--quality fast --size 160x120",
     "yamsim eval": "--n 1 --workers 1 --quality fast --size 96x72 --time-limit 1",
     "yamsim render-views": "--quality fast --size 160x120",
-    "yamsim serve-robot": "--seconds 1",
+    "yamsim serve-robot": "--seconds 1 --quality fast --size 160x120",
     "yamsim excite": "--seconds 20",
 }
 
@@ -40,7 +40,9 @@ SERVERS = {
 NOT_RUN = {
     r"^make\b": "it is what set this environment up, or what CI runs beside this test",
     r"^inspect-robots\b": "another program, which tests/clients/test_inspect.py runs in an environment of its own",
+    r"^lerobot-": "another program, which tests/clients/test_lerobot_plugins.py runs in an environment of its own",
     r"--policy (act|ws|lerobot):": "another program's server, which tests/clients/test_policies.py has",
+    r"^lerobot-train\b": "another program, which tests/clients/test_training.py runs in an environment of its own",
     r"^yamsim can-run\b": "it runs another program, as tests/clients/test_i2rt.py does in an environment of its own",
     r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
     r"^pip install\b": "it would change this environment; what is missing skips the test",

@@ -1,4 +1,4 @@
-"""The expert for the benchmark's rigid tasks."""
+"""The expert for the benchmark's tasks that have physics here."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ from yamsim_cli.core.skills.bench import Bench, Fingers
 from yamsim_cli.core.skills.handover import Handover
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
-from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment, open_base
+from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.motion import Motion, hands, told_opening, told_share
+from yamsim_cli.kitchenbench.opening import open_base
 from yamsim_cli.kitchenbench.policy import Twin, YamsimExpert, actions_of, is_still
 from yamsim_cli.kitchenbench.programs import program_of
 from yamsim_cli.kitchenbench.scene import realize
@@ -120,8 +121,8 @@ def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:
 
 
 def test_what_nobody_can_do_is_named() -> None:
-    blueprint = build_blueprint(next(scene for name, scene in SCENES.items() if name.startswith("fold")), 0)
-    with pytest.raises(LookupError, match="no expert for goals of kind 'fold'"):
+    blueprint = build_blueprint(next(scene for name, scene in SCENES.items() if name.startswith("pour")), 0)
+    with pytest.raises(LookupError, match="no expert for goals of kind 'pour_into'"):
         program_of(blueprint, {}, BASES)
 
 
