@@ -174,7 +174,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         replica, T_base = simulator.replica, simulator.scene.T_base_in_world
         replica.show(self._task.loop.data.qpos)
         hands = of_arms(T_base @ replica.T_grasp_in_base())
-        seen: dict[str, Any] = {"joints": self._loop.readings(self._attempt.job).ravel(), "ee_pose_world": hands}
+        joints = self._task.loop.readings(self._task.attempt.job)
+        seen: dict[str, Any] = {"joints": joints.ravel(), "ee_pose_world": hands}
         if not self._images:
             seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
             items = {item.name: item for item in simulator.config.task.objects}

@@ -31,7 +31,6 @@ from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.recordings.csv_file import csv_bytes
 from yamsim_cli.core.resources import Locations
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]

@@ -122,21 +122,21 @@ def serve_robot(
             sockets.append(one)
             note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
         ports = _portals(stack, served, host, portal)
-        robot = None
+        driven = None
         if cameras or chiral is not None:
             source = _pictures(stack, session, served, camera_fps)
             ports.append(source)
             if cameras:
                 ports.append(_camera_server(stack, where, source))
             if chiral is not None:
-                robot = policy_robot(session, served, source)
-                ports.append(_chiral(stack, robot, host, chiral))
+                driven = policy_robot(session, served, source)
+                ports.append(_chiral(stack, driven, host, chiral))
         note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
         sys.stderr.flush()
 
         def drive() -> None:
-            if robot is not None:
-                robot.tick()
+            if driven is not None:
+                driven.tick()
             for follower in served.followers:
                 follower.tick()
 
