@@ -130,8 +130,8 @@ class Twin:
         actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
-        most = len(actions) + _WAITS
         # References end a motion at once, and arms come after them: what is looked at next shall not move any more.
+        most = len(actions) + (_WAITS if segment is None or segment.arrives else 0)
         while not self.motion.at_rest() and len(actions) < most:
             actions.append(self.motion.reference)
             self.motion.act(actions[-1])

@@ -19,7 +19,7 @@ from ..sim.antipodal import Span, spans
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
 from .errors import SkillFailedError
-from .grips import CLEARANCE, Grip, found_grips, grips, sideways_grips
+from .grips import CLEARANCE, Grip, close_grips, found_grips, grips, sideways_grips
 from .hand import PASSING, Hand, Held
 
 # Over the table, a hand that crosses it stays at least so high, m.
@@ -38,9 +38,15 @@ V = TypeVar("V")
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of motion of all arms: one path each, all of one length."""
+    """A stretch of motion of all arms: one path each, all of one length.
+
+    Attributes:
+        paths: of the arms, in their order.
+        arrives: whether what comes after needs arms that have come where they were told to be, and not only almost.
+    """
 
     paths: tuple[JointPath, ...]
+    arrives: bool = True
 
     @property
     def ticks(self) -> int:
@@ -126,6 +132,7 @@ class Bench:
             self._spans[thing] = spans(self.model, self.world.data, body, 2 * (widest - CLEARANCE / 2))
         yield from found_grips(self.items[thing], self._spans[thing])
         yield from sideways_grips(self.items[thing])
+        yield from close_grips(self.items[thing])
 
     def half_outline(self, thing: str, heading: float) -> Array:
         """Half the room (2,) that a thing takes along x and y when it stands upright, turned by `heading`, m."""
@@ -136,10 +143,15 @@ class Bench:
 
     def height_on(self, thing: str, place: Array, onto: str, heading: float) -> float:
         """Height in `world` at which a thing's origin comes to rest, upright, over a place (2,), m."""
+        return self.height_of(thing, pose((*place, 0.0), rotation_z(heading)), onto)
+
+    def height_of(self, thing: str, T: Array, onto: str) -> float:
+        """Height in `world` at which the origin of a thing, turned as in a pose (4, 4), comes to rest below it, m."""
         top = float(self.world.bounds(onto)[1][2])
         low, high = self.world.block(thing)
-        T = pose((*place, top + float(high[2] - low[2])), rotation_z(heading))
-        return self.obstacles.rest_height(self.qpos, thing, T, float(self.world.bounds(TABLE)[0][2]))
+        T_over = T.copy()
+        T_over[2, 3] = top + float(np.abs(T[2, :3]) @ (high - low))
+        return self.obstacles.rest_height(self.qpos, thing, T_over, float(self.world.bounds(TABLE)[0][2]))
 
     def is_free(self, thing: str, place: Array) -> bool:
         """Whether a thing that stands upright would have room at a place (2,) on the table, m."""
@@ -171,10 +183,16 @@ class Bench:
         return grasp.clearance if grasp is not None else CLEARANCE
 
     def touched(
-        self, hand: Hand, joints: Array, opening: float, load: Load | None = None, between: str | None = None
+        self,
+        hand: Hand,
+        joints: Array,
+        opening: float,
+        load: Load | None = None,
+        between: str | None = None,
+        beside: float | None = None,
     ) -> str | None:
         """What a hand would touch at given joints, see `Obstacles.touched`."""
-        return self.obstacles.touched(self.qpos, hand.number, joints, opening, load, between)
+        return self.obstacles.touched(self.qpos, hand.number, joints, opening, load, between, beside)
 
     def imagined(self, hand: Hand, joints: Array, opening: float, held: Held | None) -> Array:
         """MuJoCo's positions (nq,) with a hand, and what it holds, elsewhere, and all else as it is."""
@@ -245,12 +263,15 @@ class Bench:
         """A hand that stays where it is (ticks + 1, dof)."""
         return np.tile(hand.joints, (ticks + 1, 1))
 
-    def segment(self, motions: Mapping[Hand, Array], fingers: Mapping[Hand, Fingers] | None = None) -> Segment:
+    def segment(
+        self, motions: Mapping[Hand, Array], fingers: Mapping[Hand, Fingers] | None = None, arrives: bool = True
+    ) -> Segment:
         """What all arms do while some move: the others hold their place, and what they hold.
 
         Args:
             motions: hand -> joints (n + 1, dof); a shorter motion than the longest waits at its end.
             fingers: hand -> what its fingers do meanwhile; of others they stay as they are.
+            arrives: see `Segment`.
         """
         ticks = max(len(motion) for motion in motions.values()) - 1
         paths = []
@@ -274,7 +295,7 @@ class Bench:
                 )
             )
             hand.joints, hand.opening, hand.grip = joints[-1].copy(), to.opening, to.grip
-        return Segment(tuple(paths))
+        return Segment(tuple(paths), arrives)
 
     def wait(self, ticks: int) -> Segment:
         """All hands hold their places."""
