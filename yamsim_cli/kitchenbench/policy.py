@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from inspect_robots import (
@@ -19,7 +19,9 @@ from inspect_robots import (
 from kitchenbench.sim import build_blueprint
 
 from ..core.geometry.se3 import Array
+from ..core.goals.cast import Cast
 from ..core.planning.demonstration import start_stands
+from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
 from ..core.skills.program import Diary, run_program
@@ -119,8 +121,11 @@ class Twin:
         self._world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
         self.bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
-        program = program_of(realized.blueprint, realized.items, realized.bases)
-        self._segments = run_program(program, self.bench, simulator.cast, Diary())
+        self.do(program_of(realized.blueprint, realized.items, realized.bases), simulator.cast)
+
+    def do(self, program: Sequence[Skill], cast: Cast) -> None:
+        """Begin a program: the next actions are those of its motions."""
+        self._segments = run_program(program, self.bench, cast, Diary())
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""

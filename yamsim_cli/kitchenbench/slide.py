@@ -126,7 +126,7 @@ def _drawn(bench: Bench, hand: Hand, press: _Press, shift: Array) -> Iterator[Se
 
 
 def _across(bench: Bench, thing: str) -> Array:
-    """The direction (2,) in `world` across a thing that lies: along the table, and at right angles to its longer side."""
+    """The direction (2,) in `world` across a thing that lies: level, at right angles to its longest side."""
     low, high = bench.world.block(thing)
     longest = bench.world.pose(thing)[:2, int(np.argmax(high - low))]
     across: Array = np.array((-longest[1], longest[0])) / np.linalg.norm(longest)
@@ -134,9 +134,7 @@ def _across(bench: Bench, thing: str) -> Array:
 
 
 def _flat_places(bench: Bench, thing: str, away: Array) -> list[Array]:
-    """Where a thing (3,) is flat, in `world`, m: on the top of what is low of it, what lies farthest on the side to which
-    it is to go first.
-    """
+    """Places (3,) on top of the flat parts of a thing, in `world`, m: the farthest towards where it is to go first."""
     bounds = bench.world.parts(thing)
     lowest, middle = bench.world.bounds(thing)[0][2], bench.world.pose(thing)[:2, 3]
     low = [(*(first + last)[:2] / 2, last[2]) for first, last in bounds if last[2] < lowest + _FLAT]

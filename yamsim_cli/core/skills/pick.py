@@ -47,6 +47,8 @@ class Pick(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS: ClassVar[bool | None] = False
     LEAVES: ClassVar[bool | None] = True
+    # Whether fingers wait for the arm before they close, and the look at what is held for its lift.
+    WAITS: ClassVar[bool] = True
     thing: str
     arm: Side = "any"
     lift: Distance = 0.06
@@ -83,9 +85,8 @@ class Pick(Skill):
         grip = found.grip
         path = bench.way(hand, found.before, found.wide)
         yield bench.segment({hand: path}, {hand: Fingers(found.wide)}, arrives=False)
-        # Fingers take a while to meet the thing: the arm arrives before.
         path = bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)
-        yield bench.segment({hand: path}, arrives=False)
+        yield bench.segment({hand: path}, arrives=self.WAITS)
         closing = Fingers(grip.opening, grip.force)
         yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
         yield rest(bench)
@@ -95,7 +96,7 @@ class Pick(Skill):
         hand.held = Held(thing, inverse(bench.T_pinch(hand)) @ bench.world.pose(thing))
         T_up = hand.pinch_at(hand.joints)
         T_up[2, 3] += self.lift
-        yield bench.segment({hand: bench.line(hand, T_up)}, arrives=False)
+        yield bench.segment({hand: bench.line(hand, T_up)}, arrives=self.WAITS)
         try:
             bench.look_at(hand)
         except SkillFailedError:
