@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.geometry.se3 import Array, pose, rotation_z
 from ..core.goals.cast import Cast
-from ..core.goals.world import World
+from ..core.sim.world import SimWorld
 from ..core.skills.bench import Bench
 from ..core.skills.hand import PASSING, Hand
 from ..core.skills.place import OVER, Placing, raised
@@ -77,7 +77,7 @@ class Lay(Placing):
         return joints
 
 
-def _along(world: World, thing: str, T: Array) -> list[Array]:
+def _along(world: SimWorld, thing: str, T: Array) -> list[Array]:
     """How a long thing may lie in a compartment at (4, 4): rotations (3, 3) in `world`, either way round. One that lies
     on its side, or on its head, stays so.
     """

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.goals.cast import Cast
-from ..core.goals.world import World
+from ..core.sim.world import SimWorld
 from ..core.skills.base import Skill, holder_of
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
@@ -67,10 +67,10 @@ class Sort(Skill):
                 # An arm may have been in the other one's way, that now is out of it.
                 tries[name] = tries.get(name, 0) + parked
 
-    def _inside(self, world: World, name: str) -> bool:
+    def _inside(self, world: SimWorld, name: str) -> bool:
         return any(world.share_inside(name, compartment) > 0.5 for compartment in self.into.values())
 
-    def left(self, world: World, cast: Cast) -> list[str]:
+    def left(self, world: SimWorld, cast: Cast) -> list[str]:
         """What is not yet where it belongs: what lies on others first, then what lies in the tray, from the left on."""
         names = [
             name for name in cast.of(self.things) if world.share_inside(name, self.into[cast.kinds[name]]) < _INSIDE

@@ -47,7 +47,7 @@ class Pick(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS: ClassVar[bool | None] = False
     LEAVES: ClassVar[bool | None] = True
-    # Whether fingers wait for the arm before they close, and the look at what is held for its lift.
+    # Whether each motion waits for the arm at the end of the one before.
     WAITS: ClassVar[bool] = True
     thing: str
     arm: Side = "any"
@@ -84,7 +84,7 @@ class Pick(Skill):
     def _take(self, bench: Bench, hand: Hand, thing: str, found: _Reach) -> Iterator[Segment]:
         grip = found.grip
         path = bench.way(hand, found.before, found.wide)
-        yield bench.segment({hand: path}, {hand: Fingers(found.wide)}, arrives=False)
+        yield bench.segment({hand: path}, {hand: Fingers(found.wide)}, arrives=self.WAITS)
         path = bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)
         yield bench.segment({hand: path}, arrives=self.WAITS)
         closing = Fingers(grip.opening, grip.force)
