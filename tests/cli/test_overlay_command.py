@@ -15,6 +15,7 @@ from tests.cli.run_cli import Run, yamsim
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.resources import Locations
 
 pytestmark = pytest.mark.render
@@ -129,6 +130,39 @@ def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locat
     assert known.code == 0, known.err
     low, high = known.json["images"][0]["camera"]["focal_low"], known.json["images"][0]["camera"]["focal_high"]
     assert low < 3425 < high
+
+
+@pytest.fixture(scope="module")
+def watched(locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten photos of both boards of russet; before the sixth the second arm is pushed aside by 4 mm."""
+    rig = load_config(RigConfig, "rigs", "russet", locations)
+    folder = tmp_path_factory.mktemp("watched")
+    (folder / "camera.yaml").write_text(CAMERA)
+    for number in range(10):
+        placed = []
+        for k, arm in enumerate(rig.arms):
+            assert arm.board is not None
+            pushed = pose((0, 0.004 if k and number >= 5 else 0.0, 0))
+            T = facing(0.0, 0.0, 0.75, 0.6, 0.15) @ rig.T_base_in_world(k) @ pushed @ arm.T_board_in_base
+            placed.append((arm.board.board, T))
+        shot = photograph(CameraModel.pinhole(640, 480, 600.0), placed, seed=number)
+        assert cv2.imwrite(str(folder / f"{number:02d}.png"), shot)
+    return folder
+
+
+def test_a_base_that_was_pushed_is_told_with_the_photo(watched: Path, tmp_path: Path) -> None:
+    asked = ("overlay", "--img", watched, "--rig", "russet", "--camera", watched / "camera.yaml", "--out", tmp_path)
+    run = yamsim(*asked, "--fail-if-moved", "--json")
+    assert run.code == 4
+    assert "05.png (number 5): before it the base of arm2 was moved by 4.0 mm" in run.message
+    (move,) = run.json["moved"]
+    assert (move["frame"], move["what"], move["arm"], run.json["still"]) == (5, "base", "arm2", False)
+    assert move["shift_m"] == pytest.approx(0.004, abs=3e-4)
+    assert move["shift_in_base_m"][1] == pytest.approx(0.004, abs=3e-4)
+    few = yamsim(*asked, "--every", "2", "--json")
+    assert few.code == 0
+    assert (len(few.json["images"]), few.json["still"], few.json["moved"]) == (5, None, [])
+    assert few.json["still_unknown"].startswith("fewer than 8 photos")
 
 
 def test_a_wrong_margin_is_told_on_stderr_and_in_json(folder: Path) -> None:

@@ -20,13 +20,17 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.core.recordings.making import write_csv
 from tests.core.things.test_fits import block
 from tests.e2e.page_lines import prepared, reason_not_to_run, serves
 from tests.mugs import has_import_extra, mug, write_mugs
 from tests.pages import Block, blocks, shell_blocks, snippet
 from tests.racks import rack_sdf
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking
+from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.assets import AssetStore, load_lock
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.resources import Locations
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]
@@ -130,7 +134,9 @@ def write_inputs(folder: Path, locations: Locations) -> None:
         scan.export(folder / "scan.obj")
     with Studio("russet", locations, CAMERA) as studio:
         shot = studio.shoot(looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1)), JOINTS)
-    cv2.imwrite(str(folder / "photo.png"), shot.image[:, :, ::-1])
+    (folder / "morning").mkdir()
+    for photo in ("photo.png", "morning/0001.png"):
+        cv2.imwrite(str(folder / photo), shot.image[:, :, ::-1])
     # The left arm's come first.
     np.save(folder / "joints.npy", JOINTS[::-1].reshape(-1))
     camera = {
@@ -140,6 +146,10 @@ def write_inputs(folder: Path, locations: Locations) -> None:
         "distortion": list(CAMERA.distortion),
     }
     (folder / "camera.yaml").write_text(yaml.safe_dump(camera))
+    times = np.arange(0, 4.0, 0.01)
+    logged = later(plant(rig_scene(), times, [swings(times)]), 2)
+    for log in ("log.csv", "monday.csv", "tuesday.csv"):
+        write_csv(folder / log, logged, load_config(RigConfig, "rigs", "single", locations))
 
 
 def failure(line: str, problem: str, log: Path) -> str:

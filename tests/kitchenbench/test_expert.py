@@ -1,4 +1,4 @@
-"""The expert for the benchmark's rigid tasks."""
+"""The expert for the benchmark's tasks that have physics here."""
 
 from __future__ import annotations
 
@@ -34,8 +34,9 @@ from yamsim_cli.core.skills.grips import Grip
 from yamsim_cli.core.skills.handover import Handover
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
-from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment, open_base
+from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.motion import Motion, hands, told_opening, told_share
+from yamsim_cli.kitchenbench.opening import open_base
 from yamsim_cli.kitchenbench.policy import Twin, YamsimExpert, actions_of, is_still
 from yamsim_cli.kitchenbench.programs import program_of
 from yamsim_cli.kitchenbench.scene import realize
@@ -104,14 +105,14 @@ def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first(
         world = KitchenWorld(realized, Motion(realized, 10)).scene
         (sort,) = program_of(realized.blueprint, {}, BASES)
         assert isinstance(sort, Sort)
-        left = sort.left(world, cast)
+        left = sort.left(world, cast, hasty=False)
         assert left[0] == "knife_1" and sorted(left) == ["fork_1", "fork_2", "knife_1", "spoon_1"]
         address = realized.simulator.scene.object_qpos["knife_1"]
         tray = world.pose("tray")
         world.data.qpos[address : address + 3] = (tray @ (0.10, 0.0, 0.012, 1.0))[:3]
         world.data.qpos[address + 3 : address + 7] = quat_from_rotation(tray[:3, :3])
         mujoco.mj_kinematics(realized.simulator.scene.model, world.data)
-        assert "knife_1" not in sort.left(world, cast)
+        assert "knife_1" not in sort.left(world, cast, hasty=False)
     finally:
         realized.simulator.close()
 
@@ -164,8 +165,8 @@ def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:
 
 
 def test_what_nobody_can_do_is_named() -> None:
-    blueprint = build_blueprint(next(scene for name, scene in SCENES.items() if name.startswith("fold")), 0)
-    with pytest.raises(LookupError, match="no expert for goals of kind 'fold'"):
+    blueprint = build_blueprint(next(scene for name, scene in SCENES.items() if name.startswith("pour")), 0)
+    with pytest.raises(LookupError, match="no expert for goals of kind 'pour_into'"):
         program_of(blueprint, {}, BASES)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,9 +35,11 @@ def overlay(
     ] = None,
     joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
     episode: Annotated[
-        Path | None, typer.Option(help="A recorded episode, DATASET/ep_NNNNNN, instead of --img.")
+        list[Path] | None,
+        typer.Option(help="A recorded episode, DATASET/ep_NNNNNN, or a dataset, instead of --img; may be repeated."),
     ] = None,
     episode_camera: Annotated[str | None, typer.Option(help="Which of its cameras; else the fixed one.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Only one photo out of so many.")] = 1,
     out: Annotated[Path, typer.Option(help="Folder for the pictures and overlay.json.")] = Path("overlays"),
     margin: Margin = None,
     trust_margin: Annotated[
@@ -51,6 +54,9 @@ def overlay(
     min_iou: Annotated[
         float | None, typer.Option(min=0, max=1, help="Exit 4 if the overlap is smaller; needs --mask-image.")
     ] = None,
+    fail_if_moved: Annotated[
+        bool, typer.Option("--fail-if-moved", help="Exit 4 if the camera or a base was moved between photos.")
+    ] = False,
     opacity: Annotated[float, typer.Option(min=0, max=1, help="Opacity of the rendered arms.")] = 0.55,
     video: Annotated[Path | None, typer.Option(help="Also write an MP4 of all pictures.")] = None,
     fps: Annotated[float, typer.Option(min=0.1, max=240, help="Pictures a second in the MP4.")] = 15.0,
@@ -69,7 +75,7 @@ def overlay(
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
     where = opener.locations()
-    settings = _rig(rig, revision, episode, margin, where)
+    settings = _rig(rig, revision, episode or [], margin, where)
 
     from yamsim_cli.core.config.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
@@ -83,18 +89,18 @@ def overlay(
 
     from yamsim_cli.core.overlay.joint_files import load_stands
     from yamsim_cli.core.overlay.overlayer import OverlayOptions
-    from yamsim_cli.core.overlay.photos import Photo, episode_photos, find_photos
+    from yamsim_cli.core.overlay.photos import Photo, find_photos, recorded_photos
     from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
 
     photos = (
-        episode_photos(episode, episode_camera, settings)
+        recorded_photos(episode, episode_camera, settings)
         if episode
         else [Photo(path) for path in find_photos(img or [])]
     )
     request = OverlayRequest(
-        photos,
+        photos[::every],
         OverlayOptions(trust_margin, refine, opacity),
         model,
         load_stands(joints, settings) if joints else None,
@@ -105,6 +111,7 @@ def overlay(
         1 / fps,
         max_reprojection,
         min_iou,
+        fail_if_moved,
     )
     where = opener.find_meshes(where, mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
@@ -117,25 +124,29 @@ def overlay(
 
 
 def _rig(
-    name: str | None, revision: str | None, episode: Path | None, margin: float | None, where: Locations
+    name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, where: Locations
 ) -> RigConfig:
-    """The named rig; without a name, the one that an episode's dataset was recorded with."""
+    """The named rig; without a name, the one that the recordings' dataset was recorded with."""
     from yamsim_cli.core.dataset.layout import CONFIG
     from yamsim_cli.core.dataset.reader import dataset_config
 
-    if name is None and episode is not None and ((dataset := episode.resolve().parent) / CONFIG).is_file():
+    datasets = {path.resolve() if (path / CONFIG).is_file() else path.resolve().parent for path in recordings}
+    if name is None and len(datasets) > 1:
+        raise UsageError("--episode: episodes of several datasets; give --rig with them")
+    if name is None and any((dataset / CONFIG).is_file() for dataset in datasets):
         if margin is not None:
             raise UsageError(f"--margin {margin:g}: an episode's arms stand as they were recorded; give --rig with it")
         if revision is not None:
             raise UsageError(
                 f"--revision {revision}: an episode's arms are those it was recorded with; give --rig with it"
             )
-        return dataset_config(dataset, where).rig
+        return dataset_config(datasets.pop(), where).rig
     return opener.rig(name or "single", where, margin, revision)
 
 
 def _tell(report: OverlayReport) -> None:
     from yamsim_cli.core.overlay.overlayer import captions
+    from yamsim_cli.core.overlay.series import told
 
     for result in report.results:
         for caption in captions(result):
@@ -147,4 +158,8 @@ def _tell(report: OverlayReport) -> None:
                 note(f"{result.path}: {arm.name}: {arm.sighting.explanation}")
         for text in result.notes:
             note(f"{result.path}: {text}")
+    for move in report.stillness.moves:
+        print_line(told(move))
+    if not report.stillness.unknown and not report.stillness.moves:
+        print_line(f"camera and bases stayed where they were in all {len(report.results)} photos")
     print_line(f"{len(report.files)} files, such as {report.files[0]}")

@@ -18,11 +18,14 @@ from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.dataset.reader import StoredEpisode
+    from yamsim_cli.core.dataset.reader import RecordedEpisode, StoredEpisode
     from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.session import Session
     from yamsim_cli.core.show.replay import Film
     from yamsim_cli.core.viewers.address import PageAddress
+
+# Of what cannot be repeated.
+_NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
 
 
 def replay(
@@ -55,9 +58,11 @@ def replay(
     if not 0.01 <= speed <= 1000:
         raise UsageError(f"--speed {speed:g} is not valid: it must lie in 0.01..1000")
 
-    from yamsim_cli.core.dataset.reader import find_episode
+    from yamsim_cli.core.dataset.reader import StoredEpisode, find_episode
 
     stored, where = find_episode(episode, number), opener.locations()
+    if render and not isinstance(stored, StoredEpisode):
+        raise UsageError("--render: a real recording was not simulated; leave it out, and its pictures are shown")
     if video is None:
         watch(stored, where, speed, choose_viewer(web, port, host), json)
         return
@@ -75,11 +80,11 @@ def replay(
         "rendered": render,
         "moved_aside": str(film.moved_aside) if film.moved_aside else None,
     }
-    _say(report | _physics(stored, where), json)
+    _say(report | (_physics(stored, where) if isinstance(stored, StoredEpisode) else _NO_PHYSICS), json)
 
 
 def _film(
-    stored: StoredEpisode,
+    stored: RecordedEpisode,
     where: Locations,
     video: Path,
     cameras: list[str],
@@ -94,9 +99,10 @@ def _film(
         opener.skip_gl()
     period = stored.record.frame_period_s / speed
 
+    from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.core.show.replay import film_recorded, film_rendered, shown_again
 
-    if not render:
+    if not render or not isinstance(stored, StoredEpisode):
         return film_recorded(stored, cameras, video, period, overwrite=overwrite)
 
     from yamsim_cli.core.show.replay import simulator_of
@@ -106,8 +112,13 @@ def _film(
         return film_rendered(stored, simulator, cameras, video, period, overwrite=overwrite)
 
 
-def watch(stored: StoredEpisode, where: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
-    """Play an episode in a page, or in MuJoCo's window, until a signal ends it."""
+def watch(stored: RecordedEpisode, where: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
+    """Play an episode in a page, or in MuJoCo's window, until a signal ends it; of a real one, its arms alone."""
+    from yamsim_cli.core.dataset.reader import StoredEpisode
+
+    if not isinstance(stored, StoredEpisode):
+        _watch_real(stored, where, speed, page, json)
+        return
     prepare_viewer(page)
 
     from yamsim_cli.core.show.replay import play
@@ -122,6 +133,27 @@ def watch(stored: StoredEpisode, where: Locations, speed: float, page: PageAddre
     with noted_signals() as stopped:
         found = _physics(stored, where)
         play(stored, session, speed, page, ready, stopped)
+
+
+def _watch_real(stored: RecordedEpisode, where: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
+    """Show a real recording's arms as they were measured, in a page or in MuJoCo's window, until a signal ends it."""
+    prepare_viewer(page)
+
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.scene import SceneConfig
+    from yamsim_cli.core.dataset.real import real_config
+    from yamsim_cli.core.scene.blueprint import Blueprint
+    from yamsim_cli.core.scene.compose import mesh_sets
+    from yamsim_cli.core.show.real import play_real
+
+    def ready(url: str | None) -> None:
+        _say({"episode": str(stored.directory), "url": url} | _NO_PHYSICS, json)
+        sys.stdout.flush()
+
+    blueprint = Blueprint(real_config(stored.dataset, where).rig, load_config(SceneConfig, "scenes", "studio", where))
+    where = opener.find_meshes(where, mesh_sets(blueprint))
+    with noted_signals() as stopped:
+        play_real(stored, blueprint, where, speed, page, ready, stopped)
 
 
 def _session(stored: StoredEpisode, where: Locations) -> Session:
@@ -142,7 +174,7 @@ def _physics(stored: StoredEpisode, where: Locations) -> dict[str, Any]:
         note(f"Its actions were not repeated: {error}.")
         found = None
     if found is None:
-        return {"max_error": None, "first_divergence": None}
+        return dict(_NO_PHYSICS)
     return {"max_error": found.max_error, "first_divergence": found.first and asdict(found.first)}
 
 

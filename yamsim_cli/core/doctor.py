@@ -37,6 +37,7 @@ EXTRAS = {
     "ray": ("ray", "record --executor ray"),
     "import": ("coacd", "assets import of glTF, SDFormat and other files"),
     "inspect": ("kitchenbench", "KitchenBench's rigid tasks on the station"),
+    "mcap": ("mcap", "import of MCAP files"),
     "menagerie": ("mujoco-menagerie", "one more source of meshes"),
 }
 

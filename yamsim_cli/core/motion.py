@@ -15,11 +15,11 @@ class ArmMotion:
 
     Attributes:
         side: `left` or `right` of two arms, empty of a lone one.
-        joints: where the joints were measured (n, dof), rad.
+        joints: where the joints were measured (n, dof), rad; NaN in samples that have a command alone.
         commands: where the drives were told to go (n, dof), rad; None where nobody recorded it.
-        openings: opening of one finger as measured (n,), m; None where nobody recorded it.
+        openings: opening of one finger as measured (n,), m, NaN likewise; None where nobody recorded it.
         commanded_openings: the opening that was told (n,), m; None likewise.
-        velocities: of the joints as measured (n, dof), rad/s; None likewise.
+        velocities: of the joints as measured (n, dof), rad/s, NaN likewise; None where nobody recorded them.
     """
 
     side: str

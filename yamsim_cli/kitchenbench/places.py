@@ -11,13 +11,16 @@ from kitchenbench.sim.blueprint import SceneBlueprint, SceneObject
 
 from ..core.attempt.simulator import Simulator
 from ..core.geometry.se3 import Array, inverse, pose, rotation_z
-from ..core.sim.world import SimWorld
+from ..core.sim.world import world_of
 from ..core.tasks.casting import gap, outline
 from .catalog import COMPARTMENT
+from .linen import FOLD
 
 #: The bench's origin lies so far ahead of the middle between the arms' bases, and so far to its left, m. Its scenes
 #: begin there, and go on to the right: so both arms' bases are where most of the things are, each on its side of x = 0.
 AHEAD, BESIDE = 0.35, 0.25
+#: Of scenes with cloth, which lies around the origin and takes both arms, in the middle between them.
+CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 
 # What gives way to something does so in such steps, to a rack until it is so far beside it, m.
 _STEP, _BESIDE = 0.002, 0.005
@@ -27,15 +30,20 @@ _WALL, _FINGERS = 0.005, (0.010, 0.003)
 _ALONE = 0.02
 
 
+def origin(blueprint: SceneBlueprint) -> tuple[float, float]:
+    """Where the origin of a scene's bench lies in `world`, m."""
+    return (CLOTH_AHEAD, CLOTH_BESIDE) if blueprint.target_kind == FOLD else (AHEAD, BESIDE)
+
+
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
     """Where a blueprint asks for an object: pose (4, 4) in `world`, at the height of the bench's frame.
 
     The bench's frame has x to the right, y ahead and z up; it lies on the table, `AHEAD` of the arms' bases and
-    `BESIDE` the middle between them.
+    `BESIDE` the middle between them, or where cloth is to be folded in the middle.
     """
     T_item = pose((item.x_cm / 100, item.y_cm / 100, 0.0), rotation_z(math.radians(item.yaw_deg)))
     if item.parent is None:
-        return pose((AHEAD, BESIDE, 0.0), rotation_z(-math.pi / 2)) @ T_item
+        return pose((*origin(blueprint), 0.0), rotation_z(-math.pi / 2)) @ T_item
     parent = next(other for other in blueprint.objects if other.name == item.parent)
     return T_in_world(parent, blueprint) @ T_item
 
@@ -48,7 +56,7 @@ def free_places(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Ar
         simulator: of a scene with the same things.
     """
     wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
-    world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, (), list(wanted))
+    world = world_of(simulator.scene, simulator.replica.data, ())
     room = {name: world.block(name) for name in wanted}
     area = {name: float(np.prod((block[1] - block[0])[:2])) for name, block in room.items()}
     places = {name: wanted[name].copy() for name in sorted(wanted, key=lambda name: -area[name])}

@@ -1,4 +1,4 @@
-"""An expert for the benchmark's rigid tasks: it knows which realization it is in, and plans in a twin of it."""
+"""An expert for the benchmark's tasks and our own: it knows which realization it is in, and plans in its twin."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ from ..core.skills.errors import SkillFailedError
 from ..core.skills.program import Diary, run_program
 from ..core.tasks.randomness import Stream, generator
 from ..core.types import EpisodeJob
-from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, open_base, ticks_of
+from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_of
 from .motion import Motion, hands, told_share
+from .opening import open_base
+from .own import BENCHMARK, OwnRealization, realize_own
 from .programs import program_of
 from .scene import TICK_HZ, Realization, realize
 from .world import KitchenWorld
@@ -46,7 +48,7 @@ _LOG = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
-    """Does the benchmark's rigid tasks by skills, planned in a twin of the scene, from the realization's number.
+    """Does the benchmark's tasks, and our own, by skills, planned in a twin of the scene, by its number.
 
     That number is privileged: no other policy may use it. Where a skill fails, it is tried again from the state that it
     left; after three times, the arms stay where they are.
@@ -77,7 +79,7 @@ class YamsimExpert:
         assert self._scene is not None, "reset comes first"
         if self._twin is None:
             seed = int(observation.state[SEED][0])
-            self._twin = Twin(realize(build_blueprint(self._scene, seed), self._base), seed, self._ticks)
+            self._twin = Twin(self._realize(self._scene, seed), seed, self._ticks)
         off = float(np.abs(np.asarray(observation.state[JOINTS]) - self._twin.motion.state()).max())
         if off > _SAME:
             raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
@@ -88,6 +90,11 @@ class YamsimExpert:
         if self._twin is not None:
             self._twin.close()
             self._twin = None
+
+    def _realize(self, scene: Scene, seed: int) -> Realization | OwnRealization:
+        if scene.metadata.get("benchmark") == BENCHMARK:
+            return realize_own(open_base("64x48", images=False, task=str(scene.metadata["task"])), seed)
+        return realize(build_blueprint(scene, seed), self._base)
 
     def _bind(self, control_hz: float) -> None:
         self._ticks = ticks_of(control_hz)
@@ -111,17 +118,26 @@ class Twin:
         ticks: control ticks an action.
     """
 
-    def __init__(self, realized: Realization, seed: int, ticks: int) -> None:
-        self._realized, self._ticks = realized, ticks
-        simulator = realized.simulator
+    def __init__(self, realized: Realization | OwnRealization, seed: int, ticks: int) -> None:
+        self._ticks = ticks
+        self._simulator = simulator = realized.simulator
         self._scene = simulator.scene
         assert simulator.cast is not None  # realizations have one
         self.motion = Motion(realized, ticks)
-        self._world = KitchenWorld(realized, self.motion).scene
-        self._world.begin()
+        if isinstance(realized, OwnRealization):
+            self._scene_id, program = realized.scene_id, realized.program()
+            world = realized.world(self.motion)
+            # What a task asks of the way there is noted as it happens.
+            self.motion.on_tick = self._watch
+        else:
+            self._scene_id = realized.blueprint.scene_id
+            program = program_of(realized.blueprint, realized.items, realized.bases)
+            world = KitchenWorld(realized, self.motion).scene
+        self._world = world
+        world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
-        self.bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
-        self.do(program_of(realized.blueprint, realized.items, realized.bases), simulator.cast)
+        self.bench: Bench = simulator.expert_tools.bench(world, list(start_stands(simulator.config)), rng)
+        self.do(program, simulator.cast)
 
     def do(self, program: Sequence[Skill], cast: Cast) -> None:
         """Begin a program: the next actions are those of its motions."""
@@ -146,12 +162,16 @@ class Twin:
         try:
             return next(self._segments, None)
         except SkillFailedError as error:
-            _LOG.warning("%s: the expert gives up: %s", self._realized.blueprint.scene_id, error)
+            _LOG.warning("%s: the expert gives up: %s", self._scene_id, error)
             return None
 
     def close(self) -> None:
         """Free the scene."""
-        self._realized.simulator.close()
+        self._simulator.close()
+
+    def _watch(self) -> None:
+        self.motion.refresh()
+        self._world.watch()
 
 
 def is_still(segment: Segment) -> bool:

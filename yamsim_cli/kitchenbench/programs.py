@@ -14,6 +14,8 @@ from ..core.skills.base import Skill
 from ..core.skills.handover import Handover
 from ..core.skills.pick import Pick
 from ..core.skills.place import Place
+from .folding import FoldSmall, asked_area
+from .linen import in_thirds
 from .places import T_in_world
 from .sorting import Sort
 
@@ -52,7 +54,16 @@ def program_of(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bas
         case "sort":
             into = {name.removeprefix(_FOR): name for name in roles["compartment"]}
             return [Sort(things="sortable", into=into)]
+        case "fold":
+            return _folded(blueprint, items, roles["cloth"][0])
     raise LookupError(f"scene {blueprint.scene_id!r}: no expert for goals of kind {blueprint.target_kind!r}")
+
+
+def _folded(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], cloth: str) -> list[Skill]:
+    sheet = items[cloth].cloth
+    assert sheet is not None, "folds are of cloth"
+    item = next(one for one in blueprint.objects if one.name == cloth)
+    return [FoldSmall(thing=cloth, area=asked_area(blueprint, item, sheet), thirds=in_thirds(blueprint, item))]
 
 
 def _put(thing: str, placing: Skill) -> list[Skill]:

@@ -16,18 +16,20 @@ from ..core.config.program_task import PROGRAM, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
 from ..core.config.things import ObjectConfig
-from ..core.geometry.se3 import Array, pose, quat_from_rotation, rotation_z
+from ..core.geometry.se3 import Array, pose, rotation_z
 from ..core.goals.cast import Cast
 from ..core.planning.demonstration import start_stands
+from ..core.scene.compiled import CompiledScene
 from ..core.session import Session
 from ..core.sim.watched import settle
 from ..core.sim.world import Region
 from ..core.types import Layout
 from .catalog import COMPARTMENT, thing_of
-from .places import BESIDE, T_in_world, free_places
+from .linen import CRUMPLED, FOLD, crumpled_start, laid, sheet_of
+from .places import BESIDE, T_in_world, free_places, origin
 
-#: Kinds of goals whose things are rigid.
-RIGID_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort"})
+#: Kinds of goals that are realized.
+KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
 
 # The kind of goal for which a cup goes into nothing.
 _HANDED_OVER = "handoff"
@@ -36,6 +38,8 @@ _HANDED_OVER = "handoff"
 TICK_HZ = 30
 STEPS = 16
 TIMESTEP = 1.0 / (TICK_HZ * STEPS)
+# Physics steps a tick of scenes with cloth.
+_CLOTH_STEPS = 8
 
 # A table that a scene needs wider than it is ends so far beside its things, m.
 _EDGE = 0.10
@@ -48,7 +52,7 @@ _TRAY_FLOOR = 0.005
 _UP_TO_THE_POLICY = frozenset(
     {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
 )
-_REALIZED = frozenset({"slot_width_cm"})
+_REALIZED = frozenset({"slot_width_cm", CRUMPLED})
 
 
 @dataclass(frozen=True)
@@ -97,32 +101,48 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
         LookupError: the blueprint has something that is not realized.
         SimulationError: its scene cannot be compiled.
     """
-    if blueprint.target_kind not in RIGID_KINDS:
+    if blueprint.target_kind not in KINDS:
         raise LookupError(
             f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} are not realized; "
-            f"those are: {', '.join(sorted(RIGID_KINDS))}"
+            f"those are: {', '.join(sorted(KINDS))}"
         )
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     nests = blueprint.target_kind != _HANDED_OVER
-    objects = [thing_of(item, blueprint.conditions, base.locations, nests) for item in things]
+    objects = [
+        sheet_of(item, blueprint, base.locations)
+        if blueprint.target_kind == FOLD
+        else thing_of(item, blueprint.conditions, base.locations, nests)
+        for item in things
+    ]
     config = base.config
     task = _task(blueprint, config, {item.name: item for item in objects})
     scene = config.scene.model_copy(update={"table": table_of(config, blueprint)})
     cast = _cast(blueprint)
     simulator = Simulator(base.with_values(task=task, scene=scene), cast)
     wanted = {item.name: T_in_world(item, blueprint) for item in things}
-    start = settle(simulator.scene, _let_down(simulator, free_places(simulator, blueprint)), TIMESTEP)
-    qpos = simulator.scene.object_qpos
+    start = settle(simulator.scene, _let_down(simulator, free_places(simulator, blueprint)), task.timing.timestep)
+    start = crumpled_start(blueprint, simulator.scene, start, task.timing.timestep)
     offsets = {
-        name: round(1000 * float(np.linalg.norm(start[qpos[name] : qpos[name] + 2] - T[:2, 3])), 2)
+        name: round(1000 * float(np.linalg.norm(_place(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
     return Realization(blueprint, simulator, start, _regions(blueprint), offsets, _unrealized(blueprint, offsets))
 
 
+def _place(scene: CompiledScene, qpos: Array, name: str) -> Array:
+    """Where the middle of a thing is (2,) at MuJoCo's positions (nq,), m."""
+    if name in scene.cloths:
+        middle: Array = scene.cloths[name].points(qpos)[:, :2].mean(axis=0)
+        return middle
+    address = scene.object_qpos[name]
+    return qpos[address : address + 2]
+
+
 def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, Any]) -> ProgramTask:
     """The scene as a task of ours. Its goal and its expert are never asked: the benchmark's checker judges."""
     first = next(iter(objects))
+    cloth = blueprint.target_kind == FOLD
+    steps = _CLOTH_STEPS if cloth else STEPS
     place = {"x": (0.0, 0.0), "y": (0.0, 0.0)}
     return ProgramTask.model_validate(
         {
@@ -132,9 +152,9 @@ def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str,
             "things": {name: {"of": (item,)} for name, item in objects.items()},
             "starts": dict.fromkeys(objects, place),
             "phrasings": {"training": (blueprint.instruction,)},
-            "goal": {"all": [{"upright": {"thing": first}}]},
-            "expert": ({"pick": {"thing": first}},),
-            "timing": {"physics_steps_per_tick": STEPS, "timestep": TIMESTEP},
+            "goal": {"all": [{"folded" if cloth else "upright": {"thing": first}}]},
+            "expert": ({"fold" if cloth else "pick": {"thing": first}},),
+            "timing": {"physics_steps_per_tick": steps, "timestep": 1.0 / (TICK_HZ * steps)},
             "start_joints": config.start_joints,
         }
     )
@@ -145,6 +165,10 @@ def table_of(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
+    if blueprint.target_kind == FOLD:
+        for item in things:
+            table = laid(table, item, origin(blueprint))
+        return table
     reach = (
         max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things)
         / 100
@@ -178,11 +202,13 @@ def _let_down(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
     qpos = scene.start_qpos(Layout(away), start_stands(simulator.config))
     for name, T_wanted in wanted.items():
         T = T_wanted.copy()
+        if name in scene.cloths:
+            T[2, 3] = top + scene.cloths[name].radius + _GAP
+            scene.put(qpos, name, T)
+            continue
         T[2, 3] = top + _OVER
         T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _OVER) + _GAP
-        address = scene.object_qpos[name]
-        qpos[address : address + 3] = T[:3, 3]
-        qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
+        scene.put(qpos, name, T)
     return qpos
 
 

@@ -15,6 +15,7 @@ from ..core.skills.base import Skill, holder_of
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
 from ..core.skills.handover import Handover
+from ..core.skills.insert import Insert
 from ..core.skills.moves import let_go, recover
 from ..core.skills.pick import Pick
 from ..core.skills.put_aside import PutAside
@@ -26,8 +27,8 @@ _LOG = logging.getLogger("yamsim")
 
 # So much of a thing's volume is to be in its compartment, from 0 to 1: a little more than the benchmark asks.
 _INSIDE = 0.85
-# How often each thing is tried, and at which time it is slid away from what it lies beside first, or handed over.
-_TRIES, _SLID, _HANDED = 4, 2, 3
+# How often each thing is tried, and at which time it is put or slid aside first, or handed over.
+_TRIES, _ASIDE, _HANDED = 4, 2, 3
 # What lies outside the tray waits for so many tries of what lies in it. An arm that is so near to where it waits is out
 # of the other one's way, rad.
 _OUTSIDE, _PARKED = 1.5, 1e-6
@@ -51,15 +52,22 @@ class Sort(Skill):
         """See `Skill`."""
         tries: dict[str, int] = {}
         said: dict[str, str] = {}
-        while left := self.left(bench.world, cast):
-            # One that failed waits until others are out of its way: those in the tray, and then all others.
-            name = min(left, key=lambda one: tries.get(one, 0) + (0.0 if self._inside(bench.world, one) else _OUTSIDE))
+        # Pieces that have to leave one cell of the tray for another take more tries, and leave no time to lose.
+        hasty = any(self._in_tray(bench.world, name) for name in self.left(bench.world, cast, False))
+        bring = self._hastily if hasty else self._calmly
+
+        def waits(name: str) -> float:
+            """One that failed waits until others are out of its way: those in the tray, and then all others."""
+            return tries.get(name, 0) + (_OUTSIDE if hasty and not self._in_tray(bench.world, name) else 0.0)
+
+        while left := self.left(bench.world, cast, hasty):
+            name = min(left, key=waits)
             if tries.get(name, 0) == _TRIES:
                 _LOG.warning("the expert leaves the %s where it is: %s", name, said[name])
                 return
             parked = all(np.abs(hand.joints - hand.ready).max() < _PARKED for hand in bench.hands)
             try:
-                yield from self._bring(bench, cast, name, tries.get(name, 0) + 1)
+                yield from bring(bench, cast, name, tries.get(name, 0) + 1)
             except SkillFailedError as error:
                 said[name] = str(error)
                 yield from _put_back(bench, cast, name)
@@ -67,14 +75,16 @@ class Sort(Skill):
                 # An arm may have been in the other one's way, that now is out of it.
                 tries[name] = tries.get(name, 0) + parked
 
-    def _inside(self, world: SimWorld, name: str) -> bool:
+    def _in_tray(self, world: SimWorld, name: str) -> bool:
         return any(world.share_inside(name, compartment) > 0.5 for compartment in self.into.values())
 
-    def left(self, world: SimWorld, cast: Cast) -> list[str]:
-        """What is not yet where it belongs: what lies on others first, then what lies in the tray, from the left on."""
+    def left(self, world: SimWorld, cast: Cast, hasty: bool) -> list[str]:
+        """What is not yet where it belongs: the uppermost first; in haste, what lies in the tray before all else."""
         names = [
             name for name in cast.of(self.things) if world.share_inside(name, self.into[cast.kinds[name]]) < _INSIDE
         ]
+        if not hasty:
+            return sorted(names, key=lambda name: -float(world.bounds(name)[1][2]))
         seen = {name: outline(world.block(name), world.pose(name)) for name in names}
 
         def order(name: str) -> tuple[int, bool, float]:
@@ -83,26 +93,43 @@ class Sort(Skill):
                 for other in names
                 if other != name
             )
-            return above, not self._inside(world, name), -float(world.pose(name)[1, 3])
+            return above, not self._in_tray(world, name), -float(world.pose(name)[1, 3])
 
         return sorted(names, key=order)
 
-    def _put(self, cast: Cast, name: str) -> Lay:
-        return Lay(thing=name, into=self.into[cast.kinds[name]], beside=self.things)
-
-    def _bring(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
-        """By the arm that reaches both; at the second time slid free first; after that, by way of the other hand."""
-        pick, put = Grab(thing=name, lift=_LIFT), self._put(cast, name)
-        give = Handover(thing=name, height=_MEETING)
-        if number == _SLID:
-            yield from Slide(thing=name).run(bench, cast, (pick,))
-            yield from pick.run(bench, cast, (put,))
-        elif number >= _HANDED:
-            yield from pick.run(bench, cast, (give, put))
-            yield from give.run(bench, cast, (put,))
+    def _calmly(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
+        """By the arm that reaches both; at the second time to where there is room, to be taken from there another way;
+        after that by way of the other hand.
+        """
+        pick, put = Pick(thing=name, lift=_LIFT), Insert(thing=name, into=self.into[cast.kinds[name]])
+        if number == _ASIDE:
+            aside = PutAside(thing=name)
+            yield from pick.run(bench, cast, (aside,))
+            yield from aside.run(bench, cast, ())
+        if number >= _HANDED:
+            yield from _handed(bench, cast, name, pick, put)
         else:
             yield from pick.run(bench, cast, (put,))
         yield from put.run(bench, cast, ())
+
+    def _hastily(self, bench: Bench, cast: Cast, name: str, number: int) -> Iterator[Segment]:
+        """By the arm that reaches both; at the second time slid free first; after that by way of the other hand."""
+        pick = Grab(thing=name, lift=_LIFT)
+        put = Lay(thing=name, into=self.into[cast.kinds[name]], beside=self.things)
+        if number == _ASIDE:
+            with suppress(SkillFailedError):
+                yield from Slide(thing=name).run(bench, cast, (pick,))
+        if number >= _HANDED:
+            yield from _handed(bench, cast, name, pick, put)
+        else:
+            yield from pick.run(bench, cast, (put,))
+        yield from put.run(bench, cast, ())
+
+
+def _handed(bench: Bench, cast: Cast, name: str, pick: Pick, put: Skill) -> Iterator[Segment]:
+    give = Handover(thing=name, height=_MEETING)
+    yield from pick.run(bench, cast, (give, put))
+    yield from give.run(bench, cast, (put,))
 
 
 class Grab(Pick):

@@ -28,10 +28,16 @@ class KitchenWorld:
         simulator = realization.simulator
         compiled = simulator.scene
         self._model, self._data = compiled.model, motion.data
-        names = list(compiled.object_qpos)
+        names = list(compiled.things)
         self._masses = {item.name: 1000 * item.inertia.mass for item in simulator.config.task.objects}
         self.scene = SimWorld(
-            compiled.model, motion.data, compiled.arms, realization.sides, names, regions=realization.regions
+            compiled.model,
+            motion.data,
+            compiled.arms,
+            realization.sides,
+            names,
+            regions=realization.regions,
+            cloths=compiled.cloths,
         )
         self._names = {*names, *realization.regions}
         fingers = np.isin(compiled.geom_kind, (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)) & (

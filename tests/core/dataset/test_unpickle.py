@@ -207,3 +207,22 @@ def test_arrays_can_be_written_to_as_others_can() -> None:
     array = read_pickle(pickle.dumps(np.zeros(3), 5))
     array += 1
     assert array.tolist() == [1, 1, 1]
+
+
+@pytest.mark.parametrize("shape", [(), (2,), (1, 2)])
+@pytest.mark.parametrize("protocol", [4, 5])
+def test_text_in_arrays_of_objects_is_read(shape: tuple[int, ...], protocol: int) -> None:
+    """As raiden's converter writes its prompts."""
+    array = np.full(shape, "put it there", dtype=object)
+    read = read_pickle(pickle.dumps({"prompt": array}, protocol=protocol))["prompt"]
+    assert read.dtype.kind == "U"
+    assert read.shape == shape
+    assert (read == "put it there").all()
+
+
+@pytest.mark.parametrize("inside", [None, 3, {"a": 1}, b"text", np.zeros(2)])
+def test_other_objects_in_arrays_are_refused(inside: object) -> None:
+    array = np.empty((1,), dtype=object)
+    array[0] = inside
+    with pytest.raises(ForbiddenPickleError, match="an array of objects"):
+        read_pickle(pickle.dumps({"prompt": array}))

@@ -100,7 +100,7 @@ def test_one_photo(run: Runner, photo: Path, russet_shot: Shot) -> None:
 def test_the_report_has_what_is_promised(run: Runner, photo: Path) -> None:
     report = run("photo.png")
     plain = report.plain()
-    assert list(plain) == ["images", "files", "failures", "unreadable"]
+    assert list(plain) == ["images", "files", "failures", "unreadable", "still", "still_unknown", "moved"]
     assert plain["files"] == ["out/photo_overlay.png", "out/overlay.json"]
     (image,) = plain["images"]
     assert {"image", "camera", "joints", "ids_seen", "arms", "T_arm2_in_arm1", "margin_m", "rig_margin_m"} <= set(image)

@@ -32,9 +32,10 @@ DAMAGED = ".damaged"
 
 EPISODE_FORMAT = "yamsim-episode"
 DATASET_FORMAT = "yamsim-dataset"
-# Of tasks with an object and a target; and of tasks that are data, with any number of things.
+# Of tasks with an object and a target; of tasks that are data, with any number of things; and of imported recordings.
 FORMAT_VERSION = 1
 PROGRAM_FORMAT_VERSION = 2
+REAL_FORMAT_VERSION = 3
 
 # Names of files that a crash may leave beside the final ones, see `files.write_file`.
 _PART_NAME = re.compile(rf"^\.({re.escape(CONFIG)}|{re.escape(ATTEMPTS)}|{re.escape(MANIFEST)})\.[0-9a-f]{{32}}\.part$")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +17,19 @@ from .checks.context import find_episodes
 from .checks.lowdim import frame_faults
 from .layout import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name
 from .lowdim import load_frame
+from .real import RealRecord, is_real
 from .records import EpisodeRecord, from_json
+
+# Our own records are written with this; whoever writes one by other means has to keep to JSON's usual spacing.
+_SAYS_REAL = re.compile(rb'"source"\s*:\s*"real"')
 
 
 @dataclass(frozen=True)
-class StoredEpisode:
-    """An episode on the disk: its directory, and the content of its `episode.json`."""
+class RecordedEpisode:
+    """An episode on the disk, simulated or real: its directory, and the content of its `episode.json`."""
 
     directory: Path
-    record: EpisodeRecord
+    record: EpisodeRecord | RealRecord
 
     @property
     def dataset(self) -> Path:
@@ -64,26 +69,12 @@ class StoredEpisode:
         """The low-dimensional data of one frame, from its file's content.
 
         Raises:
-            DatasetError: it is damaged, or holds other data.
+            DatasetError: it is damaged.
         """
         try:
-            frame = load_frame(data)
+            return load_frame(data)
         except DatasetError as error:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
-        record = self.record
-        faults = frame_faults(
-            frame,
-            record.objects,
-            record.cameras,
-            record.arms,
-            record.drives,
-            record.joints,
-            joint_actions=record.joint_actions,
-            cloths=record.cloths,
-        )
-        if faults:
-            raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
-        return frame
 
     def frames(self) -> list[dict[str, Any]]:
         """The low-dimensional data of all frames, each one as it was recorded.
@@ -102,8 +93,48 @@ class StoredEpisode:
         return self.whole(image_name(camera, number))
 
 
+@dataclass(frozen=True)
+class StoredEpisode(RecordedEpisode):
+    """An episode that was simulated."""
+
+    record: EpisodeRecord
+
+    def frame(self, number: int, data: bytes) -> dict[str, Any]:
+        """The low-dimensional data of one frame, from its file's content.
+
+        Raises:
+            DatasetError: it is damaged, or holds other data.
+        """
+        frame, record = super().frame(number, data), self.record
+        faults = frame_faults(
+            frame,
+            record.objects,
+            record.cameras,
+            record.arms,
+            record.drives,
+            record.joints,
+            joint_actions=record.joint_actions,
+            cloths=record.cloths,
+        )
+        if faults:
+            raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
+        return frame
+
+
 def open_episode(directory: Path) -> StoredEpisode:
-    """The episode in a directory.
+    """The simulated episode in a directory.
+
+    Raises:
+        DatasetError: there is no episode, its record is damaged, or it is a real one.
+    """
+    episode = open_recorded(directory)
+    if not isinstance(episode, StoredEpisode):
+        raise DatasetError(f"{directory} is a real recording: it was not simulated, so that cannot be done with it")
+    return episode
+
+
+def open_recorded(directory: Path) -> RecordedEpisode:
+    """The episode in a directory, simulated or real.
 
     Raises:
         DatasetError: there is no episode, or its record is damaged.
@@ -116,7 +147,21 @@ def open_episode(directory: Path) -> StoredEpisode:
             f"{directory} is no episode: {EPISODE} cannot be read ({error.strerror or error}); "
             "give a directory such as dataset/ep_000003"
         ) from error
+    if _SAYS_REAL.search(text):
+        return RecordedEpisode(directory, from_json(RealRecord, text, file))
     return StoredEpisode(directory, from_json(EpisodeRecord, text, file))
+
+
+def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
+    """All episodes of a dataset in our format, simulated or real.
+
+    Raises:
+        DatasetError: there is no dataset, or a record of it is damaged.
+    """
+    found, recorded = find_episodes(dataset)
+    if not recorded and not is_real(dataset):
+        raise _plain(dataset)
+    return [open_recorded(episode.path) for episode in found]
 
 
 class StoredEpisodes(Sequence[StoredEpisode]):
@@ -166,14 +211,18 @@ def open_episodes(dataset: Path) -> StoredEpisodes:
     """
     found, recorded = find_episodes(dataset)
     if not recorded:
-        raise DatasetError(
-            f"{dataset} is a plain recording, without {CONFIG} and {EPISODE}: `yamsim summarize` can check it, but its "
-            "episodes cannot be opened; give the directory that `yamsim record` wrote"
-        )
+        raise _plain(dataset)
     return StoredEpisodes(dataset, [episode.path for episode in found])
 
 
-def find_episode(path: Path, number: int | None) -> StoredEpisode:
+def _plain(dataset: Path) -> DatasetError:
+    return DatasetError(
+        f"{dataset} is a plain recording, without {CONFIG} and {EPISODE}: `yamsim summarize` can check it, but its "
+        "episodes cannot be opened; give the directory that `yamsim record` wrote, or bring it in with `yamsim import`"
+    )
+
+
+def find_episode(path: Path, number: int | None) -> RecordedEpisode:
     """The episode at a path: its own directory, or its dataset's with a number.
 
     Raises:
@@ -182,13 +231,13 @@ def find_episode(path: Path, number: int | None) -> StoredEpisode:
     """
     there = episode_directories(path) if path.is_dir() else []
     if number is None and not there:
-        return open_episode(path)
+        return open_recorded(path)
     names = ", ".join(directory.name for _, directory in there[:3]) + (", ..." if len(there) > 3 else "")
     if number is None:
         raise UsageError(f"{path} is a dataset: give one of its episodes ({names}), or --episode")
     if number not in dict(there):
         raise UsageError(f"--episode {number}: there is no {episode_name(number)} in {path}; it has {names or 'none'}")
-    return open_episode(dict(there)[number])
+    return open_recorded(dict(there)[number])
 
 
 def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
@@ -205,6 +254,10 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
         raise DatasetError(
             f"{file} cannot be read ({reason}): without it nothing of the dataset can be simulated again"
         ) from error
+    if is_real(dataset):
+        raise DatasetError(
+            f"{dataset} holds real recordings: they were not simulated, so that cannot be done with them"
+        )
     try:
         return parse_config(RecordConfig, text, str(file), locations, as_recorded=True)
     except ConfigError as error:

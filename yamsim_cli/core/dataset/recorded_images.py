@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import DatasetError
 from ..images.image import Image
 from ..images.jpeg import decode_jpeg
-from .reader import StoredEpisode
+from .reader import RecordedEpisode
 
 
 class RecordedImages:
@@ -19,7 +19,7 @@ class RecordedImages:
         cameras: names of the cameras that have images.
     """
 
-    def __init__(self, episode: StoredEpisode) -> None:
+    def __init__(self, episode: RecordedEpisode) -> None:
         self._episode = episode
         self.cameras = tuple(episode.record.cameras)
 
@@ -36,7 +36,7 @@ class RecordedImages:
         return image
 
 
-def recorded_images(episode: StoredEpisode, cameras: Sequence[str]) -> Iterator[Image]:
+def recorded_images(episode: RecordedEpisode, cameras: Sequence[str]) -> Iterator[Image]:
     """Each frame's images, those of all cameras side by side; raises as `RecordedImages.read`."""
     images = RecordedImages(episode)
     for k in range(episode.record.frames):

@@ -36,6 +36,7 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
     return {
         "path": printable(survey.path),
         "recorded_by_yamsim": survey.context.recorded,
+        "real": survey.context.real,
         "episodes": len(episodes),
         "frames": sum(episode.frames for episode in episodes),
         "bytes": sum(episode.bytes for episode in episodes),

@@ -41,7 +41,7 @@ def survey(dataset: Path, context: Context, episodes: Sequence[EpisodeFacts], pr
         problems: faults that were found before the episodes were looked at.
     """
     attempts = read_ledger(dataset, problems) if context.recorded else []
-    found = check_whole(dataset, context.recorded, episodes, attempts, problems)
+    found = check_whole(dataset, context, episodes, attempts, problems)
     found += [problem for episode in episodes for problem in episode.problems]
     found.sort(key=lambda problem: problem.episode)
     return Survey(dataset, context, episodes, attempts, [*problems.list(), *found])

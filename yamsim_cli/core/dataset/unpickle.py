@@ -33,8 +33,9 @@ _MAX_VALUES: Final = 20_000
 _MAX_DEPTH: Final = 16
 _MAX_INT_BITS: Final = 1024
 
-# Booleans, numbers and text of a fixed width. Objects ("O") could be anything, and void types ("V") incomplete.
-_DTYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}")
+# Booleans, numbers and text of a fixed width; void types ("V") are incomplete. Objects ("O") could be anything: of
+# those, text alone is read.
+_DTYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}|O8")
 
 # The instructions that build numbers, text, lists, tuples, dictionaries and arrays, in every protocol. INST is among
 # them so that the message can name the class that it asks for.
@@ -86,10 +87,23 @@ class _Array:
 
     @property
     def nbytes(self) -> int:
-        return len(self._description[0])
+        raw, kind, *_ = self._description
+        return sum(map(len, self._texts())) if kind.dtype.hasobject else len(raw)
+
+    def _texts(self) -> list[str]:
+        """The content of an array of objects, which have to be text."""
+        raw = self._description[0]
+        if not isinstance(raw, list) or not all(isinstance(text, str) for text in raw):
+            raise ForbiddenPickleError("the pickle has an array of objects; only numbers and text are read")
+        return raw
 
     def make(self) -> Any:
         raw, kind, shape, order = self._description
+        if kind.dtype.hasobject:
+            texts = self._texts()
+            if math.prod(shape) != len(texts):
+                raise ValueError(f"an array of shape {_short(shape)} and {len(texts)} texts")
+            return np.array(texts, dtype=np.str_).reshape(shape)
         if math.prod(shape) * kind.dtype.itemsize != len(raw) or min(shape, default=0) < 0:
             raise ValueError(f"an array of shape {_short(shape)} and {kind.dtype} in {len(raw)} bytes")
         # Copied, so that it is writable and aligned as any other array is.

@@ -94,6 +94,7 @@ class PhotoResult:
         edge_residual: median distance (px) of all rendered outlines to the photo's edges.
         iou: overlap with the user's mask, 0..1.
         notes: sentences for a person.
+        time: when it was taken, s; None if not known.
     """
 
     path: Path
@@ -107,6 +108,7 @@ class PhotoResult:
     edge_residual: float | None = None
     iou: float | None = None
     notes: tuple[str, ...] = ()
+    time: float | None = None
 
     @property
     def bases(self) -> dict[int, Array]:
@@ -170,7 +172,7 @@ def find_arms(
     notes = _misfits(arms)
     arms = _of_one_size(rig, arms)
     ids = tuple(seen_ids(markers))
-    result = PhotoResult(photo.path, lens, photo.joints_source, tuple(arms), ids, notes=notes)
+    result = PhotoResult(photo.path, lens, photo.joints_source, tuple(arms), ids, notes=notes, time=photo.time)
     result = _with_margin(rig, result)
     if trust_margin and len(arms) > 1 and result.bases:
         result = _trusting(rig, result, grey, camera)

@@ -13,8 +13,10 @@ from ..errors import PartialJobError, ResourceError
 from ..files import write_file
 from ..geometry.se3 import Array, inverse
 from .arm_poses import ArmPose, PhotoResult
+from .moves import Move, Stillness
 
 REPORT_NAME = "overlay.json"
+_NOT_LOOKED = Stillness(unknown="no photo was looked at")
 
 
 @dataclass
@@ -27,6 +29,7 @@ class OverlayReport:
         files: the files that were written.
         failures: a message for each result that misses what was asked for.
         unreadable: a message for each photo that could not be read.
+        stillness: whether camera and bases stayed where they were.
     """
 
     rig: RigConfig
@@ -34,6 +37,7 @@ class OverlayReport:
     files: list[Path] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
+    stillness: Stillness = _NOT_LOOKED
 
     def plain(self) -> dict[str, Any]:
         """The report as plain data, for JSON: lengths in m, angles in rad, poses (4, 4) row by row."""
@@ -42,6 +46,7 @@ class OverlayReport:
             "files": [str(path) for path in self.files],
             "failures": list(self.failures),
             "unreadable": list(self.unreadable),
+            **_plain_stillness(self.stillness),
         }
 
     def write(self, out: Path) -> None:
@@ -97,10 +102,34 @@ def _nothing_found(results: Sequence[PhotoResult], rig: RigConfig) -> str:
     return f"{first.path}{more}: no board gives a pose: looked for ids {wanted or 'none'}, saw {seen}{why}"
 
 
+def _plain_stillness(stillness: Stillness) -> dict[str, Any]:
+    return {
+        "still": None if stillness.unknown else not stillness.moves,
+        "still_unknown": stillness.unknown,
+        "moved": [_plain_move(move) for move in stillness.moves],
+    }
+
+
+def _plain_move(move: Move) -> dict[str, Any]:
+    return {
+        "frame": move.photo,
+        "image": str(move.path),
+        "time_s": move.time,
+        "what": str(move.what),
+        "arm": move.arm,
+        "shift_m": move.shift,
+        "shift_sigma_m": move.shift_sigma,
+        "turn_rad": move.turn,
+        "turn_sigma_rad": move.turn_sigma,
+        "shift_in_base_m": move.shift_in_base.tolist(),
+    }
+
+
 def _plain_result(result: PhotoResult, rig: RigConfig) -> dict[str, Any]:
     camera, focal = result.lens.camera, result.lens.focal
     return {
         "image": str(result.path),
+        "time_s": result.time,
         "camera": {
             "source": result.lens.source,
             "K": [list(row) for row in camera.K],

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..config.rig import RigConfig
+from ..dataset.layout import episode_directories
 from ..dataset.lowdim import load_frame
 from ..errors import DatasetError, ResourceError, UsageError, suggest
 from ..geometry.camera import CameraModel
@@ -33,6 +34,7 @@ class Photo:
         stands: how every arm stands; None if not known, which counts as home.
         joints_source: where the joints come from: "home", "file" or "episode".
         T_base_in_cam: pose (4, 4) of the first arm's base in the camera's frame; None if it was not recorded.
+        time: when it was taken, s; None if not known.
     """
 
     path: Path
@@ -40,6 +42,7 @@ class Photo:
     stands: Stands | None = None
     joints_source: str = "home"
     T_base_in_cam: Array | None = None
+    time: float | None = None
 
 
 def find_photos(paths: Sequence[Path]) -> list[Path]:
@@ -87,6 +90,15 @@ def mask_of(masks: Path, photo: Path) -> Path:
     raise ResourceError(f"{masks} holds no mask for {photo.name}; valid: {photo.stem}{MASK_ENDING} or {photo.stem}.png")
 
 
+def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConfig) -> list[Photo]:
+    """The frames of episodes, and of all episodes of datasets, in order, see `episode_photos`."""
+    episodes: list[Path] = []
+    for path in recordings:
+        within = [episode for _, episode in episode_directories(path)] if path.is_dir() else []
+        episodes += within or [path]
+    return [photo for episode in episodes for photo in episode_photos(episode, camera, rig)]
+
+
 def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Photo]:
     """A recorded episode's frames of one camera, with its own intrinsics, pose and joints.
 
@@ -119,6 +131,7 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
                 # It was recorded in the left arm's base, and is needed in that of the rig's first arm.
                 T_left_in_world = rig.T_base_in_world(rig.recorded[0])
                 T_cam_in_base = inverse(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
+            time = float(frame["timestamp"]) if "timestamp" in frame else None
             stands = recorded_stands(np.asarray(frame["joints"], dtype=np.float64), rig, lowdim)
         except OSError as error:
             raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
@@ -127,7 +140,7 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
         except (TypeError, ValueError, DatasetError) as error:
             raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
         height, width = read_image(path).shape[:2]
-        photos.append(Photo(path, _pinhole(K, width, height), stands, "episode", inverse(T_cam_in_base)))
+        photos.append(Photo(path, _pinhole(K, width, height), stands, "episode", inverse(T_cam_in_base), time))
     if not photos:
         raise DatasetError(f"{episode}/rgb/{camera} holds no frame")
     return photos

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from ..resources import Locations
 from ..vision.fiducials.sighting import Status
 from .arm_poses import Lens, unknown_lens
 from .joint_files import Stands
+from .moves import Move, Moved, find_moves
 from .overlay_report import OverlayReport
 from .overlayer import Overlay, Overlayer, OverlayOptions, picture_paths, write_overlay
 from .photos import Photo, mask_of
@@ -40,6 +42,7 @@ class OverlayRequest:
         video: an MP4 of all pictures to write; an older one is moved aside.
         frame_period: time from one picture to the next in the video, s.
         max_reprojection, min_iou: limits that each photo has to keep, px and 0..1.
+        fail_if_moved: whether it counts as a failure that the camera or a base was moved from one photo to the next.
     """
 
     photos: Sequence[Photo]
@@ -53,6 +56,7 @@ class OverlayRequest:
     frame_period: float = 1 / 15
     max_reprojection: float | None = None
     min_iou: float | None = None
+    fail_if_moved: bool = False
 
 
 def run_overlays(
@@ -106,10 +110,29 @@ def run_overlays(
         if not report.results:
             raise ResourceError(report.unreadable[0])
         progress(len(photos), len(photos))
+    report.stillness = find_moves(report.results)
+    if request.fail_if_moved:
+        report.failures += [told(move) for move in report.stillness.moves]
     if request.video:
         report.files.append(request.video)
     report.write(request.out)
     return report
+
+
+def told(move: Move) -> str:
+    """A line on what was moved, by how much, and before which photo."""
+    by = (
+        f"{move.shift * 1000:.1f} mm (sigma {move.shift_sigma * 1000:.2f}) and "
+        f"{math.degrees(move.turn):.2f} degrees (sigma {math.degrees(move.turn_sigma):.3f})"
+    )
+    who = {
+        Moved.CAMERA: "the camera was moved",
+        Moved.BASE: f"the base of {move.arm} was moved",
+        Moved.EITHER: f"the camera or the base of {move.arm} was moved (one board alone does not tell which)",
+        Moved.SEVERAL: f"the base of {move.arm} was moved against the camera, and the others otherwise",
+    }[move.what]
+    when = f", {move.time:.2f} s" if move.time is not None else ""
+    return f"{move.path} (number {move.photo}{when}): before it {who} by {by}"
 
 
 def _with_joints(request: OverlayRequest) -> list[Photo]:

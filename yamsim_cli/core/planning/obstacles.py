@@ -111,6 +111,13 @@ class Obstacles:
         one, other = (self._model.geom(int(geom)).name for geom in geoms[near][0])
         return f"{one} and {other}"
 
+    def meets_itself(self, arm: int, joints: Array) -> bool:
+        """Whether links of an arm run into each other at given joints (dof,), rad."""
+        data = self._pose(self._data.qpos, arm, joints, 0.0, None)
+        mujoco.mj_collision(self._model, data)
+        of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
+        return bool((of_arm.all(axis=1) & (data.contact.dist < 0)).any())
+
     def posed(self, qpos: Array, arm: int, joints: Array, opening: float, load: Load | None = None) -> Array:
         """MuJoCo's positions (nq,) with an arm, and what it carries, elsewhere; see `touched`."""
         positions: Array = self._pose(qpos, arm, joints, opening, load).qpos.copy()

@@ -13,7 +13,7 @@ from ..attempt.simulator import Simulator
 from ..attempt.simulators import cast_for, simulator_for
 from ..dataset.compare import Comparison
 from ..dataset.lowdim import has_simulation
-from ..dataset.reader import StoredEpisode
+from ..dataset.reader import RecordedEpisode, StoredEpisode
 from ..dataset.recorded_images import RecordedImages, recorded_images
 from ..dataset.records import recorded_attempt
 from ..errors import DatasetError, UsageError, suggest
@@ -41,7 +41,7 @@ class Film:
 
 
 def film_recorded(
-    episode: StoredEpisode, cameras: Sequence[str], path: Path, frame_period: float, *, overwrite: bool
+    episode: RecordedEpisode, cameras: Sequence[str], path: Path, frame_period: float, *, overwrite: bool
 ) -> Film:
     """Make a video of the images that were recorded.
 
@@ -54,6 +54,8 @@ def film_recorded(
         DatasetError: an image is missing, altered or damaged; there is no video then.
         ResourceError: see `VideoWriter`.
     """
+    if not episode.record.cameras:
+        raise DatasetError(f"{episode.directory} has no pictures; without --video its arms are shown")
     chosen = _choose(cameras, tuple(episode.record.cameras))
     return _film(recorded_images(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
 

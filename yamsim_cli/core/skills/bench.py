@@ -12,19 +12,16 @@ import numpy as np
 from ..config.things import ObjectConfig
 from ..geometry.se3 import Array, inverse, pose, rotation_z
 from ..goals.world import TABLE
-from ..planning.joint_motion import LINE_SPEED, clear, ease, straight, through, traced
+from ..planning.joint_motion import LINE_SPEED, ease, straight, traced
 from ..planning.obstacles import Load, Obstacles
-from ..planning.tree_search import search
 from ..sim.antipodal import Span, spans
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
 from .errors import SkillFailedError
 from .grips import CLEARANCE, Grip, close_grips, found_grips, grips, sideways_grips
-from .hand import PASSING, Hand, Held
+from .hand import Hand, Held
+from .ways import free_way
 
-# Over the table, a hand that crosses it stays at least so high, m.
-_CROSSING = 0.22
-_RAISE = 0.05
 _GRAVITY = 9.81
 
 # Room around a thing that is put down, and where in front of the arms there may be some, m.
@@ -204,38 +201,21 @@ class Bench:
     def way(self, hand: Hand, goal: Array, opening: float | None = None, load: Load | None = None) -> Array:
         """A motion (n + 1, dof) of a hand to joints `goal` that touches nothing: the simplest that is free.
 
+        A hand that touches something where it begins may leave that first, straight up.
+
         Raises:
             SkillFailedError: none was found.
         """
-        start = hand.joints
         wide = max(hand.opening, opening if opening is not None else 0.0)
 
         def touched(joints: Array) -> str | None:
             return self.touched(hand, joints, wide, load)
 
-        for points in self._simple_ways(hand, start, goal):
-            path = through(points, hand.arm.motor_speed, self.tick)
-            if clear(path, touched):
-                return path
-        found = search(start, goal, hand.arm.joint_range, touched, self._rng)
-        if found is None:
-            blocked = touched(goal) or touched(start) or "everything between"
+        path = free_way(hand, goal, touched, self.tick, self._rng)
+        if path is None:
+            blocked = touched(goal) or touched(hand.joints) or "everything between"
             raise SkillFailedError(Cause.UNREACHABLE, f"no free way for the {hand.side} arm: {blocked} is in the way")
-        return through(found, hand.arm.motor_speed, self.tick)
-
-    def _simple_ways(self, hand: Hand, start: Array, goal: Array) -> list[list[Array]]:
-        """Straight there; or up, across and down; or by way of the posture in which the arm is ready."""
-        raised = []
-        for joints in (start, goal):
-            T = hand.pinch_at(joints)
-            T[2, 3] = max(T[2, 3] + _RAISE, _CROSSING)
-            raised.append(hand.reach(T, [joints], PASSING))
-        up, down = raised
-        ways = [[start, goal]]
-        if up is not None and down is not None:
-            ways.append([start, up, down, goal])
-        ways += [[start, via, goal] for via in (down, up, hand.ready) if via is not None]
-        return ways
+        return path
 
     def line(self, hand: Hand, T_pinch_in_world: Array, speed: float = LINE_SPEED) -> Array:
         """A motion (n + 1, dof) that takes a hand's pinch frame straight to a pose (4, 4).

@@ -9,12 +9,14 @@ from pathlib import Path
 
 from ...config.loader import load_config, validate_file
 from ...config.recording import RecordConfig
+from ...config.rig import RigConfig
 from ...config.task import Sampling
 from ...errors import ConfigError, DatasetError
 from ...geometry.se3 import Array, pose
 from ...resources import Locations
 from ...robots.robot import widest_joints
 from ..layout import CONFIG, EPISODE, episode_directories, episode_name
+from ..real import is_real, real_config
 from .motion import ArmLimits
 from .problem import Problems
 
@@ -40,6 +42,7 @@ class Context:
 
     Attributes:
         recorded: whether yamsim recorded it; a plain recording has only rgb/ and lowdim/.
+        real: whether yamsim imported it, so that its episodes have records, but no attempts and no outcomes.
         arms: what each arm can do, in the order of the data; of a plain recording the usual arm, however many it has.
         T_base_in_world: pose (4, 4) of the base that poses are in: the only arm's, or the left one's.
         object, target: names of the object that is carried, and of its target.
@@ -59,10 +62,11 @@ class Context:
     max_height: float = _MAX_HEIGHT
     wrist_cameras: Mapping[str, int] = field(default_factory=dict)
     judged_by_goal: bool = False
+    real: bool = False
 
 
 def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
-    """Every episode of a dataset, in order, and whether yamsim recorded it.
+    """Every episode of a dataset, in order, and whether yamsim recorded it; it did not record what it imported.
 
     Raises:
         DatasetError: there is no dataset, or it is a single episode, or it cannot be read.
@@ -74,6 +78,8 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
         if _is_episode(dataset):
             raise DatasetError(f"{dataset} is one episode; give the directory around it, {dataset.absolute().parent}")
         numbered = _numbered(dataset)
+        if is_real(dataset):
+            return numbered, False
         if (dataset / CONFIG).is_file() or any((episode.path / EPISODE).is_file() for episode in numbered):
             return numbered, True
         plain = [path for path in dataset.iterdir() if not path.name.startswith(".") and _is_episode(path)]
@@ -121,16 +127,17 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
             parsed = validate_file(RecordConfig, dataset / CONFIG, locations, as_recorded=True)
         except ConfigError as error:
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
+    if parsed is None and is_real(dataset):
+        rig = real_config(dataset, locations).rig
+        return Context(
+            recorded, _limits(rig), rig.T_base_in_world(rig.recorded[0]), wrist_cameras=_wrists(rig), real=True
+        )
     if parsed is None:
         usual = load_config(RecordConfig, "record", _USUAL, locations).rig.arms[0]
         return Context(recorded, (ArmLimits(widest_joints(usual.model), len(usual.robot.drives), None),), pose())
     rig = parsed.rig
-    robots = [rig.arms[k].robot for k in rig.recorded]
-    arms = tuple(
-        ArmLimits(robot.joints, len(robot.drives), robot.fingers.range if robot.fingers else None) for robot in robots
-    )
+    arms, wrists = _limits(rig), _wrists(rig)
     T_base_in_world = rig.T_base_in_world(rig.recorded[0])
-    wrists = {rig.arms[k].wrist_camera_name: number for number, k in enumerate(rig.recorded)}
     if parsed.program:
         return Context(recorded, arms, T_base_in_world, "", "", wrist_cameras=wrists, judged_by_goal=True)
     task = parsed.pair
@@ -145,3 +152,14 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         task.success.max_height,
         wrists,
     )
+
+
+def _limits(rig: RigConfig) -> tuple[ArmLimits, ...]:
+    robots = [rig.arms[k].robot for k in rig.recorded]
+    return tuple(
+        ArmLimits(robot.joints, len(robot.drives), robot.fingers.range if robot.fingers else None) for robot in robots
+    )
+
+
+def _wrists(rig: RigConfig) -> dict[str, int]:
+    return {rig.arms[k].wrist_camera_name: number for number, k in enumerate(rig.recorded)}

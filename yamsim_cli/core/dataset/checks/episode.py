@@ -10,6 +10,7 @@ from ...errors import DatasetError
 from ...files import sha256_bytes
 from ..layout import EPISODE, lowdim_name
 from ..lowdim import content_hash
+from ..real import RealRecord
 from ..records import EpisodeRecord, from_json
 from .context import Context, EpisodeDirectory
 from .facts import POSE, EpisodeFacts, Values, each_hand, hand_keys, layout, numbered, places, pose_keys, seen_outcome
@@ -42,13 +43,18 @@ class _EpisodeCheck:
         self._problems = Problems(episode.path.name)
         self._files = list_files(episode.path, context.recorded, self._problems)
         self._record: EpisodeRecord | None = None
+        self._imported: RealRecord | None = None
         self._record_sha256 = ""
         self._content = ""
 
     def run(self) -> EpisodeFacts:
         if self._context.recorded:
             self._read_record()
+        elif self._context.real:
+            self._read_imported()
         frames = check_presence(self._files, self._record, self._problems)
+        if self._imported is not None:
+            self._check_imported(self._imported, frames)
         lowdim = self._check_lowdim()
         cameras = self._check_images()
         self._check_truth()
@@ -101,11 +107,31 @@ class _EpisodeCheck:
         if not self._record.outcome.success:
             self._problems.add("episode.failed", EPISODE, self._record.outcome.cause)
 
+    def _read_imported(self) -> None:
+        text = self._read(EPISODE)
+        if text is None:
+            self._problems.add("record.missing", EPISODE)
+            return
+        self._record_sha256 = sha256_bytes(text)
+        try:
+            self._imported = from_json(RealRecord, text, EPISODE)
+        except DatasetError as error:
+            self._problems.add("record.damaged", EPISODE, str(error).removeprefix(f"{EPISODE}: "))
+
+    def _check_imported(self, record: RealRecord, frames: int) -> None:
+        """Check that all files of an imported recording are there."""
+        for name in record.files:
+            if name not in self._files.sizes:
+                self._problems.add("file.missing", name)
+        if frames != record.frames:
+            self._problems.add("frames.count", "lowdim", f"{frames} in lowdim", f"{record.frames}, as in {EPISODE}")
+
     def _hash_fits(self, name: str, data: bytes) -> bool:
         """Whether a file is as it was recorded; True if the record does not list it."""
-        wanted = self._record.files.get(name) if self._record else None
+        record = self._record or self._imported
+        wanted = record.files.get(name) if record else None
         if wanted is None:
-            if self._record:
+            if record:
                 self._problems.add("file.unhashed", name)
             return True
         found = sha256_bytes(data)
@@ -158,7 +184,8 @@ class _EpisodeCheck:
     def _check_others(self) -> None:
         """Check other files that the record lists, by their hashes alone."""
         for name in self._files.others:
-            if self._record and name in self._record.files and (data := self._read(name)) is not None:
+            record = self._record or self._imported
+            if record and name in record.files and (data := self._read(name)) is not None:
                 self._hash_fits(name, data)
 
     def _frame_name(self, number: int) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from ...shown_meshes import shown
 from ..layout import RECORDINGS, STAGING, episode_name
 from ..records import AttemptRecord
-from .context import looks_like_episode
+from .context import Context, looks_like_episode
 from .facts import EpisodeFacts
 from .ledger import check_manifest, compare_ledger
 from .problem import Problem, Problems
@@ -24,7 +24,7 @@ _PART = re.compile(r"\..+\.part")
 
 def check_whole(
     dataset: Path,
-    recorded: bool,
+    context: Context,
     episodes: Sequence[EpisodeFacts],
     attempts: Sequence[AttemptRecord],
     problems: Problems,
@@ -33,7 +33,7 @@ def check_whole(
     found: list[Problem] = []
     if not episodes:
         problems.add("dataset.empty")
-    if recorded:
+    if context.recorded:
         numbers = {episode.number: episode for episode in episodes if episode.number is not None}
         found += compare_ledger(dataset, attempts, episodes, problems)
         listed, differing = check_manifest(dataset, numbers, problems) if episodes or attempts else (set(), [])
@@ -41,7 +41,8 @@ def check_whole(
         found += differing + _missing(set(numbers), listed | logged)
         _leftovers(dataset, {episode.name for episode in episodes}, problems)
     else:
-        problems.add("dataset.plain")
+        if not context.real:
+            problems.add("dataset.plain")
         _gaps([episode.name for episode in episodes], problems)
     found += _twins(episodes)
     _mixed(episodes, problems)

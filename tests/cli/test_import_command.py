@@ -1,0 +1,60 @@
+"""`yamsim import` as a user runs it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run_cli import yamsim
+from tests.core.recordings.making import swinging, write_csv
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.resources import Locations
+
+
+@pytest.fixture
+def log(locations: Locations, tmp_path: Path) -> Path:
+    rig = load_config(RigConfig, "rigs", "single", locations)
+    return write_csv(tmp_path / "log.csv", swinging(rig, 0.5), rig)
+
+
+def test_a_log_comes_in_and_is_summarized(log: Path, tmp_path: Path) -> None:
+    run = yamsim("import", "log.csv", cwd=tmp_path)
+    assert (run.code, run.out.strip()) == (0, "real: 1 episode, 50 frames, source: real")
+    summary = yamsim("summarize", "real", "--strict", "--json", cwd=tmp_path)
+    assert summary.code == 0, summary.err
+    assert (summary.json["real"], summary.json["recorded_by_yamsim"], summary.json["frames"]) == (True, False, 50)
+    again = yamsim("import", "log.csv", cwd=tmp_path)
+    assert (again.code, "--resume" in again.message) == (2, True)
+    resumed = yamsim("import", "log.csv", "--resume", "--json", cwd=tmp_path)
+    assert (resumed.json["episodes"], resumed.json["kept"]) == (0, 1)
+
+
+def test_what_cannot_be_done_with_a_real_recording_says_so(log: Path, tmp_path: Path) -> None:
+    assert yamsim("import", "log.csv", cwd=tmp_path).code == 0
+    for asked in (["verify", "real"], ["export", "lerobot", "real", "out"]):
+        run = yamsim(*asked, cwd=tmp_path)
+        assert run.code == 4
+        assert "not simulated" in run.message
+    film = yamsim("replay", "real/ep_000000", "--video", "film.mp4", cwd=tmp_path)
+    assert (film.code, "has no pictures" in film.message) == (4, True)
+    anew = yamsim("replay", "real/ep_000000", "--video", "film.mp4", "--render", cwd=tmp_path)
+    assert (anew.code, "was not simulated" in anew.message) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["no.csv"], 4, "no.csv does not exist"),
+        (["log.csv", "--rig", "russet"], 4, "position_left_joint1"),
+        (["log.csv", "--swap-arms"], 2, "the rig has one arm"),
+        (["log.csv", "--resume", "--overwrite"], 2, "give one of them"),
+        (["log.csv", "--format", "lerobot"], 4, "meta/info.json cannot be read"),
+        (["."], 4, "is no recording that is known"),
+    ],
+)
+def test_what_cannot_be_is_one_line(log: Path, tmp_path: Path, arguments: list[str], code: int, message: str) -> None:
+    run = yamsim("import", *arguments, cwd=tmp_path)
+    assert (run.code, message in run.message) == (code, True), run.err
+    assert not (tmp_path / "real").exists()

@@ -1,0 +1,118 @@
+"""A recording that is not what it seems is noticed, and a good one is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.core.recordings.making import swinging
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.motion import ArmMotion, Motion
+from yamsim_cli.core.recordings.faults import Fault, Problem, find_faults
+from yamsim_cli.core.resources import Locations
+
+
+@pytest.fixture(scope="module", params=["single", "russet", "yam_station_linear_4310_d405"])
+def rig(request: pytest.FixtureRequest, locations: Locations) -> RigConfig:
+    return load_config(RigConfig, "rigs", request.param, locations)
+
+
+@pytest.fixture(scope="module")
+def pair(locations: Locations) -> RigConfig:
+    return load_config(RigConfig, "rigs", "russet", locations)
+
+
+def only(motion: Motion, rig: RigConfig) -> Problem:
+    (problem,) = find_faults(motion, rig)
+    return problem
+
+
+def with_first(motion: Motion, **changes: object) -> Motion:
+    """A motion whose first arm is another."""
+    return replace(motion, arms=(replace(motion.arms[0], **changes), *motion.arms[1:]))  # type: ignore[arg-type]
+
+
+def test_a_good_motion_has_none(rig: RigConfig) -> None:
+    assert find_faults(swinging(rig), rig) == []
+
+
+def test_a_gap_is_told_with_its_time_and_length(rig: RigConfig) -> None:
+    motion = swinging(rig)
+    kept = np.r_[0:100, 180:400]
+    cut = Motion(
+        "cut",
+        motion.times[kept],
+        tuple(
+            ArmMotion(arm.side, arm.joints[kept], None if arm.commands is None else arm.commands[kept])
+            for arm in motion.arms
+        ),
+    )
+    problem = next(one for one in find_faults(cut, rig) if one.fault is Fault.GAP)
+    assert problem.time == pytest.approx(0.99)
+    assert "0.81 s" in problem.text
+
+
+def test_degrees_are_told(rig: RigConfig) -> None:
+    motion = swinging(rig)
+    problem = only(with_first(motion, joints=np.rad2deg(motion.arms[0].joints)), rig)
+    assert problem.fault is Fault.DEGREES
+    assert "degrees" in problem.text
+
+
+def test_a_joint_beyond_its_stops_is_named(rig: RigConfig) -> None:
+    motion = swinging(rig)
+    joints = motion.arms[0].joints.copy()
+    joints[:, 1] -= 2.0
+    problem = only(with_first(motion, joints=joints), rig)
+    assert (problem.fault, problem.joint) == (Fault.BEYOND_STOPS, "joint2")
+
+
+def test_a_jump_is_told_with_its_time(rig: RigConfig) -> None:
+    motion = swinging(rig)
+    joints = motion.arms[0].joints.copy()
+    joints[200:, 3] += 0.4
+    problem = only(with_first(motion, joints=joints), rig)
+    assert (problem.fault, problem.joint) == (Fault.TOO_FAST, "joint4")
+    assert problem.time == pytest.approx(1.99)
+
+
+def test_a_joint_that_froze_is_told(rig: RigConfig) -> None:
+    motion = swinging(rig)
+    joints = motion.arms[0].joints.copy()
+    joints[150:, 4] = joints[150, 4]
+    problem = only(with_first(motion, joints=joints), rig)
+    assert (problem.fault, problem.joint, problem.time) == (Fault.FROZEN, "joint5", pytest.approx(1.5))
+
+
+def test_a_gripper_in_shares_is_told(rig: RigConfig) -> None:
+    motion = swinging(rig)
+    problem = only(with_first(motion, openings=motion.arms[0].openings / 0.03), rig)  # type: ignore[operator]
+    assert (problem.fault, problem.joint) == (Fault.GRIPPER_SHARE, "gripper")
+
+
+def test_a_gripper_upside_down_is_told(rig: RigConfig) -> None:
+    motion = swinging(rig)
+    openings = motion.arms[0].openings
+    assert openings is not None
+    problem = only(with_first(motion, openings=openings.max() - openings), rig)
+    assert problem.fault is Fault.GRIPPER_UPSIDE_DOWN
+
+
+def test_swapped_arms_are_told(pair: RigConfig) -> None:
+    motion = swinging(pair)
+    left, right = motion.arms
+    swapped = replace(motion, arms=(replace(left, joints=right.joints), replace(right, joints=left.joints)))
+    assert only(swapped, pair).fault is Fault.SWAPPED_ARMS
+
+
+def test_what_was_not_measured_at_a_sample_is_no_fault(rig: RigConfig) -> None:
+    motion = swinging(rig)
+    arms = []
+    for arm in motion.arms:
+        joints = arm.joints.copy()
+        joints[1::2] = np.nan
+        arms.append(replace(arm, joints=joints, openings=None))
+    assert find_faults(replace(motion, arms=tuple(arms)), rig) == []

@@ -1,0 +1,188 @@
+"""Recordings of other programs come in as the motions that they hold."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.core.recordings.foreign import PROMPT, grey_of, write_lerobot_v2, write_raiden_raw
+from tests.core.recordings.making import swinging
+from tests.core.unrendered import write_dataset
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.reader import open_episode
+from yamsim_cli.core.errors import ConfigError, DatasetError
+from yamsim_cli.core.export.lerobot import export_lerobot
+from yamsim_cli.core.export.raiden import export_raiden
+from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.source import open_source
+from yamsim_cli.core.images.jpeg import decode_jpeg
+from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recordings.formats import format_of, reader_of
+from yamsim_cli.core.recordings.reading import read_motions
+from yamsim_cli.core.recordings.recording import Recording
+from yamsim_cli.core.resources import Locations
+
+STATION = "yam_station_linear_4310_d405"
+
+
+@pytest.fixture(scope="module")
+def station(locations: Locations) -> RigConfig:
+    return load_config(RigConfig, "rigs", STATION, locations)
+
+
+@pytest.fixture(scope="module")
+def recorded(
+    tmp_path_factory: pytest.TempPathFactory, make_config: Callable[..., RecordConfig], locations: Locations
+) -> Path:
+    path = tmp_path_factory.mktemp("recorded") / "dataset"
+    write_dataset(path, make_config(), locations, 2)
+    return path
+
+
+def only(path: Path, rig: RigConfig, locations: Locations, mapping: str | None = None) -> Recording:
+    (recording,) = reader_of(format_of(path))(path, rig, mapping, locations)
+    return recording
+
+
+def same(found: Motion, truth: Motion, atol: float = 1e-6) -> None:
+    np.testing.assert_allclose(found.times, truth.times, atol=1e-6)
+    for arm, other in zip(found.arms, truth.arms, strict=True):
+        assert arm.side == other.side
+        for key in ("joints", "commands", "openings", "commanded_openings"):
+            np.testing.assert_allclose(getattr(arm, key), getattr(other, key), atol=atol)
+
+
+@pytest.mark.parametrize("rig_name", ["single", STATION])
+def test_raidens_raw_recordings(rig_name: str, locations: Locations, tmp_path: Path) -> None:
+    rig = load_config(RigConfig, "rigs", rig_name, locations)
+    motion = swinging(rig, 1.0)
+    folder = write_raiden_raw(tmp_path / "raw", motion, rig)
+    assert format_of(folder) == format_of(folder / "robot_data.npz") == "raiden_raw"
+    recording = only(folder, rig, locations)
+    assert (recording.gripper, recording.prompt) == ("share", PROMPT)
+    same(recording.in_metres(rig), motion)
+
+
+def test_a_raw_recording_that_was_cut_off_or_lacks_an_arm(
+    station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    single = load_config(RigConfig, "rigs", "single", locations)
+    lone = write_raiden_raw(tmp_path / "lone", swinging(single, 0.5), single)
+    with pytest.raises(DatasetError, match="has no follower_r_joint_pos_7d"):
+        only(lone, station, locations)
+    both = write_raiden_raw(tmp_path / "both", swinging(station, 0.5), station)
+    with pytest.raises(DatasetError, match="holds 2 followers"):
+        only(both, single, locations)
+    data = (lone / "robot_data.npz").read_bytes()
+    (lone / "robot_data.npz").write_bytes(data[: len(data) // 2])
+    with pytest.raises(DatasetError, match="was it copied whole"):
+        only(lone, single, locations)
+
+
+def test_pickles_in_a_raw_recording_are_refused(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_raiden_raw(tmp_path / "raw", swinging(station, 0.5), station)
+    np.savez(folder / "robot_data.npz", timestamps=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(DatasetError, match="cannot be read"):
+        only(folder, station, locations)
+
+
+def test_lerobot_version_2_with_its_film(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    motion = swinging(station, 0.5)
+    names = [
+        f"{side}_{what}" for side in ("left", "right") for what in (*[f"joint_{k}" for k in range(1, 7)], "gripper")
+    ]
+    folder = write_lerobot_v2(tmp_path / "two", motion, station, names)
+    recording = only(folder, station, locations)
+    same(recording.in_metres(station), motion)
+    assert recording.prompt == PROMPT
+    pictures = [decode_jpeg(data) for data in recording.pictures["top"].read()]
+    assert len(pictures) == len(motion.times)
+    for k, picture in enumerate(pictures):
+        assert picture is not None
+        assert abs(float(picture.mean()) - grey_of(k)) < 3
+
+
+def test_names_that_nobody_knows_need_a_mapping(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    motion = swinging(station, 0.3)
+    folder = write_lerobot_v2(tmp_path / "two", motion, station, [f"motor{k}" for k in range(14)])
+    with pytest.raises(DatasetError, match="--mapping"):
+        only(folder, station, locations)
+    arms = {
+        side: {"joints": [f"motor{7 * k + j}" for j in range(6)], "gripper": f"motor{7 * k + 6}"}
+        for k, side in enumerate(("left", "right"))
+    }
+    mapping = tmp_path / "mine.yaml"
+    mapping.write_text(json.dumps({"name": "mine", "arms": arms}))
+    same(only(folder, station, locations, str(mapping)).in_metres(station), motion)
+    arms["left"]["joints"][2] = "elbow"
+    mapping.write_text(json.dumps({"name": "mine", "arms": arms}))
+    with pytest.raises(ConfigError, match="has no 'elbow'"):
+        only(folder, station, locations, str(mapping))
+
+
+def test_our_own_export_to_lerobot_comes_back(
+    recorded: Path, config: RecordConfig, locations: Locations, tmp_path: Path
+) -> None:
+    export_lerobot(open_source(recorded, None, locations), tmp_path / "lerobot", lambda done, total: None)
+    back = reader_of("lerobot")(tmp_path / "lerobot", config.rig, None, locations)
+    assert len(back) == 2
+    for number, recording in enumerate(back):
+        frames = open_episode(recorded / f"ep_{number:06d}").frames()
+        (arm,) = recording.in_metres(config.rig).arms
+        np.testing.assert_allclose(arm.joints, [frame["joints"][:6] for frame in frames], atol=1e-6)
+        np.testing.assert_allclose(arm.openings, [frame["joints"][6] for frame in frames], atol=1e-6)  # type: ignore[arg-type]
+        np.testing.assert_allclose(arm.commands, [frame["ctrl"][:6] for frame in frames], atol=1e-6)  # type: ignore[arg-type]
+        assert len(list(recording.pictures["scene_camera"].read())) == len(frames)
+
+
+def test_the_layout_of_raidens_converter(
+    recorded: Path, config: RecordConfig, locations: Locations, tmp_path: Path
+) -> None:
+    options = RaidenOptions(fps=None, images="png")
+    export_raiden(
+        open_source(recorded, "0", locations), tmp_path / "raiden", locations, lambda done, total: None, options
+    )
+    (folder,) = (path.parent for path in (tmp_path / "raiden").glob("**/lowdim"))
+    assert format_of(folder) == "lowdim"
+    recording = only(folder, config.rig, locations)
+    frames = open_episode(recorded / "ep_000000").frames()
+    assert recording.gripper == "share"
+    motion = recording.in_metres(config.rig)
+    (arm,) = motion.arms
+    np.testing.assert_allclose(
+        motion.times, [frame["timestamp"] - frames[0]["timestamp"] for frame in frames], atol=1e-6
+    )
+    np.testing.assert_allclose(arm.joints, [frame["joints"][:6] for frame in frames], atol=1e-6)
+    np.testing.assert_allclose(arm.openings, [frame["joints"][6] for frame in frames], atol=1e-4)  # type: ignore[arg-type]
+    assert set(recording.intrinsics) == set(recording.extrinsics) == set(recording.pictures)
+    images = next(iter(recording.pictures.values())).read()
+    assert all(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None for data in images)
+
+
+def test_the_labs_own_layout(recorded: Path, config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    """As a recording of ours is without its records."""
+    for folder in ("rgb", "lowdim"):
+        (tmp_path / "lab" / "ep1").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "lab" / "ep1" / folder).symlink_to(recorded / "ep_000001" / folder)
+    recording = only(tmp_path / "lab", config.rig, locations)
+    frames = open_episode(recorded / "ep_000001").frames()
+    assert recording.gripper == "metres"
+    (arm,) = recording.motion.arms
+    np.testing.assert_allclose(arm.joints, [frame["joints"][:6] for frame in frames], atol=1e-6)
+    first = next(recording.pictures["scene_camera"].read())
+    assert first == (recorded / "ep_000001" / "rgb/scene_camera/000000.jpg").read_bytes()
+
+
+def test_all_formats_give_motions_to_whoever_compares(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    motion = swinging(station, 0.5)
+    raw = write_raiden_raw(tmp_path / "raw", motion, station)
+    (found,) = read_motions([raw], station, locations)
+    same(found, replace(motion, name=found.name))

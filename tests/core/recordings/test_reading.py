@@ -1,0 +1,165 @@
+"""Motions come back from files as they were written, and files that hold none are told with their line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.core.recordings.making import swinging
+from tests.core.unrendered import write_dataset
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.reader import open_episode
+from yamsim_cli.core.errors import DatasetError, UsageError
+from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.recordings.columns import header
+from yamsim_cli.core.recordings.csv_file import csv_bytes, read_csv
+from yamsim_cli.core.recordings.faults import find_faults
+from yamsim_cli.core.recordings.reading import read_motions
+from yamsim_cli.core.resources import Locations
+
+
+@pytest.fixture(scope="module", params=["single", "russet"])
+def rig(request: pytest.FixtureRequest, locations: Locations) -> RigConfig:
+    return load_config(RigConfig, "rigs", request.param, locations)
+
+
+@pytest.fixture(scope="module")
+def single(locations: Locations) -> RigConfig:
+    return load_config(RigConfig, "rigs", "single", locations)
+
+
+def table(motion: Motion) -> np.ndarray:
+    """A motion's columns in the order of the header."""
+    told = [np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms]  # type: ignore[list-item]
+    measured = [np.column_stack([arm.joints, arm.openings]) for arm in motion.arms]  # type: ignore[list-item]
+    return np.hstack([*told, *measured])
+
+
+def test_the_header_is_what_users_were_told(single: RigConfig) -> None:
+    kinds = [[f"{kind}_joint{k}" for k in range(1, 7)] + [f"{kind}_gripper"] for kind in ("command", "position")]
+    assert header(single) == ["t", *kinds[0], *kinds[1]]
+
+
+def test_a_csv_comes_back_to_the_last_bit(rig: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    motion = swinging(rig, 0.5)
+    path = tmp_path / "log.csv"
+    path.write_bytes(csv_bytes(rig, motion.times + 12.5, table(motion)))
+    (read,) = read_motions([path], rig, locations)
+    np.testing.assert_allclose(read.times, motion.times, atol=1e-12)
+    for arm, other in zip(read.arms, motion.arms, strict=True):
+        assert arm.side == other.side
+        np.testing.assert_array_equal(arm.joints, other.joints)
+        np.testing.assert_array_equal(arm.commands, other.commands)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(arm.openings, other.openings)  # type: ignore[arg-type]
+
+
+def test_an_arm_may_come_first_in_a_columns_name(locations: Locations, tmp_path: Path) -> None:
+    rig = load_config(RigConfig, "rigs", "russet", locations)
+    motion = swinging(rig, 0.5)
+    text = csv_bytes(rig, motion.times, table(motion)).decode()
+    for kind in ("command", "position"):
+        for side in ("left", "right"):
+            text = text.replace(f"{kind}_{side}", f"{side}_{kind}")
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    np.testing.assert_array_equal(read_csv(path, rig).arms[1].joints, motion.arms[1].joints)
+
+
+def test_columns_that_were_not_recorded_are_none(single: RigConfig, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    names = [name for name in header(single) if name.startswith("position_joint")]
+    path.write_text(",".join(["t", "note", *names]) + "\n" + "0,7,0,0,0,0,0,0\n0.1,8,0,0,0,0,0,0.5\n")
+    (arm,) = read_csv(path, single).arms
+    assert (arm.commands, arm.openings, arm.commanded_openings, arm.velocities) == (None, None, None, None)
+    assert arm.joints[1, 5] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda lines: [lines[0].replace("t,", "time,"), *lines[1:]], "line 1: has no column 't'"),
+        (lambda lines: [lines[0].replace("position_joint3", "joint3"), *lines[1:]], "no column 'position_joint3'"),
+        (lambda lines: [lines[0].replace("joint2", "joint1"), *lines[1:]], "'command_joint1' is there twice"),
+        (lambda lines: [*lines[:-1], lines[-1][:40]], "cut off"),
+        (
+            lambda lines: [*lines[:3], lines[3].replace(",", ",nan,", 1).rsplit(",", 1)[0], *lines[4:]],
+            "line 4: command_joint1",
+        ),
+        (lambda lines: [*lines[:3], lines[2], *lines[3:]], "line 4: t is 0.01, and 0.01 in the line before"),
+        (lambda lines: lines[:2], "has 1 samples"),
+        (lambda lines: [], "has no column 't'"),
+    ],
+)
+def test_what_is_no_motion_is_told_with_its_line(single: RigConfig, tmp_path: Path, change, message: str) -> None:  # type: ignore[no-untyped-def]
+    motion = swinging(single, 0.2)
+    lines = csv_bytes(single, motion.times, table(motion)).decode().splitlines()
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(change(lines)))
+    with pytest.raises(DatasetError, match=r"log\.csv") as caught:
+        read_csv(path, single)
+    assert message in str(caught.value)
+
+
+def test_what_is_not_there_or_no_recording_is_told(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    (tmp_path / "log.txt").write_text("")
+    for path, message in ((tmp_path / "log.txt", "is no recording"), (tmp_path / "no.csv", "does not exist")):
+        with pytest.raises(DatasetError, match=message):
+            read_motions([path], single, locations)
+    with pytest.raises(UsageError, match="no recording"):
+        read_motions([], single, locations)
+
+
+def test_another_rigs_csv_is_refused_with_the_columns(locations: Locations, single: RigConfig, tmp_path: Path) -> None:
+    motion = replace(swinging(single, 0.1), name="log")
+    path = tmp_path / "log.csv"
+    path.write_bytes(csv_bytes(single, motion.times, table(motion)))
+    with pytest.raises(DatasetError, match="position_left_joint1"):
+        read_csv(path, load_config(RigConfig, "rigs", "russet", locations))
+
+
+@pytest.fixture(scope="module", params=["single", "russet"])
+def recorded(
+    request: pytest.FixtureRequest,
+    locations: Locations,
+    make_config: Callable[..., RecordConfig],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[RecordConfig, Path]:
+    """An episode of one arm, and a hand-over's of two."""
+    task = {"single": "pickplace", "russet": "handover"}[request.param]
+    config = make_config({("rig",): request.param, ("task",): task})
+    path = tmp_path_factory.mktemp("recorded") / "dataset"
+    write_dataset(path, config, locations, 1)
+    return config, path
+
+
+def test_an_episodes_motion_has_a_command_a_tick_and_joints_at_frames(
+    recorded: tuple[RecordConfig, Path], locations: Locations
+) -> None:
+    config, path = recorded
+    (motion,) = read_motions([path], config.rig, locations)
+    (again,) = read_motions([path / "ep_000000"], config.rig, locations)
+    frames = open_episode(path / "ep_000000").frames()
+    np.testing.assert_allclose(np.diff(motion.times), 0.032, atol=1e-9)
+    assert len(motion.times) == 2 * len(frames)
+    for k, (arm, same) in enumerate(zip(motion.arms, again.arms, strict=True)):
+        assert arm.commands is not None
+        drives = slice(7 * k, 7 * k + 6)
+        for number, frame in enumerate(frames):
+            np.testing.assert_allclose(arm.joints[2 * number], frame["joints"][drives], atol=1e-6)
+            np.testing.assert_allclose(arm.commands[2 * number], frame["ctrl"][drives], atol=1e-6)
+        assert np.isnan(arm.joints[1::2]).all()
+        np.testing.assert_array_equal(arm.joints, same.joints)
+    assert find_faults(motion, config.rig) == []
+
+
+def test_an_episode_of_another_rig_is_refused(recorded: tuple[RecordConfig, Path], locations: Locations) -> None:
+    config, path = recorded
+    other = "russet" if config.rig.name == "single" else "single"
+    with pytest.raises(DatasetError, match=f"give --rig {config.rig.name}"):
+        read_motions([path], load_config(RigConfig, "rigs", other, locations), locations)

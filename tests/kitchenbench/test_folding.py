@@ -1,0 +1,137 @@
+"""The benchmark's cloth: what it is here, how it starts, and how an expert folds it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
+pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
+
+from inspect_robots import eval as evaluate
+from inspect_robots.rollout import derive_seed
+from kitchenbench import tasks
+from kitchenbench.sim import build_blueprint, make_success_checker
+
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.kitchenbench.embodiment import YamsimEmbodiment
+from yamsim_cli.kitchenbench.folding import asked_area, block_area, ways_to_fold
+from yamsim_cli.kitchenbench.motion import Motion
+from yamsim_cli.kitchenbench.opening import open_base
+from yamsim_cli.kitchenbench.policy import YamsimExpert
+from yamsim_cli.kitchenbench.scene import Realization, realize
+from yamsim_cli.kitchenbench.world import KitchenWorld
+
+SCENES = {scene.id: scene for scene in tasks.TASK_FACTORIES["fold_cloth"]().scenes}
+
+
+def realized(name: str, epoch: int = 0) -> Realization:
+    scene = SCENES[name]
+    return realize(build_blueprint(scene, derive_seed(0, scene.init_seed, epoch)), open_base("64x48", images=False))
+
+
+def sheet(turned_deg: float = 0.0) -> Array:
+    """40 x 60 cm, points every 5 cm."""
+    x, y = np.meshgrid(np.linspace(-0.2, 0.2, 9), np.linspace(-0.3, 0.3, 13))
+    c, s = math.cos(math.radians(turned_deg)), math.sin(math.radians(turned_deg))
+    return np.stack([c * x - s * y, s * x + c * y, np.zeros_like(x)], axis=-1)
+
+
+def folded(points: Array) -> Array:
+    """In half, the first rows over the last ones."""
+    half = points.copy()
+    middle = points[6]
+    half[:6] = 2 * middle - points[:6] + (0.0, 0.0, 0.005)
+    return half
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 30.0, 77.0])
+def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> None:
+    points = sheet(turned_deg)
+    whole = [way for way in ways_to_fold(points) if len(way.corners) == 2 and way.share > 0.49]
+    assert len(whole) == 4 and all(way.layers == way.beneath == 0 for way in whole)
+    corners = {point for way in whole for point, _ in way.corners}
+    assert corners == {(0, 0), (0, 8), (12, 0), (12, 8)}
+    for way in whole:
+        for point, to in way.corners:
+            # A corner comes onto another one.
+            off = np.linalg.norm(points[[0, 0, 12, 12], [0, 8, 0, 8]] - to, axis=1)
+            assert off.min() < 1e-9 and np.linalg.norm(points[point] - to) > 0.3
+    if not turned_deg:
+        assert sorted(way.area for way in whole) == pytest.approx([0.12] * 4)
+        assert block_area(points) == pytest.approx(0.24)
+
+
+def test_of_several_layers_all_are_counted() -> None:
+    ways = ways_to_fold(folded(sheet()))
+    halves = {frozenset(point for point, _ in way.corners): way for way in ways if way.share > 0.49}
+    crease, opening = halves[frozenset({(6, 0), (6, 8)})], halves[frozenset({(0, 0), (0, 8)})]
+    assert (crease.layers, crease.beneath) == (1, 0)
+    assert (opening.layers, opening.beneath) == (1, 2)
+    assert crease.area == pytest.approx(0.4 * 0.15)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "fold-cloth-dish-towel",
+        "fold-cloth-napkin-half",
+        pytest.param("fold-cloth-crumpled-start", marks=pytest.mark.slow),
+    ],
+)
+def test_what_the_expert_aims_at_is_what_the_checker_asks(name: str) -> None:
+    scene = realized(name)
+    try:
+        item = scene.blueprint.objects[0]
+        cloth = scene.items[item.name].cloth
+        assert cloth is not None
+        world = KitchenWorld(scene, Motion(scene, 10))
+        checker = make_success_checker(scene.blueprint, world)
+        area = asked_area(scene.blueprint, item, cloth)
+        said = checker(_Square(world, math.sqrt(area) + 2 * cloth.radius))
+        assert said.success, said.explanation
+        assert not checker(_Square(world, 1.03 * math.sqrt(area) + 2 * cloth.radius)).success
+    finally:
+        scene.simulator.close()
+
+
+class _Square:
+    """A world in which every cloth lies flat, and is so long and wide, m."""
+
+    def __init__(self, world: KitchenWorld, side: float) -> None:
+        self._side = side
+        for query in ("contained_fraction", "contained_mass_g", "opening_fraction"):
+            setattr(self, query, getattr(world, query))
+
+    def aabb(self, name: str) -> tuple[Array, Array]:
+        """A square of that side."""
+        return np.zeros(3), np.array((self._side, self._side, 0.005))
+
+
+@pytest.mark.slow
+def test_crumpled_cloth_starts_the_same_way_each_time_and_not_folded() -> None:
+    first, again = realized("fold-cloth-crumpled-start"), realized("fold-cloth-crumpled-start")
+    try:
+        assert np.array_equal(first.start, again.start)
+        (cloth,) = first.simulator.scene.cloths.values()
+        points = cloth.points(first.start)
+        assert np.ptp(points[:, 2]) > 0.02
+        lengths = np.linalg.norm(np.diff(points.reshape(*cloth.grid[::-1], 3), axis=1), axis=-1)
+        rest = np.linalg.norm(np.diff(cloth.rest.reshape(*cloth.grid[::-1], 3), axis=1), axis=-1)
+        assert np.abs(lengths / rest - 1).max() < 0.08
+    finally:
+        first.simulator.close()
+        again.simulator.close()
+
+
+@pytest.mark.slow
+def test_a_napkin_is_folded(tmp_path: object) -> None:
+    """By the benchmark's own task, scored by its own scorer."""
+    task = tasks.TASK_FACTORIES["fold_cloth"]()
+    task.scenes = [scene for scene in task.scenes if scene.id == "fold-cloth-napkin-half"]
+    task.epochs = 1
+    (log,) = evaluate(task, policy=YamsimExpert(), embodiment=YamsimEmbodiment(images=False), log_dir=str(tmp_path))
+    assert log.status == "success"
+    assert [scene.reduced["task_success"] for scene in log.samples] == [1.0]

@@ -1,0 +1,86 @@
+"""Episodes of real arms that were imported: nothing of them was simulated, and what is missing is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ..config.loader import parse_config
+from ..config.real import RealConfig
+from ..documents.document import parse_yaml
+from ..errors import ConfigError, DatasetError
+from ..resources import Locations
+from .layout import CONFIG, EPISODE, EPISODE_FORMAT, REAL_FORMAT_VERSION
+from .records import Record
+
+REAL = "real"
+
+
+class ImportedFrom(Record):
+    """Where a recording is from.
+
+    Attributes:
+        format: one of those that `yamsim import` reads.
+        name: its file or folder, as it was given.
+    """
+
+    format: str
+    name: str
+
+
+class RealRecord(Record):
+    """`episode.json` of an imported recording.
+
+    Attributes:
+        frame_period_s: the usual time from one frame to the next, s; frames have their own `timestamp`.
+        drives: how many of each arm's drives were measured: without the gripper's where nobody recorded it.
+        problems: what was found wrong with it when it was imported, for a person.
+    """
+
+    format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
+    format_version: int = REAL_FORMAT_VERSION
+    episode: int
+    source: Literal["real"] = "real"
+    imported: ImportedFrom
+    rig: str
+    frames: Annotated[int, Field(ge=1)]
+    frame_period_s: Annotated[float, Field(gt=0)]
+    cameras: dict[str, tuple[int, int]]
+    arms: Annotated[int, Field(ge=1, le=2)]
+    drives: Annotated[int, Field(ge=1, le=64)]
+    prompt: str = ""
+    problems: tuple[str, ...] = ()
+    versions: dict[str, str]
+    content_sha256: str
+    files: dict[str, str]
+
+
+def is_real(dataset: Path) -> bool:
+    """Whether a dataset's config says that it holds real recordings."""
+    try:
+        data = parse_yaml((dataset / CONFIG).read_text(encoding="utf-8"), str(dataset / CONFIG)).data
+    except (OSError, UnicodeDecodeError, ConfigError):
+        return False
+    return data.get("source") == REAL
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a folder is an episode or a dataset in our format."""
+    return (path / EPISODE).is_file() or (path / CONFIG).is_file()
+
+
+def real_config(dataset: Path, locations: Locations) -> RealConfig:
+    """What a dataset of real recordings says of itself.
+
+    Raises:
+        DatasetError: it cannot be read, or says other things.
+    """
+    file = dataset / CONFIG
+    try:
+        return parse_config(RealConfig, file.read_text(encoding="utf-8"), str(file), locations, as_recorded=True)
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{file} cannot be read: {error}") from error
+    except ConfigError as error:
+        raise DatasetError(f"{error}; was it imported by another version of yamsim?") from error

@@ -1,0 +1,51 @@
+"""Cloth that was taken somewhere, lifted, pushed together and dropped: how it lies then."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..geometry.se3 import Array, rotation_z
+from ..scene.compiled import CompiledScene
+from .watched import settle
+
+# What lifts a point of cloth moves so fast, m/s, and by so much up at least, m. It misses the way to the middle by
+# so much at most, rad.
+_SPEED = 0.3
+_LOWEST = 0.08
+_ASIDE = 0.5
+
+
+def crumpled(
+    scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
+) -> Array:
+    """MuJoCo's positions (nq,) with a cloth at rest that was taken at a point of its outer half, lifted, brought about
+    towards its middle, let down half-way, and dropped.
+
+    Args:
+        start: MuJoCo's positions (nq,), in which the cloth lies flat.
+        rng: chooses the point, and the way.
+        share: how high it is lifted, of the cloth's half diagonal; it is brought by twice that share of the way.
+        timestep: of physics, s.
+    """
+    lying = scene.cloths[cloth]
+    points = lying.points(start)
+    middle = points.mean(axis=0)
+    away = np.linalg.norm(points - middle, axis=1)
+    k = int(rng.choice(np.flatnonzero(away > 0.5 * away.max())))
+    heading = rng.uniform(-_ASIDE, _ASIDE)
+    across = 2 * share * rotation_z(heading)[:2, :2] @ (middle - points[k])[:2]
+    up = max(_LOWEST, share * float(away.max()))
+    ways = [np.array([0.0, 0.0, up]), np.array([*across, 0.0]), np.array([0.0, 0.0, -up / 2])]
+    data = mujoco.MjData(scene.model)
+    scene.reset(data, start)
+    at = data.qpos[lying.qpos[k]].copy()
+    for way in ways:
+        steps = max(1, int(np.linalg.norm(way) / _SPEED / timestep))
+        for _ in range(steps):
+            at += way / steps
+            data.qpos[lying.qpos[k]], data.qvel[lying.dof[k]] = at, way / (steps * timestep)
+            mujoco.mj_step(scene.model, data)
+    dropped = start.copy()
+    dropped[lying.qpos] = data.qpos[lying.qpos]
+    return settle(scene, dropped, timestep)
