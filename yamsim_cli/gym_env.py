@@ -170,11 +170,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     def _observe(self) -> dict[str, NDArray[Any]]:
         from .core.policies.base import of_arms
 
-        simulator = self._task.simulator
+        simulator, loop = self._task.simulator, self._task.loop
         replica, T_base = simulator.replica, simulator.scene.T_base_in_world
-        replica.show(self._task.loop.data.qpos)
+        replica.show(loop.data.qpos)
         hands = of_arms(T_base @ replica.T_grasp_in_base())
-        seen: dict[str, Any] = {"joints": replica.joints().ravel(), "ee_pose_world": hands}
+        seen: dict[str, Any] = {"joints": loop.readings(self._task.attempt.job).ravel(), "ee_pose_world": hands}
         if not self._images:
             seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
             items = {item.name: item for item in simulator.config.task.objects}

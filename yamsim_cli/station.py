@@ -119,7 +119,7 @@ class Station(Closing):
 
     def state(self) -> Row:
         """Joints and grippers now, (numbers of a state,)."""
-        return self._rows.state(self._joints())
+        return self._rows.state(self._task.loop.readings(self._task.attempt.job))
 
     def environment(self) -> Row:
         """Where things are now, (numbers of `form.environment`,), in the base of the only arm, or of the left one.
@@ -199,11 +199,7 @@ class Station(Closing):
         self._task.close()
 
     def _hold(self) -> None:
-        """Command what the arms do now."""
-        self._told = self._rows.action(self._joints(), np.zeros(self._rows.arms, bool))
-
-    def _joints(self) -> Array:
+        """Command what the arms do now: where their joints are, whatever encoders read."""
         replica = self._task.simulator.replica
         replica.show(self._task.loop.data.qpos)
-        joints: Array = replica.joints()
-        return joints
+        self._told = self._rows.action(replica.joints(), np.zeros(self._rows.arms, bool))

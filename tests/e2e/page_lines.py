@@ -24,6 +24,7 @@ CHEAPER = {
     "yamsim eval": "--n 1 --workers 1 --quality fast --size 96x72 --time-limit 1",
     "yamsim render-views": "--quality fast --size 160x120",
     "yamsim serve-robot": "--seconds 1 --quality fast --size 160x120",
+    "yamsim excite": "--seconds 20",
 }
 
 # Words that a line begins with -> flags without which it serves until a signal ends it. It prints its URL first,
@@ -45,6 +46,8 @@ NOT_RUN = {
     r"^yamsim can-run\b": "it runs another program, as tests/clients/test_i2rt.py does in an environment of its own",
     r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
+    r"^yamsim identify log": "it takes minutes and a log of one; tests/core/identify has some",
+    r"--robot my_arm": "it is of an arm that was measured; tests/core/robots/test_dynamics.py has one",
     r"^ray start\b": "it starts a cluster on this machine; test_ray_cluster.py has one",
     r"--address HEAD:6379": "there is no machine HEAD; test_ray_cluster.py records on a cluster of its own",
 }

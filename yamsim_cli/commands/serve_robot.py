@@ -13,7 +13,7 @@ import typer
 
 from .can_run import Folder, bus_folder
 from .console import note, print_json, print_line
-from .session import Json, Revision, opener
+from .session import Json, Revision, Robot, opener
 from .settings import ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task
 from .signals import stoppable
 
@@ -32,6 +32,7 @@ _GAP_US = 571.0
 def serve_robot(
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     task: Task = None,
     item: Object = None,
     target: Target = None,
@@ -95,6 +96,7 @@ def serve_robot(
         parallel=False,
         rig=rig or "yam_v1+linear_4310",
         revision=revision,
+        robot=robot,
         task=task,
         object=item,
         target=target,
@@ -120,21 +122,21 @@ def serve_robot(
             sockets.append(one)
             note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
         ports = _portals(stack, served, host, portal)
-        robot = None
+        driven = None
         if cameras or chiral is not None:
             source = _pictures(stack, session, served, camera_fps)
             ports.append(source)
             if cameras:
                 ports.append(_camera_server(stack, where, source))
             if chiral is not None:
-                robot = policy_robot(session, served, source)
-                ports.append(_chiral(stack, robot, host, chiral))
+                driven = policy_robot(session, served, source)
+                ports.append(_chiral(stack, driven, host, chiral))
         note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
         sys.stderr.flush()
 
         def drive() -> None:
-            if robot is not None:
-                robot.tick()
+            if driven is not None:
+                driven.tick()
             for follower in served.followers:
                 follower.tick()
 

@@ -258,7 +258,8 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
     if is_real(dataset):
         raise DatasetError(
             f"{dataset} holds real recordings: they were not simulated, so nothing can make them again; "
-            f"yamsim summarize {dataset} --strict checks every file by its hash, and the recordings themselves"
+            f"yamsim summarize {dataset} --strict checks every file by its hash, and yamsim gap {dataset} how far the "
+            "simulation is from them"
         )
     try:
         return parse_config(RecordConfig, text, str(file), locations, as_recorded=True)

@@ -147,10 +147,9 @@ class Observer:
         arms, drives = self._simulator.scene.drives.shape
         return arms, drives
 
-    def joints(self, loop: ClosedLoop) -> Array:
-        """Each arm's joints in rad and its finger's opening in m now, (arms, drives)."""
-        self._simulator.replica.show(loop.data.qpos)
-        return self._simulator.replica.joints()
+    def joints(self, loop: ClosedLoop, attempt: Attempt) -> Array:
+        """What is read of each arm's joints in rad and its finger's opening in m now, (arms, drives)."""
+        return loop.readings(attempt.job)
 
     def observe(self, loop: ClosedLoop, attempt: Attempt, pictures: Pictures) -> LazyObservation:
         """What the policy is told of a scene's state now."""
@@ -158,7 +157,8 @@ class Observer:
         task = config.task
         replica.show(loop.data.qpos)
         T_base = scene.T_base_in_world
-        joints, openings = replica.joints(), replica.openings()
+        joints = loop.readings(attempt.job)
+        openings = joints[:, -1] if scene.arm.fingers is not None else replica.openings()
         told: dict[str, Any] = {
             "joints": joints.ravel(),
             "gripper": openings if len(openings) > 1 else float(openings[0]),

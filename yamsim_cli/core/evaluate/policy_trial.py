@@ -141,7 +141,7 @@ class TrialRunner(Closing):
         pictures = Pictures(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = Observer(simulator, *self._wanted)
         hold = int(getattr(self._policy, "ticks", 1))
-        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, observer.joints(loop))
+        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, observer.joints(loop, attempt))
         try:
             ended, fault = self._play(player, loop, observer, attempt, pictures, seconds)
         finally:
