@@ -143,10 +143,10 @@ ROWS: dict[str, Row] = {
         heavy=True,
     ),
     "raiden-records": Row(
-        client="raiden's recorder, of its repository",
+        client="raiden's recorder and sharder, of its repository",
         distribution="raiden",
-        opens="`import`: what it recorded of two arms that were played to it",
-        environment=Environment("chiral"),
+        opens="`import`: what it recorded of two arms; it shards our `export raiden` of real ones",
+        environment=Environment("raiden", python="3.11"),
         heavy=True,
         checkout="YAMSIM_RAIDEN",
     ),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.clients.environments import Interpreter, checkout
-from tests.core.export.real_datasets import NAMES, bring_in
+from tests.core.export.real_datasets import NAMES, bring_in, with_film
 from tests.core.recordings.foreign import PROMPT, START_NS, grey_of, shares
 from tests.core.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
@@ -21,6 +21,8 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded
 from yamsim_cli.core.dataset.recorded_images import recorded_images
 from yamsim_cli.core.export.lerobot import export_real_lerobot
+from yamsim_cli.core.export.raiden_options import RaidenOptions
+from yamsim_cli.core.export.raiden_real import export_real_raiden
 from yamsim_cli.core.export.real_source import open_real_source
 from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.recordings.columns import header
@@ -114,6 +116,29 @@ def test_raidens_own_recordings_come_in(
             assert wanted is not None
             np.testing.assert_allclose(mine, wanted[kept], atol=1e-6)
     assert open_recorded(dataset / "ep_000000").frames()[0]["language_prompt"] == PROMPT
+
+
+@pytest.mark.client_heavy
+def test_raiden_shards_an_export_of_real_arms(
+    client: Callable[[str], Interpreter], station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    """Its windows leave out the last 12 frames, of which it lacks the future, and look at two pictures each."""
+    interpreter = client("raiden-records")
+    motion = swinging(station, 2.0)
+    dataset = with_film(tmp_path, motion, station, locations)
+    source = open_real_source(dataset, None, locations, 30.0)
+    export_real_raiden(source, tmp_path / "out", locations, lambda done, total: None, RaidenOptions())
+    (tmp_path / "raiden").mkdir()
+    given = (checkout("YAMSIM_RAIDEN"), tmp_path / "out", tmp_path / "raiden", "top")
+    told = interpreter.run("raiden_shards.py", *given, timeout_s=PATIENCE)
+    assert (told["pictures"], told["said"], told["controls"]) == (2 * 48, [PROMPT], ["unknown"])
+    measured, commanded = shares(motion, station)
+    for side, rows, commands in zip(("left", "right"), measured, commanded, strict=True):
+        for what, wanted in (("actual", rows), ("desired", commands)):
+            found = told["rows"][f"robot__{what}__joint_position__{side}"]
+            assert len(found) == 48
+            for frame, row in found.items():
+                np.testing.assert_allclose(row, wanted[round(100 * int(frame) / 30)], atol=1e-6, err_msg=what)
 
 
 @pytest.mark.client

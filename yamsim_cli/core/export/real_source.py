@@ -129,7 +129,7 @@ class RealSource(AnySource):
                 rows[:, k, robot.dof] /= robot.fingers.full_opening
         return rows
 
-    def unevenness(self, episode: RealEpisode, frames: Sequence[Mapping[str, Any]]) -> str | None:
+    def unevenness(self, episode: RecordedEpisode, frames: Sequence[Mapping[str, Any]]) -> str | None:
         """A line on an episode whose frames were not recorded at even times, but are written so; None of any other."""
         pauses = np.diff([frame["timestamp"] for frame in frames])
         if self.even or len(pauses) == 0 or np.abs(pauses / self.period - 1).max() <= _UNEVEN:

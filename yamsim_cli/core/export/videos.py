@@ -16,7 +16,7 @@ from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.video import VideoWriter, require_encoder
 from ..progress import Progress
 from ..vision.views import label, resized
-from .real_source import RealEpisode, RealSource
+from .real_source import RealSource
 from .source import AnySource, Exported
 from .target import export_directory
 
@@ -52,7 +52,7 @@ def export_mp4(
     notes: list[str] = []
     with export_directory(out, overwrite=overwrite) as stage:
         for number, episode in enumerate(source.episodes()):
-            if isinstance(source, RealSource) and isinstance(episode, RealEpisode):
+            if isinstance(source, RealSource):
                 note = source.unevenness(episode, episode.frames())
                 notes += [note] if note else []
             with VideoWriter(stage.path / f"{episode.directory.name}.mp4", source.frame_period / speed) as video:
