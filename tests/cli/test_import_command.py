@@ -33,6 +33,10 @@ def test_a_log_comes_in_and_is_summarized(log: Path, tmp_path: Path) -> None:
 
 def test_what_cannot_be_done_with_a_real_recording_says_so(log: Path, tmp_path: Path) -> None:
     assert yamsim("import", "log.csv", cwd=tmp_path).code == 0
+    run = yamsim("import", "real", "--out", "again", cwd=tmp_path)
+    assert (run.code, "needs no import" in run.message) == (4, True)
+    run = yamsim("overlay", "--episode", "real/ep_000000", cwd=tmp_path)
+    assert (run.code, "has no pictures" in run.message) == (4, True)
     run = yamsim("verify", "real", cwd=tmp_path)
     assert (run.code, "not simulated" in run.message) == (4, True)
     assert "yamsim summarize real --strict" in run.message
@@ -77,6 +81,7 @@ def test_what_a_real_dataset_has_not_is_one_line(
         (["log.csv", "--resume", "--overwrite"], 2, "give one of them"),
         (["log.csv", "--format", "lerobot"], 4, "meta/info.json cannot be read"),
         (["."], 4, "is no recording that is known"),
+        (["log.csv", "--mirror-gripper", "no"], 2, "--mirror-gripper"),
     ],
 )
 def test_what_cannot_be_is_one_line(log: Path, tmp_path: Path, arguments: list[str], code: int, message: str) -> None:

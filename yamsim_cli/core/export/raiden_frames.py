@@ -134,7 +134,7 @@ class FrameConverter:
     ) -> None:
         arms = [rig.arms[k] for k in rig.recorded]
         if single and len(arms) > 1:
-            raise UsageError(f"--single is for recordings of one arm, and these have {len(arms)}: leave it out")
+            raise UsageError(f"--single is for recordings of one arm, and this dataset has {len(arms)}: leave it out")
         self.names = names
         self.arms = 1 if single else 2
         frame = HAND_FRAMES[hand_frame]

@@ -109,6 +109,8 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
         DatasetError: it is no episode, or a frame of it is damaged.
         UsageError: it has no such camera.
     """
+    if (episode / "lowdim").is_dir() and not (episode / "rgb").is_dir():
+        raise DatasetError(f"{episode} has no pictures: nobody recorded any")
     if not (episode / "rgb").is_dir() or not (episode / "lowdim").is_dir():
         raise DatasetError(f"{episode} is no episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN")
     cameras = sorted(path.name for path in (episode / "rgb").iterdir() if path.is_dir())
