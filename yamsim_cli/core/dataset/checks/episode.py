@@ -84,6 +84,7 @@ class _EpisodeCheck:
             outcome=self._record.outcome if self._record else outcome,
             content=self._content,
             problems=self._problems.list(),
+            noted=self._imported.problems if self._imported else (),
         )
 
     def _read(self, name: str) -> bytes | None:
