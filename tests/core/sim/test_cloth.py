@@ -88,7 +88,6 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("task", "given", "said"),
     [
-        (FOLD, {"truth": True}, "no ground truth of cloth"),
         (changed({("things", "napkin", "of"): "soft_nakin"}, FOLD), {}, "soft_napkin"),
         (changed({("expert",): [{"pick": {"thing": "napkin"}}]}, FOLD), {}, "it can only be folded"),
         (changed({("things", "napkin", "of"): "cube_red"}, FOLD), {}, "is no cloth"),
