@@ -11,9 +11,9 @@ import pytest
 
 from tests.core.sim.test_cloth import FOLD
 from tests.programs import first_attempt, session_of
+from yamsim_cli.core.attempt.ground_truth import EpisodeTruth
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
-from yamsim_cli.core.attempt.ground_truth import EpisodeTruth
 from yamsim_cli.core.dataset.layout import TRUTH_LABELS, truth_name
 from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.dataset.truth_files import TruthLabels, Visibility, array_faults, load_truth
@@ -128,11 +128,11 @@ def test_of_a_napkin_in_half_the_lower_layer_is_hidden(stage: Stage) -> None:
 
 def test_what_is_out_of_the_picture_is_outside(stage: Stage) -> None:
     points = stage.points
-    away = stage.truth(stage.moved(points + (0.0, 5.0, 0.0)))
+    away = stage.truth(stage.moved(points + np.array([0.0, 5.0, 0.0])))
     assert not away.arrays["napkin_visible"].any()
     assert stage.visibility(away) == [Visibility.OUTSIDE] * 4
     assert not away.arrays["boxes"][-1].any()
-    behind = stage.truth(stage.moved(points + (0.0, 0.0, 5.0)))
+    behind = stage.truth(stage.moved(points + np.array([0.0, 0.0, 5.0])))
     assert not behind.arrays["napkin_visible"].any()
     assert not behind.arrays["keypoint_depth"][list(stage.corners(behind).values())].any()
 
