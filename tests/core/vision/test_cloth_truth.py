@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.core.sim.test_cloth import FOLD
-from tests.programs import first_attempt, session_of
+from tests.programs import FOLD, first_attempt, session_of
 from yamsim_cli.core.attempt.ground_truth import EpisodeTruth
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
