@@ -67,7 +67,7 @@ test-clients: setup-dev gl meshes ## run programs of others on what yamsim write
 	rm -f out/clients.jsonl
 	$(PYTHON_BIN) -m pytest -n auto --dist worksteal -m client $(PYTEST_ARGS)
 
-test-clients-heavy: setup-dev gl meshes ## the same with LeRobot and torch, and with raiden's checkout in $YAMSIM_RAIDEN (gigabytes)
+test-clients-heavy: setup-dev gl meshes ## the same with LeRobot and torch, and with checkouts in $YAMSIM_RAIDEN and $YAMSIM_CHIRAL (gigabytes)
 	rm -f out/clients.jsonl
 	$(PYTHON_BIN) -m pytest -m client_heavy $(PYTEST_ARGS)
 

@@ -10,19 +10,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from .api import PROGRAM
-from .core.errors import SimulationError
 from .core.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
 # Bound of every number in an observation: no joint (rad) and no position (m) gets there.
 _FAR = 10.0
-
-# An object is slow just after it was let go, too. It counts as at rest after so many ticks, a quarter of a second.
-_REST_TICKS = 8
-
-# Trials without a start are left out; after so many in a row, there is none.
-_STARTS = 20
 
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
@@ -88,24 +81,16 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             where = PROGRAM.locations()
             session = Session(PROGRAM.config(config, where, **given), where)
 
-        from .core.attempt.simulators import Simulators
         from .core.evaluate.observation import policy_cameras
+        from .core.evaluate.stepped import SteppedTask, most_ticks
         from .core.policies.base import SCENE, WRIST
-        from .core.types import EpisodeJob
 
-        self._config = task_config = session.config
-        self._simulators = Simulators(session)
-        # Of whichever trial: casts differ in things alone.
-        self._simulator = self._simulators.of(EpisodeJob(task_config.seed, 0))
-        program = task_config.program
-        most = program.most_ticks if program else 2 * self._simulator.kind.ticks(task_config)
-        self._max_ticks = max_ticks or most
+        self._task = SteppedTask(session)
+        self._config = session.config
+        self._max_ticks = max_ticks or most_ticks(self._config)
         self._cameras = policy_cameras(self._config, (SCENE, WRIST))
-        self._attempt: Any = None
-        self._loop: Any = None
-        self._watch: Any = None
-        self._denied, self._rested = False, 0
-        scene = self._simulator.scene
+        self._begun = False
+        scene = self._task.simulator.scene
         welds = np.tile((0.0, 1.0), (len(scene.arms), 1))
         low, high = np.concatenate([scene.model.actuator_ctrlrange[scene.drives.ravel()], welds]).T
         self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
@@ -115,7 +100,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         def numbers(*shape: int) -> spaces.Box:
             return spaces.Box(-_FAR, _FAR, shape, np.float32)
 
-        arms, drives = self._simulator.scene.drives.shape
+        arms, drives = self._task.simulator.scene.drives.shape
         hands = (4, 4) if arms == 1 else (arms, 4, 4)
         parts: dict[str, spaces.Space[Any]] = {"joints": numbers(drives * arms), "ee_pose_world": numbers(*hands)}
         if self._images:
@@ -145,63 +130,30 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Start the next trial, or one of a seed."""
-        from .core.attempt.expert import sides
-        from .core.attempt.planned import with_room
-        from .core.sim.closed_loop import ClosedLoop
-        from .core.sim.goal_watch import GoalWatch
         from .core.types import EpisodeJob
 
         super().reset(seed=seed)
         trial = (options or {}).get("trial")
-        if seed is not None or self._attempt is None:
+        if seed is not None or not self._begun:
             fresh = seed if seed is not None else int(self.np_random.integers(2**31))
             job = EpisodeJob(fresh, int(trial or 0))
         else:
-            before = self._attempt.job
+            before = self._task.attempt.job
             job = EpisodeJob(before.seed, before.attempt + 1 if trial is None else int(trial))
-        self._attempt = attempt = with_room(self._simulator, self._sampled(job))
-        assert attempt.start is not None  # it has a layout
-        self._denied, self._rested = False, 0
-        scene, config = self._simulator.varied(attempt), self._config
-        carried = None if config.program else config.pair.object.name
-        self._loop = ClosedLoop(scene, attempt.start, carried, config.task.timing)
-        if config.program:
-            cast = self._simulator.cast
-            assert cast is not None  # a task of this kind has one
-            self._watch = GoalWatch(scene, self._loop.data, config.program, cast, sides(config))
+        self._task.begin(job)
+        self._begun = True
         return self._observe(), self._info()
-
-    def _sampled(self, job: Any) -> Any:
-        """The first attempt from a job on that has a start; its simulator is the one that is used from now on.
-
-        Raises:
-            SimulationError: none of many has one.
-        """
-        from .core.attempt.sampling import sample
-        from .core.types import EpisodeJob
-
-        for number in range(job.attempt, job.attempt + _STARTS):
-            self._simulator = self._simulators.of(EpisodeJob(job.seed, number))
-            attempt = sample(self._simulator, EpisodeJob(job.seed, number))
-            if attempt.layout is not None:
-                return attempt
-        raise SimulationError(
-            f"task {self._config.task.name!r}: none of {_STARTS} trials from {job.attempt} of seed {job.seed} on has a "
-            f"start; `yamsim pickplace batch --seed {job.seed}` tells why"
-        )
 
     def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Let an action act for one control tick."""
         values = np.asarray(action, dtype=np.float64)
-        drives = self._simulator.scene.drives
+        drives = self._task.simulator.scene.drives
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
             count = drives.size + len(drives)
             raise ValueError(f"an action is {count} finite numbers, not {values.shape} {values}")
-        self._loop.step(values[: drives.size].reshape(drives.shape), values[drives.size :] > 0.5)
-        if self._watch is not None:
-            self._watch.tick()
-        success = self._succeeded()
-        truncated = not success and self._loop.ticks >= self._max_ticks
+        self._task.step(values[: drives.size].reshape(drives.shape), values[drives.size :] > 0.5)
+        success = self._task.succeeded()
+        truncated = not success and self._task.loop.ticks >= self._max_ticks
         return self._observe(), float(success), success, truncated, self._info(success)
 
     def render(self) -> Any:
@@ -209,66 +161,42 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         if self.render_mode is None:
             return None
         camera = self._cameras["scene_rgb"]
-        return self._render((camera,))[camera]
+        return self._task.render((camera,))[camera]
 
     def close(self) -> None:
         """Free the renderers."""
-        self._simulators.close()
-
-    def _is_done(self) -> bool:
-        """Whether it looks like a success, so that it is worth to be judged."""
-        if self._watch is not None:
-            return bool(self._watch.reached)
-        loop, task = self._loop, self._config.pair
-        rests = not loop.holds and loop.rests_on(task.target.name, task.success)
-        self._rested = self._rested + 1 if rests else 0
-        return self._rested >= _REST_TICKS
-
-    def _succeeded(self) -> bool:
-        loop = self._loop
-        if not self._is_done() or self._denied:
-            return False
-        from .core.attempt.physics import repeat
-
-        judged = repeat(self._simulator, self._attempt, loop.actions, planned=False).outcome
-        # What the batch does not count as success, such as an object pushed onto the target, stays a failure.
-        self._denied = not judged.success
-        return judged.success
-
-    def _render(self, cameras: tuple[str, ...]) -> dict[str, Any]:
-        """Camera -> image of the state now."""
-        from .core.attempt.pictures import render
-
-        return dict(render(self._simulator, self._attempt, self._loop.data.qpos, cameras))
+        self._task.close()
 
     def _observe(self) -> dict[str, NDArray[Any]]:
         from .core.policies.base import of_arms
 
-        replica, T_base = self._simulator.replica, self._simulator.scene.T_base_in_world
-        replica.show(self._loop.data.qpos)
+        simulator, loop = self._task.simulator, self._task.loop
+        replica, T_base = simulator.replica, simulator.scene.T_base_in_world
+        replica.show(loop.data.qpos)
         hands = of_arms(T_base @ replica.T_grasp_in_base())
-        seen: dict[str, Any] = {"joints": replica.joints().ravel(), "ee_pose_world": hands}
+        seen: dict[str, Any] = {"joints": loop.readings(self._task.attempt.job).ravel(), "ee_pose_world": hands}
         if not self._images:
             seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
-            items = {item.name: item for item in self._simulator.config.task.objects}
+            items = {item.name: item for item in simulator.config.task.objects}
             for key, (name, count) in self._parts().items():
                 joints = replica.object_joints(items[name])
                 seen[key] = np.pad(joints, (0, count - len(joints)))
         numbers = {key: np.clip(value, -_FAR, _FAR).astype(np.float32) for key, value in seen.items()}
         if not self._images:
             return numbers
-        images = self._render(tuple(self._cameras.values()))
+        images = self._task.render(tuple(self._cameras.values()))
         return numbers | {key: images[camera] for key, camera in self._cameras.items()}
 
     def _info(self, success: bool = False) -> dict[str, Any]:
-        goal = {} if self._watch is None else {"goal": {one.what: one.margin for one in self._watch.verdict.measures}}
+        task, watch = self._task, self._task.watch
+        goal = {} if watch is None else {"goal": {one.what: one.margin for one in watch.verdict.measures}}
         return {
-            "seed": self._attempt.job.seed,
-            "trial": self._attempt.job.attempt,
-            "time": self._loop.ticks * self._config.task.timing.tick,
+            "seed": task.attempt.job.seed,
+            "trial": task.attempt.job.attempt,
+            "time": task.loop.ticks * self._config.task.timing.tick,
             "success": success,
-            "holds": self._loop.holds,
-            "prompt": self._attempt.phrasing or self._config.task.language_prompt,
+            "holds": task.loop.holds,
+            "prompt": task.attempt.phrasing or self._config.task.language_prompt,
             **goal,
         }
 

@@ -20,6 +20,9 @@ from .commands.can_run import can_run
 from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
 from .commands.evaluate import evaluate
+from .commands.excite import excite
+from .commands.gap import gap
+from .commands.identify import identify
 from .commands.import_recording import import_recording
 from .commands.overlay import overlay
 from .commands.record import record
@@ -52,6 +55,9 @@ app.command("can-run")(can_run)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)
+app.command()(identify)
+app.command()(excite)
+app.command()(gap)
 app.command("import")(import_recording)
 app.command()(boards)
 app.command()(view)

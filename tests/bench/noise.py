@@ -14,10 +14,17 @@ import tempfile
 import time
 from pathlib import Path
 
+import msgpack
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
 from tests.clients.served_robot import ServedRobot, served_robot
+from yamsim_cli.camera_reader import CameraReader
+from yamsim_cli.core.serve.places import CAMERA_SOCKET
 
 _ENABLE = struct.pack("=IB3x8s", 1, 8, b"\xff" * 7 + b"\xfc")
 _HANDSHAKE = b"portal_handshake"
+_SMALL = ("--size", "64x48", "--quality", "fast")
 
 
 def main() -> None:
@@ -28,10 +35,11 @@ def main() -> None:
     told: dict[str, object] = {}
     with (
         tempfile.TemporaryDirectory() as folder,
-        served_robot(Path(folder) / "buses", "--portal", "0") as served,
+        served_robot(Path(folder) / "buses", "--portal", "0", "--chiral", "0", "--cameras", *_SMALL) as served,
     ):
         draw = random.Random(1)
-        for name, noise in (("can", _can_noise), ("portal", _portal_noise)):
+        kinds = {"can": _can_noise, "portal": _portal_noise, "chiral": _chiral_noise, "cameras": _camera_noise}
+        for name, noise in kinds.items():
             # The first tenth fills what is kept for good.
             noise(served, draw, count // 10)
             before = _resident_kb(served)
@@ -41,6 +49,11 @@ def main() -> None:
         with _bus(served) as one:
             one.sendall(_ENABLE)
             told["answers"] = len(one.recv(16)) == 16
+        with CameraReader("scene_camera", served.folder) as reader:
+            told["pictures"] = reader.read().image.shape == (48, 64, 3)
+        with connect(f"ws://127.0.0.1:{served.chiral}", compression=None) as robot:
+            robot.send(_chiral_message({"type": "metadata"}))
+            told["metadata"] = len(robot.recv(timeout=10)) > 100
     print(json.dumps(told | {"server": served.report}, indent=2))
 
 
@@ -80,6 +93,44 @@ def _portal_noise(served: ServedRobot, draw: random.Random, count: int) -> None:
             one = None
             continue
         one.setblocking(True)
+
+
+def _chiral_message(header: dict[str, object], data: bytes = b"") -> bytes:
+    head = msgpack.packb(header)
+    return len(head).to_bytes(4, "little") + head + data
+
+
+def _chiral_noise(served: ServedRobot, draw: random.Random, count: int) -> None:
+    whole = _chiral_message({"type": "apply_action", "shape": [7], "dtype": "float32"}, bytes(28))
+    robot = None
+    for k in range(count):
+        if robot is None:
+            robot = connect(f"ws://127.0.0.1:{served.chiral}", compression=None)
+        noise = bytearray(whole) if k % 2 else bytearray(draw.randbytes(draw.randrange(1, 200)))
+        noise[draw.randrange(len(noise))] = draw.randrange(256)
+        try:
+            robot.send(bytes(noise))
+        except ConnectionClosed:
+            robot = None
+    if robot is not None:
+        robot.close()
+
+
+def _camera_noise(served: ServedRobot, draw: random.Random, count: int) -> None:
+    one = None
+    for k in range(count):
+        if one is None:
+            one = socket.socket(socket.AF_UNIX)
+            one.settimeout(10)
+            one.connect(str(served.folder / CAMERA_SOCKET))
+        body = draw.randbytes(draw.randrange(2, 200))
+        try:
+            one.sendall(len(body).to_bytes(4, "little") + body if k % 100 else draw.randbytes(50))
+        except OSError:
+            one.close()
+            one = None
+    if one is not None:
+        one.close()
 
 
 def _resident_kb(served: ServedRobot) -> int:

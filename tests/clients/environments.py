@@ -112,14 +112,18 @@ class Interpreter:
         return done.stdout.strip()
 
 
-def yamsim_beside(alone: Interpreter, folder: Path) -> tuple[Interpreter, Path]:
-    """An environment with yamsim beside LeRobot, which it takes over from another one, and where its packages are."""
+def yamsim_beside(alone: Interpreter, folder: Path, *more: str) -> tuple[Interpreter, Path]:
+    """An environment with yamsim beside LeRobot, which it takes over from another one, and where its packages are.
+
+    Args:
+        more: what else pip is to install: names, or folders of distributions.
+    """
     assert alone.call(["-m", "venv", str(folder)]).returncode == 0
     both = Interpreter(folder / "bin" / "python", {})
     packages = "import sysconfig; print(sysconfig.get_path('purelib'))"
     place = Path(both.call(["-c", packages]).stdout.strip())
     (place / "lerobot.pth").write_text(alone.call(["-c", packages]).stdout)
-    wanted = [f"lerobot[training]=={alone.version('lerobot')}", f"{REPOSITORY}[lerobot,video]"]
+    wanted = [f"lerobot[training]=={alone.version('lerobot')}", f"{REPOSITORY}[lerobot,video]", *more]
     done = both.call(["-m", "pip", "install", "-q", *wanted], timeout_s=1800)
     assert done.returncode == 0, done.stderr
     return both, place

@@ -90,6 +90,22 @@ ROWS: dict[str, Row] = {
         "`serve-robot --portal`: drives the arm by the calls of the maker's follower",
         Environment("i2rt"),
     ),
+    "chiral": Row(
+        client="TRI's chiral, of its repository",
+        distribution="chiral",
+        opens="`serve-robot --chiral`: its own client homes both arms, drives them by joints and by poses, and sees",
+        environment=Environment("chiral"),
+        heavy=True,
+        checkout="YAMSIM_CHIRAL",
+    ),
+    "raiden-cameras": Row(
+        client="raiden's cameras, of its repository",
+        distribution="raiden",
+        opens="`serve-robot --cameras`: pictures by its camera class, the right wrist's turned as the real one's are",
+        environment=Environment("chiral"),
+        heavy=True,
+        checkout="YAMSIM_RAIDEN",
+    ),
     "av-15": Row("PyAV 15", "av", _VIDEOS, Environment("av-15", beside=True)),
     "av-16": Row("PyAV 16", "av", _VIDEOS, Environment("av-16", beside=True)),
     "av-17": Row("PyAV 17", "av", _VIDEOS, Environment("av-17", beside=True)),
@@ -97,7 +113,24 @@ ROWS: dict[str, Row] = {
         "LeRobot 0.6",
         "lerobot",
         f"{_LEROBOT}; shares an environment with `yamsim[lerobot,video]`; `eval --policy lerobot:` "
-        "gives the same actions as its own inference of a tiny ACT policy",
+        "gives the same actions as its own inference of a tiny ACT policy; `serve-robot --cameras`: pictures by its "
+        "camera interface; "
+        "`lerobot-train` by [our recipe](training.md), in miniature: what is demonstrated once is done again",
+        Environment("lerobot", "3.12"),
+        heavy=True,
+    ),
+    "lerobot-eval": Row(
+        "LeRobot 0.6: lerobot-eval",
+        "lerobot",
+        "`lerobot_env_yamsim`: a policy that plays the expert succeeds in each trial, several at once too; one that it "
+        "has trained runs, and its trials are recorded",
+        Environment("lerobot", "3.12"),
+        heavy=True,
+    ),
+    "lerobot-record": Row(
+        "LeRobot 0.6: lerobot-record, lerobot-replay",
+        "lerobot",
+        "`lerobot_robot_yamsim`: records episodes of the expert, which its loader reads; replays one by the clock",
         Environment("lerobot", "3.12"),
         heavy=True,
     ),

@@ -27,12 +27,14 @@ class ServedRobot:
         folder: of its buses.
         process: its number.
         ports: of portal.
+        chiral: the port of chiral; 0 without.
         report: what it printed at its end; filled by then.
     """
 
     folder: Path
     process: int
     ports: list[int] = field(default_factory=list)
+    chiral: int = 0
     report: dict[str, Any] = field(default_factory=dict)
 
     def call(self, client: Interpreter, *arguments: object, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
@@ -66,6 +68,8 @@ def served_robot(folder: Path, *flags: str) -> Iterator[ServedRobot]:
         for line in process.stderr:
             if found := re.match(r"127\.0\.0\.1:(\d+): calls", line):
                 served.ports.append(int(found[1]))
+            if found := re.match(r"127\.0\.0\.1:(\d+): chiral", line):
+                served.chiral = int(found[1])
             if "Ctrl-C ends" in line:
                 break
         try:

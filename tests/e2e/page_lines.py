@@ -23,7 +23,8 @@ CHEAPER = {
     "yamsim teleop": "--quality fast --size 160x120",
     "yamsim eval": "--n 1 --workers 1 --quality fast --size 96x72 --time-limit 1",
     "yamsim render-views": "--quality fast --size 160x120",
-    "yamsim serve-robot": "--seconds 1",
+    "yamsim serve-robot": "--seconds 1 --quality fast --size 160x120",
+    "yamsim excite": "--seconds 20",
 }
 
 # Words that a line begins with -> flags without which it serves until a signal ends it. It prints its URL first,
@@ -39,10 +40,14 @@ SERVERS = {
 NOT_RUN = {
     r"^make\b": "it is what set this environment up, or what CI runs beside this test",
     r"^inspect-robots\b": "another program, which tests/clients/test_inspect.py runs in an environment of its own",
+    r"^lerobot-": "another program, which tests/clients/test_lerobot_plugins.py runs in an environment of its own",
     r"--policy (act|ws|lerobot):": "another program's server, which tests/clients/test_policies.py has",
+    r"^lerobot-train\b": "another program, which tests/clients/test_training.py runs in an environment of its own",
     r"^yamsim can-run\b": "it runs another program, as tests/clients/test_i2rt.py does in an environment of its own",
     r"--task kitchenbench/": "it needs the benchmark; tests/kitchenbench/test_recorded.py records a scene of it",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
+    r"^yamsim identify log": "it takes minutes and a log of one; tests/core/identify has some",
+    r"--robot my_arm": "it is of an arm that was measured; tests/core/robots/test_dynamics.py has one",
     r"^ray start\b": "it starts a cluster on this machine; test_ray_cluster.py has one",
     r"--address HEAD:6379": "there is no machine HEAD; test_ray_cluster.py records on a cluster of its own",
 }

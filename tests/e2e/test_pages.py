@@ -20,13 +20,14 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.core.recordings.making import swinging, write_csv
+from tests.core.recordings.making import write_csv
 from tests.core.things.test_fits import block
 from tests.e2e.page_lines import prepared, reason_not_to_run, serves
 from tests.mugs import has_import_extra, mug, write_mugs
 from tests.pages import Block, blocks, shell_blocks, snippet
 from tests.racks import rack_sdf
 from tests.rig_photos import CAMERA, JOINTS, Studio, looking
+from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
@@ -122,8 +123,6 @@ def write_inputs(folder: Path, locations: Locations) -> None:
     """What a user brings: the pages' own text where they show some, else what a test can make."""
     (folder / "my_policy.py").write_text(snippet("python", "class MyPolicy"))
     (folder / "first_policy.py").write_text(snippet("python", "class FirstPolicy"))
-    single = load_config(RigConfig, "rigs", "single", locations)
-    write_csv(folder / "log.csv", swinging(single, 1.0), single)
     (folder / "stream.jsonl").write_text(snippet("json", '"event": "start"'))
     (folder / "mug.stl").write_bytes(block((0.04, 0.04, 0.09)))
     (folder / "my_rack.sdf").write_text(rack_sdf())
@@ -147,6 +146,10 @@ def write_inputs(folder: Path, locations: Locations) -> None:
         "distortion": list(CAMERA.distortion),
     }
     (folder / "camera.yaml").write_text(yaml.safe_dump(camera))
+    times = np.arange(0, 4.0, 0.01)
+    logged = later(plant(rig_scene(), times, [swings(times)]), 2)
+    for log in ("log.csv", "monday.csv", "tuesday.csv"):
+        write_csv(folder / log, logged, load_config(RigConfig, "rigs", "single", locations))
 
 
 def failure(line: str, problem: str, log: Path) -> str:

@@ -22,8 +22,9 @@ from kitchenbench.sim import build_blueprint, make_success_checker
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
 from yamsim_cli.kitchenbench.catalog import COMPARTMENT
-from yamsim_cli.kitchenbench.embodiment import CAMERAS, JOINTS, YamsimEmbodiment, open_base
+from yamsim_cli.kitchenbench.embodiment import CAMERAS, JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.motion import Motion
+from yamsim_cli.kitchenbench.opening import open_base
 from yamsim_cli.kitchenbench.places import AHEAD, BESIDE
 from yamsim_cli.kitchenbench.policy import YamsimExpert
 from yamsim_cli.kitchenbench.scene import KINDS, realize
@@ -185,7 +186,7 @@ def test_a_plate_is_in_a_rack_of_its_size_only_if_it_lies(
     scene = SCENES["place-in-rack-wet-slippery"]
     embodiment.reset(scene, seed=seed_of(scene))
     world = embodiment.world
-    model, data = embodiment._realized.simulator.scene.model, world.scene.data  # type: ignore[union-attr]
+    model, data = embodiment._simulator.scene.model, world.scene.data  # type: ignore[union-attr]
     T_rack = world.scene.pose("rack")
     address = model.joint("plate").qposadr[0]
     data.qpos[address + 3 : address + 7] = quat_from_rotation(

@@ -16,9 +16,10 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.kitchenbench.embodiment import YamsimEmbodiment, open_base
+from yamsim_cli.kitchenbench.embodiment import YamsimEmbodiment
 from yamsim_cli.kitchenbench.folding import asked_area, block_area, ways_to_fold
 from yamsim_cli.kitchenbench.motion import Motion
+from yamsim_cli.kitchenbench.opening import open_base
 from yamsim_cli.kitchenbench.policy import YamsimExpert
 from yamsim_cli.kitchenbench.scene import Realization, realize
 from yamsim_cli.kitchenbench.world import KitchenWorld

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.core.serve.places import default_folder
 
 from .console import print_json
 
@@ -20,10 +20,7 @@ Folder = Annotated[
 
 def bus_folder(given: Path | None) -> Path:
     """The folder of the buses' sockets: the one that was named, or one of the user's own."""
-    if given is not None:
-        return given
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(runtime) / "yamsim-can" if runtime else Path(tempfile.gettempdir()) / f"yamsim-can-{os.getuid()}"
+    return default_folder(os.environ) if given is None else given
 
 
 def can_run(

@@ -10,13 +10,14 @@ import typer
 from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_line
-from .session import Json, Margin, Revision, opener
+from .session import Json, Margin, Revision, Robot, opener
 from .settings import Grasp, Rig
 
 
 def compose_xml(
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     out: Annotated[Path, typer.Option(help="Folder to create, or file with --zip.")] = Path("scene"),
     margin: Margin = None,
     boards: Annotated[bool, typer.Option("--boards/--no-boards", help="Base boards and their mounts.")] = True,
@@ -57,11 +58,11 @@ def compose_xml(
     if task is None:
         scene, home = load_config(SceneConfig, "scenes", "studio", where), None
         blueprint = Blueprint(
-            opener.rig(rig or "single", where, margin, revision), scene, boards=boards, background=background
+            opener.rig(rig or "single", where, margin, revision, robot), scene, boards=boards, background=background
         )
     else:
         config = opener.config(
-            "default", where, rig=rig, revision=revision, margin=margin, task=task, seed=seed, grasp=grasp
+            "default", where, rig=rig, revision=revision, robot=robot, margin=margin, task=task, seed=seed, grasp=grasp
         )
         config, home = task_start(Session(config, where))
         blueprint = task_blueprint(config, boards=boards, background=background)

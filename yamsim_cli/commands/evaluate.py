@@ -11,7 +11,7 @@ from yamsim_cli.core.errors import UsageError
 
 from .console import note, print_json, print_table, progress_bar
 from .films import film, films_at
-from .session import Json, Revision, opener
+from .session import Json, Revision, Robot, opener
 from .settings import (
     Arm,
     ConfigOption,
@@ -106,6 +106,7 @@ def evaluate(
     target: Target = None,
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     arm: Arm = None,
     config: ConfigOption = "default",
     json: Json = False,
@@ -140,6 +141,7 @@ def evaluate(
         target=target,
         rig=rig,
         revision=revision,
+        robot=robot,
         arm=arm,
         wrist=True,
     )

@@ -94,7 +94,18 @@ def raiden(
 
 @app.command()
 def lerobot(
-    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Overwrite = False, json: Json = False
+    dataset: Dataset,
+    out: Out,
+    environment_state: Annotated[
+        bool,
+        typer.Option("--environment-state", help="Also write where things are, as observation.environment_state."),
+    ] = False,
+    pictures: Annotated[
+        bool, typer.Option("--pictures/--no-pictures", help="Write videos, and the cameras' matrices.")
+    ] = True,
+    episodes: Episodes = None,
+    overwrite: Overwrite = False,
+    json: Json = False,
 ) -> None:
     """LeRobotDataset v3.0: Parquet, and H.264 with exact times. Of two arms the left one comes first, the welds last.
 
@@ -103,9 +114,11 @@ def lerobot(
     source, _ = _source(dataset, episodes)
 
     from yamsim_cli.core.export.lerobot import export_lerobot
+    from yamsim_cli.core.export.lerobot_options import LeRobotOptions
 
+    options = LeRobotOptions(pictures, environment_state)
     with progress_bar("exporting", "episodes") as advance:
-        done = export_lerobot(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
+        done = export_lerobot(source, out, lambda n, total: advance(n, total, ""), options, overwrite=overwrite)
     _show(done, json)
 
 

@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import UsageError
 from .console import note, print_json, print_table, progress_bar
 from .films import film, films_at
 from .report_path import require_free
-from .session import Json, Revision, opener
+from .session import Json, Revision, Robot, opener
 from .settings import (
     Arm,
     ConfigOption,
@@ -62,6 +62,7 @@ def batch(
     target: Target = None,
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     config: ConfigOption = "default",
     json: Json = False,
 ) -> None:
@@ -87,6 +88,7 @@ def batch(
         target=target,
         rig=rig,
         revision=revision,
+        robot=robot,
     )
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS

@@ -11,7 +11,7 @@ import typer
 from yamsim_cli.core.errors import UsageError, counted
 
 from .console import note, print_json, print_line, progress_bar
-from .session import Json, Revision, opener
+from .session import Json, Revision, Robot, opener
 from .settings import (
     Arm,
     Cameras,
@@ -48,6 +48,7 @@ def record(
     target: Target = None,
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     arm: Arm = None,
     grasp: Grasp = None,
     wrist: Wrist = None,
@@ -103,6 +104,7 @@ def record(
         target=target,
         rig=rig,
         revision=revision,
+        robot=robot,
         arm=arm,
         grasp=grasp,
         wrist=wrist,

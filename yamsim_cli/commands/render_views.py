@@ -10,13 +10,14 @@ import typer
 from yamsim_cli.core.opener import parse_size
 
 from .console import print_json, print_line
-from .session import Json, Margin, Revision, RigName, opener
+from .session import Json, Margin, Revision, RigName, Robot, opener
 from .settings import Quality
 
 
 def render_views(
     rig: RigName = "single",
     revision: Revision = None,
+    robot: Robot = None,
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("views"),
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of each view in pixels.")] = "960x720",
     quality: Quality = None,
@@ -28,7 +29,7 @@ def render_views(
     Example: yamsim render-views --rig russet
     """
     where = opener.locations()
-    settings = opener.rig(rig, where, margin, revision)
+    settings = opener.rig(rig, where, margin, revision, robot)
     pixels = parse_size(size)
 
     from yamsim_cli.core.config.loader import load_config

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import sys
+import time
 from contextlib import ExitStack
 from dataclasses import asdict
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .can_run import Folder, bus_folder
 from .console import note, print_json, print_line
-from .session import Json, Revision, opener
-from .settings import ConfigOption, Object, Rig, Seed, Target, Task
+from .session import Json, Revision, Robot, opener
+from .settings import ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task
 from .signals import stoppable
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.serve.arms import Served
+    from yamsim_cli.core.serve.loop import Port
+    from yamsim_cli.core.serve.pictures import PictureProcess
+    from yamsim_cli.core.serve.policy_robot import PolicyRobot
+    from yamsim_cli.core.session import Session
 
 # What two frames of 130 bits at 1 Mbit/s and the adapter's way through USB take: with seven motors 4 ms, the
 # 250 Hz that the maker's SDK is made for.
@@ -23,6 +32,7 @@ _GAP_US = 571.0
 def serve_robot(
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     task: Task = None,
     item: Object = None,
     target: Target = None,
@@ -51,9 +61,22 @@ def serve_robot(
             min=0, max=65534, help="Also answer calls of portal's on this port, as 11333; the second arm on the next."
         ),
     ] = None,
+    chiral: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Also be the robot of raiden's policies on this port, as 8765."),
+    ] = None,
     host: Annotated[
-        str, typer.Option(help="Address of --portal. Beyond 127.0.0.1, anybody who reaches it can drive the arm.")
+        str,
+        typer.Option(help="Address of --portal and --chiral. Beyond 127.0.0.1, anybody who reaches it drives the arm."),
     ] = "127.0.0.1",
+    cameras: Annotated[
+        bool, typer.Option("--cameras", help="Also hand out pictures, to camera readers of LeRobot's and raiden's.")
+    ] = False,
+    size: Size = None,
+    quality: Quality = None,
+    camera_fps: Annotated[
+        float, typer.Option(min=0.1, max=120, help="Pictures a second of each camera, at most.")
+    ] = 30.0,
     seconds: Annotated[float | None, typer.Option(min=0.1, max=1e6, help="End by itself after so long.")] = None,
     config: ConfigOption = "default",
     json: Json = False,
@@ -69,47 +92,57 @@ def serve_robot(
     faults = [parse_fault(text) for text in fault or ()]
     session = opener.open(
         config,
-        renders=False,
+        renders=cameras or chiral is not None,
+        parallel=False,
         rig=rig or "yam_v1+linear_4310",
         revision=revision,
+        robot=robot,
         task=task,
         object=item,
         target=target,
         seed=seed,
+        size=size,
+        quality=quality,
     )
     require_pair(session.config, "serve-robot")
 
-    from yamsim_cli.core.serve.arms import STARTS, serve_arms
+    from yamsim_cli.core.serve.arms import STARTS, policy_robot, serve_arms
     from yamsim_cli.core.serve.loop import ServeLoop
-    from yamsim_cli.core.serve.portal import PortalServer
     from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
 
     if start not in STARTS:
         raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(STARTS)}")
     served = serve_arms(session, channel or (), faults, start)
     with ExitStack() as stack, stoppable("Ending.") as stop:
+        where = bus_folder(folder)
         sockets = []
         for side, bus in zip(served.sides, served.plant.buses, strict=True):
-            one = KernelBus(bus.channel) if kernel else UnixBus(bus_folder(folder), bus.channel)
+            one = KernelBus(bus.channel) if kernel else UnixBus(where, bus.channel)
             stack.callback(one.close)
             sockets.append(one)
             note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
-        portals = []
-        for k, follower in enumerate(served.followers if portal is not None else ()):
-            server = PortalServer(follower, host, portal + k if portal else 0)
-            stack.callback(server.close)
-            portals.append(server)
-            note(f"{host}:{server.port}: calls of portal's for the {served.sides[k]} arm")
+        ports = _portals(stack, served, host, portal)
+        driven = None
+        if cameras or chiral is not None:
+            source = _pictures(stack, session, served, camera_fps)
+            ports.append(source)
+            if cameras:
+                ports.append(_camera_server(stack, where, source))
+            if chiral is not None:
+                driven = policy_robot(session, served, source)
+                ports.append(_chiral(stack, driven, host, chiral))
         note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
         sys.stderr.flush()
 
         def drive() -> None:
-            for follower in served.followers if portals else ():
+            if driven is not None:
+                driven.tick()
+            for follower in served.followers:
                 follower.tick()
 
-        loop = ServeLoop(served.plant, sockets, gap * 1e-6, portals, drive)
+        loop = ServeLoop(served.plant, sockets, gap * 1e-6, ports, drive)
         loop.run(lambda: stop.asked, float("inf") if seconds is None else seconds)
-    pace = loop.pace
+        pace = loop.pace
     if json:
         print_json({"channels": [bus.channel for bus in served.plant.buses], **asdict(pace)})
         return
@@ -117,3 +150,42 @@ def serve_robot(
         f"{pace.steps} steps in {pace.seconds:.1f} s, the latest {pace.late_ms:.2f} ms late, {pace.late_steps} by more "
         f"than a step, {pace.lost_ms:.0f} ms lost; {pace.frames} frames"
     )
+
+
+def _portals(stack: ExitStack, served: Served, host: str, port: int | None) -> list[Port]:
+    from yamsim_cli.core.serve.portal import PortalServer
+
+    ports: list[Port] = []
+    for k, follower in enumerate(served.followers if port is not None else ()):
+        server = PortalServer(follower, host, port + k if port else 0)
+        stack.callback(server.close)
+        ports.append(server)
+        note(f"{host}:{server.port}: calls of portal's for the {served.sides[k]} arm")
+    return ports
+
+
+def _pictures(stack: ExitStack, session: Session, served: Served, fps: float) -> PictureProcess:
+    from yamsim_cli.core.serve.arms import served_cameras
+    from yamsim_cli.core.serve.pictures import PictureProcess
+
+    source = PictureProcess(session, served_cameras(session.config), fps, served.moment, time.time_ns)
+    stack.callback(source.close)
+    return source
+
+
+def _camera_server(stack: ExitStack, folder: Path, source: PictureProcess) -> Port:
+    from yamsim_cli.core.serve.cameras import CameraServer
+
+    server = CameraServer(folder, source)
+    stack.callback(server.close)
+    note(f"{server.path}: pictures of {', '.join(source.cameras)}")
+    return server
+
+
+def _chiral(stack: ExitStack, robot: PolicyRobot, host: str, port: int) -> Port:
+    from yamsim_cli.core.serve.chiral import ChiralServer
+
+    server = ChiralServer(robot, host, port)
+    stack.callback(server.close)
+    note(f"{host}:{server.port}: chiral, for raiden's policies")
+    return server

@@ -23,6 +23,14 @@ RigName = Annotated[
 Revision = Annotated[
     str | None, typer.Option(help="Of the rig's robots, in place of the rig's own; `yamsim robots list` has them.")
 ]
+Robot = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FILE",
+        help="How your arm moves otherwise than its model, as `yamsim identify` writes it: for all arms of that model. "
+        "Give it again for another arm.",
+    ),
+]
 Margin = Annotated[float | None, typer.Option(help="Distance between the arms, m, in place of the rig's own.")]
 
 

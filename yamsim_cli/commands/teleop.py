@@ -13,7 +13,7 @@ from yamsim_cli.core.errors import UsageError, counted
 
 from .console import note, print_json, print_line
 from .record import mode_of
-from .session import Json, Revision, opener
+from .session import Json, Revision, Robot, opener
 from .settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist
 from .signals import stoppable
 from .viewing import Host, Port, page_address, quiet_page
@@ -39,6 +39,7 @@ def teleop(
     target: Target = None,
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     arm: Arm = None,
     wrist: Wrist = None,
     size: Size = None,
@@ -69,6 +70,7 @@ def teleop(
         config,
         rig=rig,
         revision=revision,
+        robot=robot,
         arm=arm,
         task=task,
         object=item,

@@ -11,7 +11,7 @@ import typer
 from yamsim_cli.core.errors import ResourceError, UsageError
 
 from .console import print_json, print_line
-from .session import Json, Margin, Revision, opener
+from .session import Json, Margin, Revision, Robot, opener
 from .settings import Rig, Seed, Task
 from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 def view(
     rig: Rig = None,
     revision: Revision = None,
+    robot: Robot = None,
     margin: Margin = None,
     task: Task = None,
     seed: Seed = None,
@@ -63,9 +64,11 @@ def view(
 
     settings: RigConfig | RecordConfig
     if task is None:
-        settings = opener.rig(rig or "single", where, margin, revision)
+        settings = opener.rig(rig or "single", where, margin, revision, robot)
     else:
-        settings = opener.config("default", where, rig=rig, revision=revision, margin=margin, task=task, seed=seed)
+        settings = opener.config(
+            "default", where, rig=rig, revision=revision, robot=robot, margin=margin, task=task, seed=seed
+        )
     pictures = page is not None and _can_render(where)
     prepare_viewer(page)
 

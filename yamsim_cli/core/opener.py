@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, MutableMapping
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +31,7 @@ _NO_GL = "off"
 _SETS: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
+    "robot": ("rig", "robot"),
     "margin": ("rig", "margin"),
     "task": ("task",),
     "object": ("task", "object"),
@@ -133,7 +134,7 @@ class Opener:
         overrides: dict[KeyPath, tuple[str, Any]] = {
             path: (self.spell(setting), given[setting])
             for setting, path in _SETS.items()
-            if given.get(setting) is not None
+            if given.get(setting) is not None and given[setting] != []
         }
         if given.get("task") is not None and given.get("rig") is None and (rig := self._own_rig(given["task"], where)):
             overrides["rig",] = (self.spell("task"), rig)
@@ -171,8 +172,15 @@ class Opener:
         rig = data.get("rig") if data.get("kind") == PROGRAM else None
         return rig if isinstance(rig, str) else None
 
-    def rig(self, name: str, where: Locations, margin: float | None = None, revision: str | None = None) -> RigConfig:
-        """The named rig, with another margin, or another revision of its robots, if one was given."""
+    def rig(
+        self,
+        name: str,
+        where: Locations,
+        margin: float | None = None,
+        revision: str | None = None,
+        robot: Sequence[str] | None = None,
+    ) -> RigConfig:
+        """The named rig, with another margin, another revision of its robots, or one's dynamics, if one was given."""
         from .config.loader import load_config
         from .config.rig import RigConfig
 
@@ -181,6 +189,8 @@ class Opener:
             overrides["margin",] = (self.spell("margin"), margin)
         if revision is not None:
             overrides["revision",] = (self.spell("revision"), revision)
+        if robot:
+            overrides["robot",] = (self.spell("robot"), robot)
         return load_config(RigConfig, "rigs", name, where, overrides)
 
     def use_gl(self, where: Locations, *, workers: bool = False) -> Locations:

@@ -183,11 +183,14 @@ class StepState:
         time: simulated time, s.
         qpos: MuJoCo's positions (nq,), before the frame's first command acts.
         actions: of the ticks until the next frame.
+        sensed: where the joints and fingers (arms, drives) were when what is read now was measured; None where encoders
+            read at once.
     """
 
     time: float
     qpos: Array
     actions: Actions
+    sensed: Array | None = None
 
 
 class Cause(StrEnum):

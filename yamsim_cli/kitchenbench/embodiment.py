@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import os
-from typing import Any
+from functools import partial
 
 import numpy as np
 from inspect_robots import (
@@ -20,21 +19,19 @@ from inspect_robots import (
 )
 from inspect_robots.embodiment import PRIVILEGED_SUCCESS, RENDERABLE, RESETTABLE, SEEDABLE
 from inspect_robots.spaces import StateField, StateSpec
-from kitchenbench.sim import build_blueprint, make_success_checker
-from kitchenbench.sim.success import SuccessChecker
+from kitchenbench.sim import build_blueprint
 
 from .. import __version__
 from ..core.attempt.pictures import render
+from ..core.attempt.simulator import Simulator
 from ..core.config.recording import RecordConfig
 from ..core.errors import UsageError
-from ..core.opener import Opener, parse_size
-from ..core.session import Session
 from ..core.types import Attempt, EpisodeJob
+from .judges import Judge, KitchenJudge, OwnJudge
 from .motion import ACTION_DIM, ARM_JOINTS, CLOSING, Motion
-from .scene import KINDS, TICK_HZ, Realization, realize
-from .world import KitchenWorld
-
-STATION = "yam_station_linear_4310_d405"
+from .opening import open_base
+from .own import BENCHMARK, GOAL_KIND, realize_own
+from .scene import KINDS, TICK_HZ, realize
 
 #: State keys: what a real station tells, and the number from which a realization follows, which only an expert may use.
 JOINTS, SEED = "joint_pos", "realization_seed"
@@ -49,29 +46,9 @@ LABELS = tuple(
 
 _LOG = logging.getLogger("yamsim")
 
-_OPENER = Opener(os.environ, _LOG.warning, "{}=".format)
-
 _NOTES = """Two arms of six joints, 0.61 m apart, before a table. An action is 14 absolute targets: six joints of the
 left arm (rad), its gripper (0 closed and pressing .. 1 open), then the right arm's. Over an action, references go
 evenly from the last targets to the new ones, as far as motors' speeds let them. At zero an arm is folded."""
-
-
-def open_base(size: str, *, images: bool, quality: str = "fast") -> Session:
-    """A session of the station, whose task every scene replaces.
-
-    Raises:
-        UsageError: the size or the quality is not valid.
-        ResourceError: images are wanted, and nothing can render here.
-    """
-    given: dict[str, Any] = {"rig": STATION, "task": _ANY_TASK, "size": parse_size(size), "quality": quality}
-    if images:
-        return _OPENER.open("default", parallel=False, **given)
-    where = _OPENER.locations()
-    return Session(_OPENER.config("default", where, **given), where).without_meshes()
-
-
-# Whichever of ours: a scene brings a task of its own.
-_ANY_TASK = "tower"
 
 
 def action_space(config: RecordConfig, period: float) -> Box:
@@ -106,13 +83,13 @@ def ticks_of(control_hz: float) -> int:
 
 
 class YamsimEmbodiment:
-    """The station `yam_station_linear_4310_d405` before a table with the things of a KitchenBench scene.
+    """The station `yam_station_linear_4310_d405` before a table with the things of a KitchenBench scene, or of ours.
 
-    Success is judged by the benchmark's own checker alone, after every action.
+    Success is judged by the benchmark's own checker alone, after every action, or by our task's own goal.
 
     Attributes:
         info: what it is, for whoever checks whether a policy fits.
-        world: of the scene that was reset last, what checkers ask.
+        world: of the KitchenBench scene that was reset last, what checkers ask.
 
     Args:
         control_hz: actions a second of simulated time; each lasts a whole number of control ticks of 1/30 s.
@@ -129,7 +106,8 @@ class YamsimEmbodiment:
         self, *, control_hz: float = CONTROL_HZ, images: bool = True, size: str = "320x240", quality: str = "fast"
     ) -> None:
         self._ticks = ticks_of(control_hz)
-        self._base = open_base(size, images=images, quality=quality)
+        self._open = partial(open_base, size, images=images, quality=quality)
+        self._base = self._open()
         width, height = self._base.config.image.size_px
         self._cameras = CAMERAS if images else ()
         fields = (StateField(JOINTS, (ACTION_DIM,), "rad"), StateField(SEED, (1,)))
@@ -142,68 +120,79 @@ class YamsimEmbodiment:
             control_hz=TICK_HZ / self._ticks,
             is_simulated=True,
             capabilities=frozenset({SEEDABLE, RESETTABLE, PRIVILEGED_SUCCESS, *([RENDERABLE] if images else [])}),
-            supported_target_kinds=KINDS,
+            supported_target_kinds=KINDS | {GOAL_KIND},
             docs=_NOTES,
             environment_id="yamsim",
             environment_revision=__version__,
         )
-        self._realized: Realization | None = None
+        self._simulator: Simulator | None = None
 
     def reset(self, scene: Scene, *, seed: int | None = None) -> Observation:
         """Put a scene's things onto the table, at rest, and the arms where they start.
 
         Raises:
-            LookupError: it is no scene of the benchmark's, or one that is not realized.
+            LookupError: it is no scene of the benchmark's or of ours, or one that is not realized.
             SimulationError: it cannot be compiled.
         """
-        if scene.metadata.get("benchmark") != "kitchenbench":
-            raise LookupError(f"scene {scene.id!r} is none of KitchenBench's, and yamsim realizes no others")
         self.close()
         self._seed = 0 if seed is None else seed
-        self._realized = realized = realize(build_blueprint(scene, self._seed), self._base)
-        for line in realized.unrealized:
+        match scene.metadata.get("benchmark"):
+            case "kitchenbench":
+                kitchen = realize(build_blueprint(scene, self._seed), self._base)
+                self._motion = Motion(kitchen, self._ticks)
+                judge = KitchenJudge(kitchen, self._motion)
+                self._judge: Judge = judge
+                self.world = judge.world
+                self._simulator = kitchen.simulator
+            case str(name) if name == BENCHMARK:
+                own = realize_own(self._open(task=str(scene.metadata["task"])), self._seed)
+                self._motion = Motion(own, self._ticks)
+                self._judge = OwnJudge(own, self._motion)
+                self._simulator = own.simulator
+            case _:
+                raise LookupError(
+                    f"scene {scene.id!r} is none of KitchenBench's or yamsim's, and yamsim realizes no others"
+                )
+        for line in self._judge.unrealized:
             _LOG.warning("%s: %s", scene.id, line)
-        self._motion = Motion(realized, self._ticks)
-        self.world = KitchenWorld(realized, self._motion)
-        self._checker: SuccessChecker = make_success_checker(realized.blueprint, self.world)
-        return self._observe(realized)
+        return self._observe(self._simulator)
 
     def step(self, action: Action) -> StepResult:
-        """Let an action (14,) act, and have the benchmark's checker look at what came of it."""
-        assert self._realized is not None, "reset comes first"
+        """Let an action (14,) act, and have the scene's judge look at what came of it."""
+        assert self._simulator is not None, "reset comes first"
         self._motion.act(np.asarray(action.data, dtype=np.float64))
-        verdict = self._checker(self.world)
-        reason = "success" if verdict.success else None
+        reached, explanation = self._judge.look()
+        reason = "success" if reached else None
         if broken := self._motion.broken():
             reason = f"physics broke down: {broken}"
         return StepResult(
-            observation=self._observe(self._realized),
+            observation=self._observe(self._simulator),
             reward=float(reason == "success"),
             terminated=reason is not None,
             termination_reason=reason,
             info={
                 "success": reason == "success",
-                "explanation": verdict.explanation,
-                "contract_version": self._realized.blueprint.contract_version,
-                "unrealized": list(self._realized.unrealized),
+                "explanation": explanation,
+                "unrealized": list(self._judge.unrealized),
+                **self._judge.noted,
             },
         )
 
     def close(self) -> None:
         """Free the scene and its renderer."""
-        if self._realized is not None:
-            self._realized.simulator.close()
-            self._realized = None
+        if self._simulator is not None:
+            self._simulator.close()
+            self._simulator = None
 
-    def _observe(self, realized: Realization) -> Observation:
+    def _observe(self, simulator: Simulator) -> Observation:
         images = {}
         if self._cameras:
             qpos = self._motion.data.qpos
-            images = render(realized.simulator, Attempt(EpisodeJob(0, 0)), qpos, self._cameras)
+            images = render(simulator, Attempt(EpisodeJob(0, 0)), qpos, self._cameras)
         return Observation(
             images=images,
             state={JOINTS: self._motion.state(), SEED: np.array([self._seed], dtype=np.float64)},
-            instruction=realized.blueprint.instruction,
+            instruction=self._judge.instruction,
             state_time=float(self._motion.data.time),
-            extra={"unrealized": list(realized.unrealized)},
+            extra={"unrealized": list(self._judge.unrealized)},
         )

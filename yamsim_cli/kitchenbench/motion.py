@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
+from ..core.attempt.simulator import Simulator
 from ..core.geometry.se3 import Array
 from ..core.scene.breakdown import breakdown
 from ..core.scene.compiled import SceneArm, SceneFingers
 from ..core.sim.closed_loop import ClosedLoop
-from .scene import Realization
 
 #: Joints of a YAM arm. In actions and states they come first, then its gripper; the left arm before the right one.
 ARM_JOINTS = 6
@@ -26,6 +27,18 @@ _SLOW, _FINGERS_SLOW = 0.15, 0.01
 _PRESSES = 0.05
 
 
+class Realized(Protocol):
+    """A scene that is compiled and at rest, see `scene.Realization` and `own.OwnRealization`."""
+
+    @property
+    def simulator(self) -> Simulator:
+        """With the compiled scene."""
+
+    @property
+    def start(self) -> Array:
+        """MuJoCo's positions (nq,)."""
+
+
 class Motion:
     """A scene in motion. The same actions from the same realization give the same bits.
 
@@ -34,17 +47,19 @@ class Motion:
 
     Attributes:
         data: MuJoCo's present state, poses and contacts up to date.
+        on_tick: called after every control tick; set it to look at what happens within an action.
 
     Args:
         ticks: control ticks an action.
     """
 
-    def __init__(self, realization: Realization, ticks: int) -> None:
+    def __init__(self, realization: Realized, ticks: int) -> None:
         simulator = realization.simulator
         timing = simulator.config.task.timing
         self._scene, self._ticks, self._tick = simulator.scene, ticks, timing.tick
         self._loop = ClosedLoop(self._scene, realization.start, None, timing)
         self.data = self._loop.data
+        self.on_tick: Callable[[], None] = _nothing
         # Cloth sways for long, and its own speed says little of it.
         cloth = [one.dof.ravel() for one in self._scene.cloths.values()]
         self._stiff = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
@@ -80,6 +95,7 @@ class Motion:
         for tick in range(self._ticks):
             before, after = (start + (goal - start) * (tick + k) / self._ticks for k in (0, 1))
             self._loop.step(self._told(before, after), (False,) * len(scene.arms))
+            self.on_tick()
         self._reference = goal
         self.refresh()
 
@@ -128,3 +144,7 @@ def hands(arms: Sequence[SceneArm]) -> list[SceneFingers]:
     found = [arm.fingers for arm in arms if arm.fingers is not None]
     assert len(found) == len(arms), "the station's arms have fingers"
     return found
+
+
+def _nothing() -> None:
+    return

@@ -1,9 +1,9 @@
-"""An expert for the benchmark's tasks: it knows which realization it is in, and plans in a twin of it."""
+"""An expert for the benchmark's tasks and our own: it knows which realization it is in, and plans in its twin."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from inspect_robots import (
@@ -19,14 +19,18 @@ from inspect_robots import (
 from kitchenbench.sim import build_blueprint
 
 from ..core.geometry.se3 import Array
+from ..core.goals.cast import Cast
 from ..core.planning.demonstration import start_stands
+from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
 from ..core.skills.program import Diary, run_program
 from ..core.tasks.randomness import Stream, generator
 from ..core.types import EpisodeJob
-from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, open_base, ticks_of
+from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_of
 from .motion import Motion, hands, told_share
+from .opening import open_base
+from .own import BENCHMARK, OwnRealization, realize_own
 from .programs import program_of
 from .scene import TICK_HZ, Realization, realize
 from .world import KitchenWorld
@@ -44,7 +48,7 @@ _LOG = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
-    """Does the benchmark's tasks by skills, planned in a twin of the scene, from the realization's number.
+    """Does the benchmark's tasks, and our own, by skills, planned in a twin of the scene, by its number.
 
     That number is privileged: no other policy may use it. Where a skill fails, it is tried again from the state that it
     left; after three times, the arms stay where they are.
@@ -75,7 +79,7 @@ class YamsimExpert:
         assert self._scene is not None, "reset comes first"
         if self._twin is None:
             seed = int(observation.state[SEED][0])
-            self._twin = Twin(realize(build_blueprint(self._scene, seed), self._base), seed, self._ticks)
+            self._twin = Twin(self._realize(self._scene, seed), seed, self._ticks)
         off = float(np.abs(np.asarray(observation.state[JOINTS]) - self._twin.motion.state()).max())
         if off > _SAME:
             raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
@@ -86,6 +90,11 @@ class YamsimExpert:
         if self._twin is not None:
             self._twin.close()
             self._twin = None
+
+    def _realize(self, scene: Scene, seed: int) -> Realization | OwnRealization:
+        if scene.metadata.get("benchmark") == BENCHMARK:
+            return realize_own(open_base("64x48", images=False, task=str(scene.metadata["task"])), seed)
+        return realize(build_blueprint(scene, seed), self._base)
 
     def _bind(self, control_hz: float) -> None:
         self._ticks = ticks_of(control_hz)
@@ -109,18 +118,30 @@ class Twin:
         ticks: control ticks an action.
     """
 
-    def __init__(self, realized: Realization, seed: int, ticks: int) -> None:
-        self._realized, self._ticks = realized, ticks
-        simulator = realized.simulator
+    def __init__(self, realized: Realization | OwnRealization, seed: int, ticks: int) -> None:
+        self._ticks = ticks
+        self._simulator = simulator = realized.simulator
         self._scene = simulator.scene
         assert simulator.cast is not None  # realizations have one
         self.motion = Motion(realized, ticks)
-        self._world = KitchenWorld(realized, self.motion).scene
-        self._world.begin()
+        if isinstance(realized, OwnRealization):
+            self._scene_id, program = realized.scene_id, realized.program()
+            world = realized.world(self.motion)
+            # What a task asks of the way there is noted as it happens.
+            self.motion.on_tick = self._watch
+        else:
+            self._scene_id = realized.blueprint.scene_id
+            program = program_of(realized.blueprint, realized.items, realized.bases)
+            world = KitchenWorld(realized, self.motion).scene
+        self._world = world
+        world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
-        self.bench: Bench = simulator.expert_tools.bench(self._world, list(start_stands(simulator.config)), rng)
-        program = program_of(realized.blueprint, realized.items, realized.bases)
-        self._segments = run_program(program, self.bench, simulator.cast, Diary())
+        self.bench: Bench = simulator.expert_tools.bench(world, list(start_stands(simulator.config)), rng)
+        self.do(program, simulator.cast)
+
+    def do(self, program: Sequence[Skill], cast: Cast) -> None:
+        """Begin a program: the next actions are those of its motions."""
+        self._segments = run_program(program, self.bench, cast, Diary())
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
@@ -130,8 +151,8 @@ class Twin:
         actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
-        most = len(actions) + _WAITS
         # References end a motion at once, and arms come after them: what is looked at next shall not move any more.
+        most = len(actions) + (_WAITS if segment is None or segment.arrives else 0)
         while not self.motion.at_rest() and len(actions) < most:
             actions.append(self.motion.reference)
             self.motion.act(actions[-1])
@@ -141,12 +162,16 @@ class Twin:
         try:
             return next(self._segments, None)
         except SkillFailedError as error:
-            _LOG.warning("%s: the expert gives up: %s", self._realized.blueprint.scene_id, error)
+            _LOG.warning("%s: the expert gives up: %s", self._scene_id, error)
             return None
 
     def close(self) -> None:
         """Free the scene."""
-        self._realized.simulator.close()
+        self._simulator.close()
+
+    def _watch(self) -> None:
+        self.motion.refresh()
+        self._world.watch()
 
 
 def is_still(segment: Segment) -> bool:

@@ -19,7 +19,7 @@ from ..core.errors import UsageError, suggest
 from ..core.goals.world import TABLE
 from ..core.skills.base import Skill
 from ..core.skills.program import SKILLS
-from .embodiment import STATION, open_base
+from .opening import STATION, open_base
 from .places import free_places
 from .programs import program_of
 from .scene import STEPS, TIMESTEP, realize, table_of

@@ -17,4 +17,4 @@ client = LeRobotClient(folder, load_config(PolicyConfig, "policies", "lerobot_ex
 client.begin(0)
 message = {"observation.state": told["state"], "observation.images.scene_camera": told["scene"], "task": "a task"}
 np.save(out, client.ask(message)["action"])
-print(json.dumps({"pictures": client.pictures, "execute": client.execute}))
+print(json.dumps({"asks": client.asks, "execute": client.execute}))

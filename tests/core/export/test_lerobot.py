@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from tests.core.export.lerobot_files import check_numbers, jpegs, recorded, rows
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.export import lerobot_schema
 from yamsim_cli.core.export.lerobot import export_lerobot
+from yamsim_cli.core.export.lerobot_options import LeRobotOptions
 from yamsim_cli.core.export.lerobot_stats import PixelCounts, RunningStats, column_stats
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.resources import Locations
@@ -31,6 +33,14 @@ def export(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPat
     out = tmp_path_factory.mktemp("lerobot") / "out"
     done = export_lerobot(open_source(dataset, None, locations), out, lambda *_: None)
     assert (done.episodes, done.frames) == (EPISODES, EPISODES * FRAMES)
+    return out
+
+
+@pytest.fixture(scope="module")
+def of_numbers(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Without pictures, and with where things are."""
+    out = tmp_path_factory.mktemp("lerobot") / "numbers"
+    export_lerobot(open_source(dataset, None, locations), out, lambda *_: None, LeRobotOptions(False, True))
     return out
 
 
@@ -104,6 +114,43 @@ def test_the_whole_is_described(export: Path, dataset: Path) -> None:
     provenance = json.loads((export / "meta" / "yamsim.json").read_text())
     assert provenance["episodes"][2] == {"episode_index": 2, "episode": "ep_000002", "seed": 0, "attempt": 2}
     assert {path.name for path in export.iterdir()} == {"data", "meta", "videos"}
+
+
+def test_where_things_are_is_a_row_of_poses_in_the_base(of_numbers: Path, dataset: Path) -> None:
+    found = rows(of_numbers, "data/*/*.parquet")
+    frames = [frame for episode in recorded(dataset) for frame in episode]
+    wanted = [
+        np.concatenate([frame[key].T[k, :3] for key in ("banana_pose", "plate_pose") for k in (3, 0, 1)])
+        for frame in frames
+    ]
+    np.testing.assert_array_equal(np.array(found["observation.environment_state"], np.float32), wanted)
+    check_numbers(found, recorded(dataset), ())
+    info = json.loads((of_numbers / "meta" / "info.json").read_text())
+    feature = info["features"]["observation.environment_state"]
+    assert (feature["dtype"], feature["shape"]) == ("float32", [18])
+    assert feature["names"][:4] == ["banana_x", "banana_y", "banana_z", "banana_x_axis_x"]
+    assert feature["names"][-1] == "plate_y_axis_z"
+    stats = json.loads((of_numbers / "meta" / "stats.json").read_text())["observation.environment_state"]
+    np.testing.assert_allclose(stats["mean"], np.mean(wanted, axis=0, dtype=np.float64), atol=1e-9)
+
+
+def test_things_with_other_joints_are_not_exported_together(
+    dataset: Path, locations: Locations, tmp_path: Path
+) -> None:
+    source = open_source(dataset, None, locations)
+    record = source.first.record.model_copy(update={"joints": {"cabinet": ("slide",)}})
+    other = replace(source, first=replace(source.first, record=record))
+    with pytest.raises(DatasetError, match=r"ep_000000 has things with other joints than ep_000000"):
+        export_lerobot(other, tmp_path / "out", lambda *_: None, LeRobotOptions(False, True))
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_pictures_there_are_no_videos_and_no_cameras(of_numbers: Path) -> None:
+    info = json.loads((of_numbers / "meta" / "info.json").read_text())
+    assert {path.name for path in of_numbers.iterdir()} == {"data", "meta"}
+    assert info["video_path"] is None
+    assert not [key for key in info["features"] if "camera" in key or "images" in key]
+    assert not [key for key in rows(of_numbers, "meta/episodes/*/*.parquet") if "camera" in key or "video" in key]
 
 
 def test_a_policy_takes_the_joints_alone_as_its_state(export: Path) -> None:

@@ -18,8 +18,9 @@ from yamsim_cli.core.motors.bus import Bus
 from yamsim_cli.core.motors.frames import Frame
 from yamsim_cli.core.motors.kinds import KINDS
 from yamsim_cli.core.motors.motor import Motor
+from yamsim_cli.core.serve import sockets
 from yamsim_cli.core.serve.program import program_environment
-from yamsim_cli.core.serve.sockets import UnixBus
+from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
 
 ENABLE = struct.pack("=IB3x8s", 1, 8, b"\xff" * 7 + b"\xfc")
 
@@ -127,3 +128,74 @@ def test_frames_of_other_kinds_are_nobodys() -> None:
     assert frames.parse(struct.pack("=IB3x8s", 0x800, 8, bytes(8))) is None
     assert frames.parse(struct.pack("=IB3x8s", 1, 9, bytes(8))) is None
     assert frames.parse(struct.pack("=IB3x8s", 1, 2, b"abcdefgh")) == Frame(1, b"ab")
+
+
+class CanSocket:
+    """In place of a raw socket of the kernel's: datagrams of one frame, to whoever has the other end."""
+
+    def __init__(self, *kind: int) -> None:
+        self.kind = kind
+        self.bound: tuple[str] | None = None
+        self._ours, self.other = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.fileno, self.send, self.recv = self._ours.fileno, self._ours.send, self._ours.recv
+        self.setblocking = self._ours.setblocking
+
+    def bind(self, address: tuple[str]) -> None:
+        if address != ("can0",):
+            raise OSError(19, "No such device")
+        self.bound = address
+
+    def close(self) -> None:
+        self._ours.close()
+
+
+@pytest.fixture
+def kernel(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[CanSocket]]:
+    """A kernel with one CAN interface, can0; the sockets that are opened there."""
+    opened: list[CanSocket] = []
+
+    class Kernel:
+        AF_CAN, SOCK_RAW, CAN_RAW = 29, 3, 1
+
+        @staticmethod
+        def socket(*kind: int) -> CanSocket:
+            opened.append(CanSocket(*kind))
+            return opened[-1]
+
+    monkeypatch.setattr(sockets, "socket", Kernel)
+    yield opened
+    for one in opened:
+        one.close()
+        one.other.close()
+
+
+def test_an_interface_of_the_kernels_carries_the_same_frames(kernel: list[CanSocket]) -> None:
+    bus = KernelBus("can0")
+    (can,) = kernel
+    assert can.kind == (29, 3, 1) and can.bound == ("can0",)
+    (reader,) = bus.readers
+    assert not list(bus.receive({reader}))  # Nothing has come, and it does not wait.
+    can.other.send(ENABLE)
+    can.other.send(struct.pack("=IB3x8s", 1 | 0x80000000, 8, bytes(8)))  # Of another kind, which no motor has.
+    can.other.send(ENABLE)
+    assert [frame.id for frame in bus.receive({reader})] == [1, 1]
+    bus.send(Frame(0x11, b"12345678"))
+    assert can.other.recv(64) == frames.to_wire(Frame(0x11, b"12345678"))
+    can.other.close()
+    bus.send(Frame(0x11, b"12345678"))  # An interface that went down loses frames, and stops nothing.
+    bus.close()
+
+
+def test_a_flood_on_an_interface_is_read_in_parts(kernel: list[CanSocket], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sockets, "_READ_FRAMES", 5)
+    bus = KernelBus("can0")
+    for _ in range(8):
+        kernel[0].other.send(ENABLE)
+    (reader,) = bus.readers
+    assert [len(list(bus.receive({reader}))) for _ in range(2)] == [5, 3]
+    bus.close()
+
+
+def test_an_interface_that_is_not_there_is_one_line(kernel: list[CanSocket]) -> None:
+    with pytest.raises(ResourceError, match="CAN interface can1: cannot be opened: No such device"):
+        KernelBus("can1")

@@ -8,6 +8,7 @@ from typing import Any
 from ..config.recording import RecordConfig
 from ..dataset.lowdim import SimulationData, frame_data
 from ..geometry.se3 import Array, inverse
+from ..sim.readings import readings
 from ..types import Attempt, StepState
 from .simulator import Simulator
 
@@ -15,7 +16,8 @@ from .simulator import Simulator
 def frames(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
     """What is recorded of each state, see `dataset.lowdim`; nothing is rendered for it."""
     simulator.varied(attempt)
-    return [_frame(simulator, attempt, state) for state in states]
+    every = simulator.config.task.timing.ticks_per_frame
+    return [_frame(simulator, attempt, state, k * every) for k, state in enumerate(states)]
 
 
 def _joints(simulator: Simulator) -> dict[str, Array]:
@@ -25,13 +27,14 @@ def _joints(simulator: Simulator) -> dict[str, Array]:
     return {item.name: simulator.replica.object_joints(item) for item in things if item.links}
 
 
-def _frame(simulator: Simulator, attempt: Attempt, state: StepState) -> dict[str, Any]:
+def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) -> dict[str, Any]:
     config, scene, replica = simulator.config, simulator.scene, simulator.replica
     task, acting = config.task, state.actions
     replica.show(state.qpos)
+    joints = replica.joints() if state.sensed is None else state.sensed
     bases = [arm.T_base_in_world for arm in scene.arms]
     return frame_data(
-        joints=replica.joints(),
+        joints=readings(scene, joints, attempt.job, tick),
         timestamp=state.time,
         intrinsics={name: replica.intrinsics(name, config.image.size_px).K for name in scene.cameras},
         extrinsics={name: replica.T_cam_in_base(name) for name in scene.cameras},

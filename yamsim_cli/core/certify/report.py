@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import datetime
 from pathlib import Path
 
-from ... import __version__
-from ..errors import ResourceError
-from ..files import write_file
+from ..report import page_files
 from ..report.certificate_page import certificate_page
 from .codes import CHECKS
 from .pictures import draw
@@ -21,9 +18,5 @@ def write_page(certified: Certified, path: Path) -> None:
         ResourceError: nothing can be drawn here, or the file cannot be written.
     """
     titles = {code: (check.title, check.advice) for code, check in CHECKS.items()}
-    made = f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
-    text = certificate_page(certified.plain(), titles, draw(certified.outcomes), made)
-    try:
-        write_file(path, text.encode())
-    except OSError as error:
-        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --html") from error
+    text = certificate_page(certified.plain(), titles, draw(certified.outcomes), page_files.made_line())
+    page_files.write_page(text, path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -14,6 +14,7 @@ from ..documents.explain import dotted, explain, explain_conflict, kind_instead,
 from ..documents.units import AS_RECORDED
 from ..errors import ConfigError, UsageError, suggest
 from ..resources import Locations
+from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Gripper
 from . import robot_names
 from .camera import CameraConfig
@@ -40,11 +41,15 @@ KINDS: Mapping[str, type[Config]] = {
     "recordings": RecordingNames,
     "robots": ArmModel,
     "grippers": Gripper,
+    "revisions": Dynamics,
 }
 
 # The key by which an override asks for another revision of a rig's robots; between a robot's name and its gripper's.
 REVISION = "revision"
+# The key by which one puts how an arm moves over the arms of a rig that it is of.
+ROBOT = "robot"
 _JOINED = "+"
+_DYNAMICS = "revisions"
 
 C = TypeVar("C", bound=Config)
 
@@ -100,12 +105,14 @@ def load_config(
     # References are resolved between the two passes, so that a flag may reach inside a config named by another flag.
     changes = overrides or {}
     for path, (place, value) in changes.items():
-        if len(path) == 1 and path[-1] != REVISION:
+        if len(path) == 1 and path[-1] not in (REVISION, ROBOT):
             document.set(path, value, place)
     _resolve_references(model, document, (), locations)
     for path, (place, value) in changes.items():
         if path[-1] == REVISION:
             _revise(document, path[:-1], value, place, locations)
+        elif path[-1] == ROBOT:
+            _move_as(document, path[:-1], value, place, locations)
         elif len(path) > 1:
             document.set(path, value, place)
     flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
@@ -150,18 +157,49 @@ def _joined(name: str) -> Document:
 
 def _revise(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
     """Put another revision of its family in for each arm of the rig at `path`."""
+    for k, (model, _) in _arms(document, path).items():
+        try:
+            name = robot_names.revised(model, str(revision), locations)
+        except ConfigError as error:
+            raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
+        document.set((*path, "arms", k, "model"), name, place)
+
+
+def _move_as(document: Document, path: KeyPath, files: Sequence[str], place: str, locations: Locations) -> None:
+    """Put each of one's dynamics in for the arms of the rig at `path` that it is of: by their model and their side."""
+    for file in files:
+        try:
+            dynamics = _named(Dynamics, _DYNAMICS, file, locations)
+        except ConfigError as error:
+            raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
+        if instead := _other_kind(Dynamics, dynamics):
+            raise ConfigError(instead)
+        base, side = _base(dynamics), dynamics.data.get("side")
+        arms = _arms(document, path)
+        meant = [k for k, (model, on) in arms.items() if model == base and side in (None, on)]
+        for k in meant:
+            document.graft((*path, "arms", k, "dynamics"), dynamics)
+        if not meant:
+            there = " and ".join(dict.fromkeys(f"{model!r} on the {on}" for model, on in arms.values()))
+            raise (UsageError if is_setting(place) else ConfigError)(
+                f"{place}: {file} is of {base!r}{f' on the {side}' if side else ''}, and the rig has {there}; choose "
+                "another rig"
+            )
+
+
+def _arms(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
+    """Number of an arm of the rig at `path` -> its robot model, and its side."""
     rig: Any = document.data
     for key in path:
         rig = rig[key]
     arms = rig.get("arms") if isinstance(rig, dict) else None
+    found: dict[int, tuple[str, Any]] = {}
     for k, arm in enumerate(arms if isinstance(arms, list) else ()):
         model = arm.get("model") if isinstance(arm, dict) else None
-        if isinstance(model, dict) and isinstance(model.get("name"), str):
-            try:
-                name = robot_names.revised(model["name"], str(revision), locations)
-            except ConfigError as error:
-                raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
-            document.set((*path, "arms", k, "model"), name, place)
+        name = model.get("name") if isinstance(model, dict) else model
+        if isinstance(name, str):
+            found[k] = name, arm.get("side")
+    return found
 
 
 def _read(model: type[Config], path: Path) -> Document:
@@ -251,6 +289,8 @@ def _put_in(
     document: Document, path: KeyPath, kind: str, target: type[Config], name: str, locations: Locations
 ) -> None:
     """Replace the name of a config at `path` by its content."""
+    if kind == robot_names.ARMS and name.endswith((".yaml", ".yml")):
+        name = _with_dynamics(document, path, name, locations)
     try:
         other = _named(target, kind, name, locations)
     except ConfigError as error:
@@ -258,3 +298,22 @@ def _put_in(
     if instead := _other_kind(target, other):
         raise ConfigError(f"{document.place(path)}: {dotted(path)}: {instead}")
     document.graft(path, other)
+
+
+def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Locations) -> str:
+    """The robot model of a file of dynamics, which is named in its place at `path` and put in beside it."""
+    key = (*path[:-1], "dynamics")
+    try:
+        dynamics = _named(Dynamics, _DYNAMICS, file, locations)
+    except ConfigError as error:
+        raise ConfigError(f"{document.place(path)}: {dotted(path)}: {error}") from error
+    document.graft(key, dynamics)
+    return _base(dynamics)
+
+
+def _base(dynamics: Document) -> str:
+    """The robot model that one's dynamics are of."""
+    base = dynamics.data.get("base")
+    if not isinstance(base, str):
+        raise ConfigError(f"{dynamics.place(('base',))}: base: {base!r} is no robot model; name the one it is of")
+    return base

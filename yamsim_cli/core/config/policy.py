@@ -41,7 +41,7 @@ class PictureMapping(Config):
 
 
 class StateMapping(Config):
-    """The arms' joints and grippers as one row of numbers."""
+    """A row of numbers: the arms' joints and grippers, or where things are."""
 
     key: Key
     dtype: Dtype = "float32"
@@ -72,6 +72,8 @@ class PolicyConfig(Config):
         arms: the order of the arms in the state and in actions; "all" for those of any rig, the left one first. Of each
             arm come its joints in rad, and then its gripper.
         gripper: "share" for 0 closed .. 1 open, "metres" for the opening of one finger.
+        environment_state: where things are, see `core.policies.environment_state`; a checkpoint that does not ask is
+            not told.
         images: key -> picture.
         images_under: a key that holds all pictures; at the top of the message if left out.
         prompt: key of the task in words.
@@ -84,6 +86,7 @@ class PolicyConfig(Config):
     arms: Literal["all"] | tuple[Literal["left", "right"], ...] = "all"
     gripper: Literal["share", "metres"]
     state: StateMapping | None = None
+    environment_state: StateMapping | None = None
     images: dict[Key, PictureMapping] = Field(default={}, max_length=16)
     images_under: Key | None = None
     prompt: Key | None = None
@@ -97,6 +100,7 @@ class PolicyConfig(Config):
         pictures = [] if self.images_under else [(key, ("images", key)) for key in self.images]
         places: list[tuple[str | None, tuple[str, ...]]] = [
             (self.state.key if self.state else None, ("state", "key")),
+            (self.environment_state.key if self.environment_state else None, ("environment_state", "key")),
             *pictures,
             (self.images_under, ("images_under",)),
             (self.prompt, ("prompt",)),

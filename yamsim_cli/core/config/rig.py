@@ -22,6 +22,7 @@ from ..documents.base import Config, ConflictError, Name, Quaternion, Reference
 from ..documents.units import Heading, PlacePoint, Within, as_recorded
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
+from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_of
 from ..robots.robot import Robot, assemble
 
@@ -129,7 +130,8 @@ class ArmConfig(Config):
         name: unique in the rig.
         side: which hand it is; names its wrist camera.
         prefix: put before every name of the arm's in a scene, such as `arm2_`; unique in the rig.
-        model: a folder of `robot_models/`.
+        model: a folder of `robot_models/`. In a rig's file it may also be the file of one's dynamics, which names it.
+        dynamics: how this arm moves otherwise than its model.
         gripper: a folder of `robot_models/grippers/`, one that fits the model.
         grasp_offset: height of `grasp_site` over the flange along the gripper in metres; None keeps the gripper's.
         base: where the base stands, from its place in the rig.
@@ -141,6 +143,7 @@ class ArmConfig(Config):
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
     model: Annotated[ArmModel, Reference("robots"), *_BY_NAME]
     gripper: Annotated[Gripper, Reference("grippers"), *_BY_NAME]
+    dynamics: Annotated[Dynamics | None, Reference("revisions"), Field(exclude_if=lambda found: found is None)] = None
     base: BasePose = BasePose()
     grasp_offset: Annotated[FiniteFloat, Within("m", 0.01, 0.5)] | None = None
     wrist_camera: WristCamera
@@ -150,7 +153,7 @@ class ArmConfig(Config):
     @property
     def robot(self) -> Robot:
         """The arm with its gripper."""
-        return assemble(self.model, self.gripper)
+        return assemble(self.model, self.gripper, self.dynamics)
 
     @property
     def T_board_in_base(self) -> Array:
@@ -168,6 +171,11 @@ class ArmConfig(Config):
 
     @model_validator(mode="after")
     def _fits(self) -> ArmConfig:
+        if self.dynamics is not None:
+            try:
+                self.dynamics.check(self.model)
+            except ValueError as error:
+                raise ConflictError(str(error), ("dynamics",), ("model",)) from None
         try:
             T_base_mesh = self.robot.T_base_mesh
         except ValueError as error:

@@ -8,6 +8,7 @@ from ..config.loader import load_config
 from ..config.policy import PolicyConfig
 from ..config.recording import RecordConfig
 from ..policies import act, lerobot, openpi
+from ..policies.environment_state import things_told
 from ..policies.mapped import Client, MappedPolicy, Station
 from ..session import Session
 from .choice import PolicyChoice
@@ -30,7 +31,7 @@ def make_elsewhere(choice: PolicyChoice, session: Session) -> MappedPolicy:
     if kind == lerobot.SCHEME:
         local = choice.folder / rest
         checkpoint = lerobot.LeRobotClient(str(local) if local.is_dir() else rest, mapping)
-        return MappedPolicy(checkpoint, mapping, where, checkpoint.pictures)
+        return MappedPolicy(checkpoint, mapping, where, checkpoint.asks)
     servers: dict[str, Callable[[str, float], Client]] = {act.SCHEME: act.ActClient, openpi.SCHEME: openpi.OpenpiClient}
     return MappedPolicy(servers[kind](choice.name, choice.call_seconds), mapping, where)
 
@@ -45,4 +46,6 @@ def station(config: RecordConfig) -> Station:
         len(arms[0].robot.joints) + 1,
         tuple(arm.robot.fingers.full_opening if arm.robot.fingers else 0.0 for arm in arms),
         cameras,
+        things_told(config),
+        config.rig.T_base_in_world(config.rig.recorded[0]),
     )

@@ -8,10 +8,12 @@ from typing import Any
 
 from ..attempt.simulator import Simulator
 from ..config.recording import SCENE_CAMERA, RecordConfig
+from ..config.things import ObjectConfig
 from ..errors import UsageError, suggest
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..policies.base import OBJECTS, SCENE, VELOCITIES, WRIST, of_arms
+from ..policies.environment_state import joints_key, things_told
 from ..sim.closed_loop import ClosedLoop
 from ..types import Attempt
 
@@ -145,10 +147,9 @@ class Observer:
         arms, drives = self._simulator.scene.drives.shape
         return arms, drives
 
-    def joints(self, loop: ClosedLoop) -> Array:
-        """Each arm's joints in rad and its finger's opening in m now, (arms, drives)."""
-        self._simulator.replica.show(loop.data.qpos)
-        return self._simulator.replica.joints()
+    def joints(self, loop: ClosedLoop, attempt: Attempt) -> Array:
+        """What is read of each arm's joints in rad and its finger's opening in m now, (arms, drives)."""
+        return loop.readings(attempt.job)
 
     def observe(self, loop: ClosedLoop, attempt: Attempt, pictures: Pictures) -> LazyObservation:
         """What the policy is told of a scene's state now."""
@@ -156,7 +157,8 @@ class Observer:
         task = config.task
         replica.show(loop.data.qpos)
         T_base = scene.T_base_in_world
-        joints, openings = replica.joints(), replica.openings()
+        joints = loop.readings(attempt.job)
+        openings = joints[:, -1] if scene.arm.fingers is not None else replica.openings()
         told: dict[str, Any] = {
             "joints": joints.ravel(),
             "gripper": openings if len(openings) > 1 else float(openings[0]),
@@ -167,14 +169,13 @@ class Observer:
             "prompt": attempt.phrasing or task.language_prompt,
         }
         if OBJECTS in self._wants:
-            told |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
+            told |= {key: T_base @ replica.T_object_in_base(name) for name, key in things_told(config).items()}
+            told |= {joints_key(item.name): replica.object_joints(item) for item in self._moving()}
         if VELOCITIES in self._wants:
             told["joint_velocities"] = loop.joint_velocities.ravel()
         return LazyObservation(told, loop.data.qpos.copy(), self._cameras, pictures)
 
-    def _poses(self) -> dict[str, str]:
-        """Key -> thing, of the poses that a policy may ask for."""
-        config = self._simulator.config
-        if config.program:
-            return {f"T_{item.name}_in_world": item.name for item in config.task.objects}
-        return {"T_object_in_world": config.pair.object.name, "T_target_in_world": config.pair.target.name}
+    def _moving(self) -> list[ObjectConfig]:
+        """The things whose parts move, of a task that is data."""
+        program = self._simulator.config.program
+        return [item for item in program.objects if item.links] if program else []

@@ -23,12 +23,12 @@ from ..policies.policy_faults import Fault
 from ..session import Session
 from ..sim.closed_loop import ClosedLoop
 from ..stray_forks import forks_end_here
-from ..tasks.kinds import kind_of
 from ..types import Actions, Attempt, EpisodeJob, Outcome
 from .asking import Asker, PolicyFailedError, TooSlowError, talking_on_stderr
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
 from .choice import PolicyChoice
 from .observation import Observer, Pictures, policy_cameras
+from .stepped import most_ticks
 
 
 class Ended(StrEnum):
@@ -81,7 +81,7 @@ def trial_ticks(config: RecordConfig, choice: PolicyChoice) -> int:
     timing = config.task.timing
     if choice.time_limit is not None:
         return max(1, round(choice.time_limit / timing.tick))
-    return config.program.most_ticks if config.program else 2 * kind_of(config.pair).ticks(config)
+    return most_ticks(config)
 
 
 class TrialRunner(Closing):
@@ -141,7 +141,7 @@ class TrialRunner(Closing):
         pictures = Pictures(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = Observer(simulator, *self._wanted)
         hold = int(getattr(self._policy, "ticks", 1))
-        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, observer.joints(loop))
+        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, observer.joints(loop, attempt))
         try:
             ended, fault = self._play(player, loop, observer, attempt, pictures, seconds)
         finally:

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 from ..dataset.lowdim import ACTION, BETWEEN_BASES, STATE
 from ..dataset.reader import StoredEpisode
 from ..dataset.recorded_images import recorded_images
+from ..errors import DatasetError
 from ..images.video import VideoWriter, require_encoder
 from ..images.yuv import BT601
+from ..policies.environment_state import joints_key, state_names, state_row, things_told
 from ..progress import Progress
 from . import lerobot_schema as schema
+from .lerobot_options import WHOLE, LeRobotOptions
 from .lerobot_schema import Place
 from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
 from .lerobot_tables import TableSeries, episode_table, frames_table, require_parquet, write_tasks
@@ -28,18 +31,26 @@ from .source import Exported, Source
 from .target import export_directory
 
 
-def export_lerobot(source: Source, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
+def export_lerobot(
+    source: Source,
+    out: Path,
+    progress: Progress,
+    options: LeRobotOptions = WHOLE,
+    *,
+    overwrite: bool = False,
+) -> Exported:
     """Write a dataset as LeRobotDataset v3.0: Parquet for numbers, H.264 for images, frame k at exactly k periods.
 
     Raises:
-        DatasetError: a file is missing, altered or damaged.
+        DatasetError: a file is missing, altered or damaged, or episodes have things with other joints.
         ResourceError: pyarrow or PyAV is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
     require_parquet()
-    require_encoder()
+    if options.pictures:
+        require_encoder()
     with export_directory(out, overwrite=overwrite) as stage:
-        with _Writer(stage.path, source) as writer:
+        with _Writer(stage.path, source, options) as writer:
             for number, episode in enumerate(source.episodes()):
                 writer.add(episode)
                 progress(number + 1, len(source))
@@ -80,11 +91,13 @@ class _Writer:
         frames: how many were written.
     """
 
-    def __init__(self, root: Path, source: Source) -> None:
+    def __init__(self, root: Path, source: Source, options: LeRobotOptions) -> None:
         self.frames = 0
         self._root, self._source = root, source
-        welds = [] if source.config.action == "joints" else [f"{prefix}magnet" for prefix in source.prefixes]
-        self._columns = schema.columns(source.cameras, source.drives, welds)
+        self._cameras = source.cameras if options.pictures else {}
+        self._things = tuple(things_told(source.config)) if options.environment_state else ()
+        told = state_names(self._things, source.first.record.joints)
+        self._columns = schema.columns(self._cameras, source.drives, source.welds, told)
         self._tasks: dict[str, int] = {}
         self._total = RunningStats()
         self._provenance: list[dict[str, Any]] = []
@@ -96,7 +109,7 @@ class _Writer:
         self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
         self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
         # Decoding and encoding leave the interpreter free, so cameras are done in parallel.
-        self._threads = self._open.enter_context(ThreadPoolExecutor(len(self._source.cameras)))
+        self._threads = self._open.enter_context(ThreadPoolExecutor(max(1, len(self._cameras))))
         return self
 
     def __exit__(
@@ -105,11 +118,22 @@ class _Writer:
         self._open.__exit__(kind, error, trace)
 
     def add(self, episode: StoredEpisode) -> None:
-        """Write one episode."""
+        """Write one episode.
+
+        Raises:
+            DatasetError: of its things, other parts move than of the first episode's.
+        """
+        mine, others = episode.record.joints, self._source.first.record.joints
+        if self._things and mine != others:
+            first = self._source.first.directory.name
+            raise DatasetError(
+                f"{episode.directory} has things with other joints than {first} ({mine}, not {others}): "
+                "export them apart, see --episodes, or without --environment-state"
+            )
         number, period = len(self._provenance), self._source.frame_period
         filming = {
             camera: self._threads.submit(_film, self._root, episode, Place(number), camera, period)
-            for camera in self._source.cameras
+            for camera in self._cameras
         }
         frames = episode.frames()
         task = frames[0]["language_prompt"]
@@ -148,7 +172,9 @@ class _Writer:
         n = len(frames)
         states, commands = zip(*(_state_and_action(frame) for frame in frames), strict=True)
         values = {schema.STATE: np.array(states), schema.ACTION: np.array(commands)}
-        for camera in self._source.cameras:
+        if self._things:
+            values[schema.ENVIRONMENT_STATE] = np.array([_things_row(frame, self._things) for frame in frames])
+        for camera in self._cameras:
             for key, name in ((schema.intrinsics_key, "intrinsics"), (schema.extrinsics_key, "extrinsics")):
                 values[key(camera)] = np.array([np.ravel(frame[name][camera]) for frame in frames])
         return values | {
@@ -164,7 +190,7 @@ class _Writer:
         source, root = self._source, self._root
         write_tasks(root, list(self._tasks))
         # A video's width and height are even.
-        sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in source.cameras.items()}
+        sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in self._cameras.items()}
         counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
         robots = [source.config.rig.arms[k].model.name for k in source.config.rig.recorded]
         _write_json(
@@ -186,6 +212,11 @@ def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
     if ACTION in frame:
         return frame[STATE], frame[ACTION]
     return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
+
+
+def _things_row(frame: Mapping[str, Any], things: Sequence[str]) -> NDArray[Any]:
+    """Where things are in a frame; see `core.policies.environment_state`."""
+    return state_row([(frame[f"{thing}_pose"], frame.get(joints_key(thing), ())) for thing in things])
 
 
 def _whole(stats: Stats) -> dict[str, NDArray[Any]]:

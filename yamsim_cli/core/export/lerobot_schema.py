@@ -31,6 +31,8 @@ EPISODES = f"meta/episodes/{_FILE}.parquet"
 VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 
 STATE = "observation.state"
+# lerobot gives this key to policies as a kind of its own, which stands in for pictures.
+ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
 
 # Prefix of a robot's type for two arms, as in lerobot's own names.
@@ -105,17 +107,22 @@ def extrinsics_key(camera: str) -> str:
     return f"camera.extrinsics.{camera}"
 
 
-def columns(cameras: Mapping[str, tuple[int, int]], drives: Sequence[str], welds: Sequence[str]) -> dict[str, Feature]:
+def columns(
+    cameras: Mapping[str, tuple[int, int]], drives: Sequence[str], welds: Sequence[str], things: Sequence[str] = ()
+) -> dict[str, Feature]:
     """The features in the Parquet files, which are all except the images. An action has all drives, then all welds.
 
     Args:
         drives, welds: names of the arms' drives and welds, in order.
+        things: names of the numbers that say where things are; none for a dataset without that.
     """
     commands = (*drives, *welds)
     features = {
         STATE: Feature("float32", (len(drives),), tuple(drives)),
         ACTION: Feature("float32", (len(commands),), commands),
     }
+    if things:
+        features[ENVIRONMENT_STATE] = Feature("float32", (len(things),), tuple(things))
     for camera in cameras:
         features[intrinsics_key(camera)] = _matrix("K", 3)
         features[extrinsics_key(camera)] = _matrix("T", 4)
@@ -152,7 +159,7 @@ def info(
         "fps": int(fps) if fps == int(fps) else fps,
         "splits": {"train": f"0:{episodes}"},
         "data_path": DATA,
-        "video_path": VIDEO,
+        "video_path": VIDEO if cameras else None,
         "features": images | {key: feature.plain() for key, feature in features.items()},
     }
 

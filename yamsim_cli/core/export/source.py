@@ -9,6 +9,7 @@ from pathlib import Path
 from ..config.recording import RecordConfig
 from ..dataset.layout import depth_name
 from ..dataset.reader import StoredEpisode, dataset_config, open_episode
+from ..dataset.rows import drive_names, prefixes, weld_names
 from ..dataset.selection import select_episodes
 from ..errors import DatasetError
 from ..resources import Locations
@@ -57,18 +58,17 @@ class Source:
     @property
     def prefixes(self) -> tuple[str, ...]:
         """The prefix of the names of each arm's parts, in the order of recordings; empty for a lone arm."""
-        rig = self.config.rig
-        return tuple(f"{rig.arms[k].side}_" for k in rig.recorded) if len(rig.arms) > 1 else ("",)
+        return prefixes(self.config.rig)
 
     @property
     def drives(self) -> tuple[str, ...]:
         """Names of all drives, and of what `joints` holds, in the order of recordings."""
-        rig = self.config.rig
-        return tuple(
-            prefix + name
-            for prefix, k in zip(self.prefixes, rig.recorded, strict=True)
-            for name in rig.arms[k].robot.drives
-        )
+        return drive_names(self.config.rig)
+
+    @property
+    def welds(self) -> tuple[str, ...]:
+        """Names of what an action says of each arm's weld."""
+        return weld_names(self.config)
 
     @property
     def frame_period(self) -> float:

@@ -30,7 +30,8 @@ SHORTEST, LONGEST = 1e-3, 10.0
 # - `ee_pose_world` (4, 4) or (2, 4, 4) of `grasp_site`
 # - `K_scene` (3, 3), `T_cam_in_world` (4, 4) of the scene camera in OpenCV's convention
 # - `time` in s since the start, `prompt`
-# - for "objects", `T_object_in_world` (4, 4) of what is picked up, `T_target_in_world` (4, 4) of what it is put onto
+# - for "objects", `T_object_in_world` (4, 4) of what is picked up, `T_target_in_world` (4, 4) of what it is put onto;
+#   of tasks as data `T_<thing>_in_world` of each thing, and `<thing>_joints` (n,) of those with parts that move
 # - for "velocities", `joint_velocities` (drives,) in the order of `joints`, rad/s and m/s
 Observation = Mapping[str, Any]
 

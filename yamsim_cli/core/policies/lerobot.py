@@ -16,13 +16,30 @@ SCHEME = "lerobot"
 _INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsim, into an environment with Python 3.12"
 
 
+def check_rows(message: Mapping[str, Any], asked: Mapping[str, tuple[int, ...]]) -> None:
+    """Compare the rows of numbers in a message with what a checkpoint learnt from.
+
+    Args:
+        asked: key -> shape.
+
+    Raises:
+        UsageError: one is of another length.
+    """
+    for key, shape in asked.items():
+        if key in message and (told := np.shape(message[key])) != shape:
+            raise UsageError(
+                f"{key} has {told[-1]} numbers here, and {shape[-1]} in what the policy was trained on: "
+                "give the --task and --rig of its demonstrations"
+            )
+
+
 class LeRobotClient:
     """Asks a policy that was trained by LeRobot.
 
     A policy that looks at one observation answers with all of its chunk; one that looks back answers action by action.
 
     Attributes:
-        pictures: keys of the pictures that it asks for.
+        asks: keys of all that it asks for, pictures and rows of numbers.
         execute: after how many actions of a chunk it is meant to be asked again; None for all.
 
     Args:
@@ -61,7 +78,8 @@ class LeRobotClient:
         self._policy.eval()
         shapes = {key: tuple(feature.shape) for key, feature in config.image_features.items()}
         self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
-        self.pictures = tuple(shapes)
+        self.asks = tuple(config.input_features)
+        self._rows = {key: tuple(one.shape) for key, one in config.input_features.items() if key not in shapes}
         # Of such a policy, only select_action notes what was seen.
         kept = set(getattr(self._policy, "_queues", ())) - {"action"}
         self._looks_back = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
@@ -73,7 +91,12 @@ class LeRobotClient:
         self._policy.reset()
 
     def ask(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The policy's actions for an observation, as its own processor gives them."""
+        """The policy's actions for an observation, as its own processor gives them.
+
+        Raises:
+            UsageError: see `check_rows`.
+        """
+        check_rows(message, self._rows)
         torch = self._torch
         batch: dict[str, Any] = {}
         for key, value in message.items():

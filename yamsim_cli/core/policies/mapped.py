@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from ..config.policy import PictureMapping, PolicyConfig
 from ..errors import UsageError, suggest
-from ..geometry.se3 import Array
+from ..geometry.se3 import Array, inverse
 from ..images.fit import fitted
-from .base import InvalidActionError, Observation
+from .base import OBJECTS, InvalidActionError, Observation
 from .bounds import period_of, rows_of
+from .environment_state import joints_key, state_row
 
 
 class Client(Protocol):
@@ -42,6 +43,8 @@ class Station:
         drives: how many each arm has, its gripper last.
         openings: how far one finger of each arm opens in use, m; 0 without fingers.
         cameras: name that a policy asks for -> key of the picture in observations.
+        things: name -> key of its pose in observations, in the order of a row.
+        T_base_in_world: pose (4, 4) of the base in which a dataset's poses are.
     """
 
     rig: str
@@ -49,6 +52,8 @@ class Station:
     drives: int
     openings: tuple[float, ...]
     cameras: Mapping[str, str]
+    things: Mapping[str, str] = field(default_factory=dict)
+    T_base_in_world: Array = field(default_factory=lambda: np.eye(4))
 
 
 class MappedPolicy:
@@ -56,10 +61,11 @@ class MappedPolicy:
 
     Attributes:
         images: the cameras that it is shown.
+        wants: what it is told besides, see `base.STATE`.
         execute: after how many actions of a chunk it is asked again, where nobody says otherwise; None for all.
 
     Args:
-        wanted: keys of the pictures that the client asks for, of those in the config; None for all.
+        wanted: keys of what the client asks for, of those in the config; None for all.
 
     Raises:
         UsageError: the config does not fit the station.
@@ -88,8 +94,13 @@ class MappedPolicy:
             for key, picture in config.images.items()
             if (wanted is None or key in wanted) and (camera := self._camera(key, picture, wanted)) is not None
         }
-        if lacking := [key for key in wanted or () if key not in config.images]:
-            raise self._unfit("images", f"the policy asks for {lacking[0]!r}; {suggest(lacking[0], config.images)}")
+        rows = [row.key for row in (config.state, config.environment_state) if row is not None]
+        known = (*config.images, *rows)
+        if lacking := [key for key in wanted or () if key not in known]:
+            raise self._unfit("images", f"the policy asks for {lacking[0]!r}; {suggest(lacking[0], known)}")
+        things = config.environment_state
+        self._tells_things = things is not None and (wanted is None or things.key in wanted)
+        self.wants = (OBJECTS,) if self._tells_things else ()
         shown = {picture for _, picture in self._pictures.values()}
         self.images = tuple(name for name, key in station.cameras.items() if key in shown)
         self._seed = 0
@@ -116,6 +127,8 @@ class MappedPolicy:
             if config.gripper == "share":
                 row[:, -1] = np.clip(row[:, -1], 0.0, 1.0)
             told[config.state.key] = row.ravel().astype(config.state.dtype)
+        if config.environment_state is not None and self._tells_things:
+            told[config.environment_state.key] = self._things(observation).astype(config.environment_state.dtype)
         pictures = {key: _picture(how, observation[name]) for key, (how, name) in self._pictures.items()}
         told |= {config.images_under: pictures} if config.images_under else pictures
         for key, value in (
@@ -145,6 +158,16 @@ class MappedPolicy:
         if actions.done_key is not None:
             ours["done"] = answer.get(actions.done_key, False)
         return ours
+
+    def _things(self, observation: Observation) -> Array:
+        """Where things are in the base, in a row."""
+        T_world_in_base = inverse(self._station.T_base_in_world)
+        return state_row(
+            [
+                (T_world_in_base @ observation[key], observation.get(joints_key(thing), ()))
+                for thing, key in self._station.things.items()
+            ]
+        )
 
     def _camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
         """The first of a picture's cameras that is there; None for one that is optional and not asked for."""

@@ -25,7 +25,7 @@ from ..geometry.se3 import Array, pose_from_quat
 from .finray.parameters import FinRay
 
 # Names in an MJCF.
-_Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]
+Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]
 _Range = Annotated[tuple[JointAngle, JointAngle], AfterValidator(ordered)]
 _Opening = Annotated[FiniteFloat, Within("m", 1e-4, 0.5)]
 
@@ -62,7 +62,7 @@ class JointLimits(Config):
         reported_rad_s: the fastest motion that the drive can report, rad/s.
     """
 
-    name: _Part
+    name: Part
     range: _Range
     motor_rpm: Annotated[FiniteFloat, Within("rpm", 1, 10_000)]
     reported_rad_s: Annotated[FiniteFloat, Within("rad/s", 0.1, 1000)]
@@ -114,8 +114,8 @@ class Fit(Config):
     """
 
     mount: Placement = Placement()
-    joints: dict[_Part, JointChange] = Field(default_factory=dict)
-    excludes: tuple[tuple[_Part, _Part], ...] = ()
+    joints: dict[Part, JointChange] = Field(default_factory=dict)
+    excludes: tuple[tuple[Part, Part], ...] = ()
 
 
 class CameraMode(Config):
@@ -207,8 +207,8 @@ class ArmModel(_InAFolder):
         family, revision: whose revision it is, and which; a rig may name the family and means the newest one.
     """
 
-    base: _Part
-    flange: _Part
+    base: Part
+    flange: Part
     base_mesh: Placement = Placement()
     mesh_sets: tuple[Name, ...] = ()
     joints: Annotated[tuple[JointLimits, ...], Field(min_length=1)]
@@ -254,9 +254,9 @@ class Fingers(Config):
         pads: whether the fingers can hold an object by friction.
     """
 
-    joints: tuple[_Part, _Part]
-    bodies: tuple[_Part, _Part]
-    drive: _Part = "gripper"
+    joints: tuple[Part, Part]
+    bodies: tuple[Part, Part]
+    drive: Part = "gripper"
     range: Annotated[tuple[Offset, Offset], AfterValidator(ordered)]
     full_opening: _Opening
     start_opening: _Opening | None = None

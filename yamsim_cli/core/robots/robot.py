@@ -11,7 +11,9 @@ import numpy as np
 from ..errors import ConfigError
 from ..geometry.se3 import Array
 from . import mjcf
+from .dynamics import Dynamics
 from .models import ArmModel, Fingers, Gripper, JointChange, JointLimits, fit
+from .written_dynamics import write_dynamics
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class Robot:
         finger_signs: whether a finger's joint counts its opening up (1) or down (-1), the left one's first.
         mesh_sets: the asset sets that the MJCF takes meshes from.
         T_base_mesh: pose (4, 4) of the frame that boards and mounts are given in, in the base frame.
+        dynamics: how it moves otherwise than its model; what of that an MJCF can say is in `xml`.
     """
 
     model: str
@@ -45,6 +48,7 @@ class Robot:
     finger_signs: tuple[float, float]
     mesh_sets: tuple[str, ...]
     T_base_mesh: Array = field(repr=False, compare=False)
+    dynamics: Dynamics | None = None
 
     @property
     def dof(self) -> int:
@@ -68,11 +72,14 @@ class Robot:
 
 
 @functools.lru_cache(maxsize=64)
-def assemble(arm: ArmModel, gripper: Gripper) -> Robot:
+def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) -> Robot:
     """Put a gripper onto an arm.
 
+    Args:
+        dynamics: how the arm moves otherwise than its model.
+
     Raises:
-        ValueError: the gripper does not fit there.
+        ValueError: the gripper does not fit there, or the dynamics are another arm's.
         ConfigError: an MJCF lacks what its YAML names, or the two do not go together.
     """
     how = fit(arm, gripper)
@@ -80,6 +87,9 @@ def assemble(arm: ArmModel, gripper: Gripper) -> Robot:
     mjcf.body(root, arm.base, arm.mjcf)
     signs = _write_fingers(root, gripper) if gripper.fingers else (1.0, 1.0)
     root.set("model", f"{arm.name}_{gripper.name}")
+    if dynamics is not None:
+        dynamics.check(arm)
+        write_dynamics(root, arm, gripper, dynamics)
     ranges = {name: change.range for name, change in how.joints.items() if change.range}
     return Robot(
         model=arm.name,
@@ -95,6 +105,7 @@ def assemble(arm: ArmModel, gripper: Gripper) -> Robot:
         finger_signs=signs,
         mesh_sets=tuple(dict.fromkeys((*arm.mesh_sets, *gripper.mesh_sets))),
         T_base_mesh=arm.base_mesh.T,
+        dynamics=dynamics,
     )
 
 

@@ -1,20 +1,27 @@
-"""The scene of a recording, compiled, with the addresses of its parts."""
+"""The scene of a recording, or of a rig alone, compiled, with the addresses of its parts."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from ..config.recording import RecordConfig
-from ..config.rig import ArmConfig
+from ..config.rig import ArmConfig, RigConfig
+from ..config.scene import SceneConfig
 from ..config.things import ObjectConfig
+from ..resources import Locations
 from ..robots.models import Fingers
 from ..session import Session
-from .blueprint import recording_blueprint
+from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import grip_name, rest_points
 from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFingers
-from .compose import WELD, compile_spec, compose
+from .compose import READING, WELD, compile_spec, compose
 from .composed_meshes import composed_meshes
+
+# Of physics of a rig alone, s: that of the tasks, unless they say otherwise.
+TIMESTEP = 0.002
 
 
 def build_scene(session: Session) -> CompiledScene:
@@ -29,10 +36,14 @@ def build_scene(session: Session) -> CompiledScene:
     shown = composed_meshes(spec, blueprint, locations.meshes)
     model = compile_spec(spec)
     objects = [item.name for item in config.task.objects if item.cloth is None]
-    geom_kind, geom_arm = _geoms(model, config)
+    geom_kind, geom_arm = _geoms(model, config.rig)
+    for kind, item in () if config.program else ((Kind.OBJECT, config.pair.object), (Kind.TARGET, config.pair.target)):
+        geom_kind[model.body_rootid[model.geom_bodyid] == model.body(item.name).id] = kind
+    geom_kind[model.geom("table").id] = Kind.TABLE
+    welds = not config.program
     return CompiledScene(
         model=model,
-        arms=tuple(_arm_addresses(model, config, number) for number in config.rig.recorded),
+        arms=tuple(_arm_addresses(model, config.rig, number, welds=welds) for number in config.rig.recorded),
         object_qpos={name: int(model.joint(name).qposadr[0]) for name in objects},
         object_dof={name: int(model.joint(name).dofadr[0]) for name in objects},
         cameras=config.recorded_cameras,
@@ -43,6 +54,35 @@ def build_scene(session: Session) -> CompiledScene:
     )
 
 
+def build_rig_scene(
+    rig: RigConfig, scene: SceneConfig, locations: Locations, timestep: float = TIMESTEP
+) -> CompiledScene:
+    """Compose and compile a rig's arms and nothing else that they could touch: no floor, no table, no boards.
+
+    Args:
+        scene: its looks do not matter here; its table is left out.
+        timestep: of physics, s.
+
+    Raises:
+        SimulationError: MuJoCo refused the composed model.
+    """
+    physics = TaskPhysics(timestep, impratio=None, carried=None)
+    bare = scene.model_copy(update={"table": None})
+    blueprint = Blueprint(rig, bare, boards=False, background=False, physics=physics)
+    model = compile_spec(compose(blueprint, locations))
+    geom_kind, geom_arm = _geoms(model, rig)
+    return CompiledScene(
+        model=model,
+        arms=tuple(_arm_addresses(model, rig, number, welds=False) for number in rig.recorded),
+        object_qpos={},
+        object_dof={},
+        cameras=(),
+        geom_kind=geom_kind,
+        geom_arm=geom_arm,
+        shown_meshes={},
+    )
+
+
 def noting_meshes(session: Session) -> Session:
     """The same session with a config that says which meshes its scene shows."""
     blueprint = recording_blueprint(session.config)
@@ -50,8 +90,8 @@ def noting_meshes(session: Session) -> Session:
     return session.with_values(meshes=shown)
 
 
-def _arm_addresses(model: mujoco.MjModel, config: RecordConfig, number: int) -> SceneArm:
-    arm = config.rig.arms[number]
+def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds: bool) -> SceneArm:
+    arm = rig.arms[number]
     robot = arm.robot
     joints = [model.joint(arm.prefix + name) for name in robot.joint_names]
     moving = np.array([model.actuator(arm.prefix + name).id for name in robot.joint_drives])
@@ -65,13 +105,29 @@ def _arm_addresses(model: mujoco.MjModel, config: RecordConfig, number: int) -> 
         kp=model.actuator_gainprm[moving, 0].copy(),
         kv=-model.actuator_biasprm[moving, 2],
         ctrl_range=model.actuator_ctrlrange[moving].copy(),
-        weld=None if config.program else model.equality(arm.prefix + WELD).id,
-        T_base_in_world=config.rig.T_base_in_world(number),
+        weld=model.equality(arm.prefix + WELD).id if welds else None,
+        T_base_in_world=rig.T_base_in_world(number),
         joint_range=robot.joint_range,
         motor_speed=np.array([joint.motor_rad_s for joint in robot.joints]),
         most_torque=model.actuator_forcerange[moving, 1].copy(),
         fingers=None if robot.fingers is None else _finger_addresses(model, arm, robot.fingers),
+        **_otherwise(model, arm),
     )
+
+
+def _otherwise(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
+    """What of an arm's dynamics no MJCF says, as `SceneArm` has it."""
+    if arm.dynamics is None:
+        return {}
+    joints = [arm.dynamics.joint(name) for name in arm.robot.joint_names]
+    gravity = np.array([joint.gravity_factor - 1 for joint in joints])
+    offset = np.array([joint.offset_rad for joint in joints])
+    found = {"gravity": gravity if gravity.any() else None, "offset": offset, "dynamics": arm.dynamics}
+    if not arm.dynamics.sensor_delay_ms:
+        return found
+    fingers = arm.robot.fingers
+    read = (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))
+    return found | {"sensors": np.array([model.sensor(arm.prefix + name + READING).id for name in read])}
 
 
 def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectConfig) -> SceneCloth:
@@ -118,21 +174,19 @@ def _with_what_hangs_on(model: mujoco.MjModel, body: int) -> list[int]:
     return found
 
 
-def _geoms(model: mujoco.MjModel, config: RecordConfig) -> tuple[Ids, Ids]:
-    """`Kind` of every geom (ngeom,), and the number in `CompiledScene.arms` of the arm that it belongs to, or -1."""
+def _geoms(model: mujoco.MjModel, rig: RigConfig) -> tuple[Ids, Ids]:
+    """`Kind` of every geom (ngeom,) as far as it is an arm's, and the number in `CompiledScene.arms` of the arm that it
+    belongs to, or -1.
+    """
     kind = np.full(model.nbody, int(Kind.OTHER))
     of_arm = np.full(model.nbody, -1)
-    for k, number in enumerate(config.rig.recorded):
-        prefix, robot = config.rig.arms[number].prefix, config.rig.arms[number].robot
+    for k, number in enumerate(rig.recorded):
+        prefix, robot = rig.arms[number].prefix, rig.arms[number].robot
         on_arm = model.body_rootid == model.body(prefix + robot.base).id
         kind[on_arm], of_arm[on_arm] = Kind.ARM, k
         if robot.fingers is not None:
             for name, finger in zip(robot.fingers.bodies, (Kind.LEFT_FINGER, Kind.RIGHT_FINGER), strict=True):
                 kind[_with_what_hangs_on(model, model.body(prefix + name).id)] = finger
-    pair = () if config.program else ((Kind.OBJECT, config.pair.object), (Kind.TARGET, config.pair.target))
-    for part, item in pair:
-        kind[model.body_rootid == model.body(item.name).id] = part
     kinds: Ids = kind[model.geom_bodyid]
-    kinds[model.geom("table").id] = Kind.TABLE
     arms: Ids = of_arm[model.geom_bodyid]
     return kinds, arms

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.se3 import Array, quat_from_rotation
+from ..robots.dynamics import Dynamics
 from ..shown_meshes import ShownMeshes
 from ..types import Layout, Stand
 
@@ -78,6 +79,11 @@ class SceneArm:
         T_base_in_world: pose (4, 4) of the arm's base.
         joint_range, motor_speed, most_torque: of the joints (dof, 2) in rad, (dof,) in rad/s and (dof,) in N m.
         fingers: None of an arm without any.
+        gravity: by how many times the joints' weight their gravity compensation gives too much (dof,); None where it is
+            exact.
+        offset: what is read of each joint where it is at 0 (dof,), rad, or 0 of all of them.
+        sensors: ids of what reads the joints and the left finger late (drives,); None where they are read at once.
+        dynamics: as it was named, of an arm that moves otherwise than its model.
     """
 
     number: int
@@ -95,6 +101,10 @@ class SceneArm:
     motor_speed: Array
     most_torque: Array
     fingers: SceneFingers | None
+    gravity: Array | None = None
+    offset: Array | float = 0.0
+    dynamics: Dynamics | None = None
+    sensors: Ids | None = None
 
     @property
     def dof(self) -> int:
@@ -228,10 +238,54 @@ class CompiledScene:
         qpos[address : address + 3] = T_in_world[:3, 3]
         qpos[address + 3 : address + 7] = quat_from_rotation(T_in_world[:3, :3])
 
-    def reset(self, data: mujoco.MjData, qpos: Array) -> None:
-        """Reset `data` wholly and put everything at rest at `qpos` (nq,), every drive told to hold its place."""
+    def reset(self, data: mujoco.MjData, qpos: Array, told: Array | None = None) -> None:
+        """Reset `data` wholly and put everything at rest at `qpos` (nq,), every drive told to hold its place.
+
+        Args:
+            told: what drives have been told all along (nu,) where that is something else; it acts where they act late.
+        """
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = qpos
         for arm in self.arms:
             data.ctrl[arm.drives] = qpos[arm.recorded_qpos]
+        for drive in np.flatnonzero(self.model.actuator_history[:, 0]):
+            _tell(self.model, data, int(drive), float((data.ctrl if told is None else told)[drive]))
+        for arm in self.arms:
+            if arm.sensors is not None:
+                for sensor, place in zip(arm.sensors, data.qpos[arm.recorded_qpos], strict=True):
+                    _see(self.model, data, int(sensor), float(place))
         mujoco.mj_forward(self.model, data)
+
+    def step(self, data: mujoco.MjData, steps: int = 1) -> None:
+        """Let physics go on; all that steps a scene does it by this.
+
+        MuJoCo's gravity compensation makes up for the links' weight. What an arm's own gives too much or too little is
+        added before each step, from the state that it begins with: MuJoCo knows a factor of a body, and a joint's is
+        none of these where several bodies hang on it.
+        """
+        errors = [(arm.joint_dof, arm.gravity) for arm in self.arms if arm.gravity is not None]
+        if not errors:
+            mujoco.mj_step(self.model, data, steps)
+            return
+        for _ in range(steps):
+            for dof, gravity in errors:
+                data.qfrc_applied[dof] = gravity * data.qfrc_gravcomp[dof]
+            mujoco.mj_step(self.model, data)
+
+
+def _tell(model: mujoco.MjModel, data: mujoco.MjData, drive: int, told: float) -> None:
+    """Let a drive that acts late have been told this all along: MuJoCo begins with zeros."""
+    times = _before(int(model.actuator_history[drive, 0]), model.opt.timestep)
+    mujoco.mj_initCtrlHistory(model, data, drive, times, np.full(len(times), told))
+
+
+def _see(model: mujoco.MjModel, data: mujoco.MjData, sensor: int, place: float) -> None:
+    """Let a sensor that reads late have seen a joint there all along."""
+    times = _before(int(model.sensor_history[sensor, 0]), model.opt.timestep)
+    mujoco.mj_initSensorHistory(model, data, sensor, times, np.full((len(times), 1), place), 0.0)
+
+
+def _before(samples: int, timestep: float) -> Array:
+    """Times of as many steps before the beginning, s."""
+    times: Array = np.arange(-samples, 0, dtype=np.float64) * timestep
+    return times

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -9,7 +10,7 @@ import numpy as np
 
 from ..assets import AssetStore, resolve_own
 from ..config.recording import SHADOW_REACH
-from ..config.rig import RigCamera, RigConfig
+from ..config.rig import ArmConfig, RigCamera, RigConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations, Meshes
@@ -24,6 +25,10 @@ from .surroundings import add_background, add_lights, add_table
 from .things import add_object
 from .varied_model import add_variable_parts
 
+# How MuJoCo reads what was told between two steps.
+_LINEAR = 1
+# After a joint's name: the sensor that reads it late.
+READING = "_reading"
 # Of each arm, after its prefix: the weld by which its hand can hold a thing.
 WELD = "grasp_weld"
 
@@ -119,11 +124,36 @@ def hold_by_friction(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
     spec.option.impratio = impratio
 
 
+def _delay(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float) -> None:
+    """Let an arm's drives follow what they were told, and its encoders read where it was, as long ago as it takes."""
+    dynamics, robot = arm.dynamics, arm.robot
+    assert dynamics is not None, "asked of arms with dynamics"
+    if delay := dynamics.command_delay_ms / 1000:
+        for name in robot.drives:
+            drive = spec.actuator(arm.prefix + name)
+            # Between two steps, since a delay need not be a whole number of them.
+            drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR
+    if delay := dynamics.sensor_delay_ms / 1000:
+        for name in (*robot.joint_names, *(robot.fingers.joints[:1] if robot.fingers else ())):
+            spec.add_sensor(
+                name=arm.prefix + name + READING,
+                type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=arm.prefix + name,
+                delay=delay,
+                nsample=math.ceil(delay / timestep) + 2,
+                interp=_LINEAR,
+            )
+
+
 def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig) -> None:
     """The time step, contacts that hold where nothing else does, and the welds, which start inactive."""
     spec.option.timestep = physics.timestep
     if physics.impratio is not None:
         hold_by_friction(spec, physics.impratio)
+    for arm in rig.arms:
+        if arm.dynamics is not None:
+            _delay(spec, arm, physics.timestep)
     for arm in rig.arms if physics.carried is not None else ():
         spec.add_equality(
             name=arm.prefix + WELD,

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..attempt.sampling import sample
 from ..attempt.simulator import Simulator
-from ..config.recording import RecordConfig
+from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..errors import SimulationError, UsageError
 from ..geometry.se3 import Array
 from ..motors.bus import Bus
@@ -20,7 +20,10 @@ from ..motors.wiring import find_wiring
 from ..session import Session
 from ..types import EpisodeJob, Stand
 from .follower import Follower
+from .hands import Hand
+from .pictures import Moment, PictureProcess
 from .plant import Plant
+from .policy_robot import PolicyRobot
 
 # Where the arms stand at first: folded up, where they lie still without power; the model's home; the task's start.
 STARTS = ("rest", "home", "task")
@@ -40,6 +43,11 @@ class Served:
     sides: tuple[str, ...]
     followers: tuple[Follower, ...]
 
+    def moment(self) -> Moment:
+        """The present state, to be drawn."""
+        joints = tuple(follower.joint_pos() for follower in self.followers)
+        return Moment(self.plant.data.qpos.copy(), self.plant.now, joints)
+
 
 def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
     """The names of the arms' buses: those given, in the arms' order, or `can0`, or `can_left` and `can_right`.
@@ -58,6 +66,22 @@ def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]
         if not name.isascii() or not name.replace("_", "").replace("-", "").isalnum() or len(name) > 15:
             raise UsageError(f"--channel {name!r} is not valid: up to 15 letters, digits, - and _, such as can0")
     return tuple(given)
+
+
+def served_cameras(config: RecordConfig) -> tuple[str, ...]:
+    """The cameras whose pictures are served: those that are recorded, and the wrists' even if they are not."""
+    if config.cameras is not None or config.rig.cameras:
+        return config.recorded_cameras
+    return SCENE_CAMERA, *(config.rig.arms[k].wrist_camera_name for k in config.rig.recorded)
+
+
+def policy_robot(session: Session, served: Served, source: PictureProcess) -> PolicyRobot:
+    """The arms as raiden's policies drive them; its names of wrist cameras are `left_wrist_camera` and the like."""
+    arms = [session.config.rig.arms[k] for k in session.config.rig.recorded]
+    wrists = {arm.wrist_camera_name: f"{arm.side}_wrist_camera" for arm in arms}
+    names = {camera: wrists.get(camera, camera) for camera in source.cameras}
+    hands = [Hand(arm) for arm in arms]
+    return PolicyRobot(served.plant, served.sides, served.followers, hands, source, names)
 
 
 def serve_arms(

@@ -48,6 +48,11 @@ class Connections:
         return [self._listener, *self._programs]
 
     @property
+    def writers(self) -> list[socket.socket]:
+        """What to wait for until a program takes what waits for it."""
+        return [one for one, program in self._programs.items() if program.waits]
+
+    @property
     def programs(self) -> list[Program]:
         """All that are there."""
         return list(self._programs.values())

@@ -46,6 +46,11 @@ class Follower:
             self._grip_torque = 2 * _GRIP_FORCE / abs(hand.ratio) + hand.friction
         self._told: tuple[Array, Array, Array, Array] | None = None
 
+    @property
+    def told(self) -> Array | None:
+        """Where the joints are told to be (dofs,); None before the first command."""
+        return None if self._told is None else self._told[0].copy()
+
     def num_dofs(self) -> int:
         """How many joints there are, the gripper included."""
         return len(self._motors)

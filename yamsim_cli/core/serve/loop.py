@@ -5,14 +5,13 @@ from __future__ import annotations
 import heapq
 import itertools
 import select
-import socket
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 from ..motors.frames import Frame
 from .plant import Plant
-from .portal import PortalServer
 from .sockets import KernelBus, UnixBus
 
 # Behind by more, the simulation goes on from where it is instead of racing, s.
@@ -21,6 +20,24 @@ _LONGEST_CATCH_UP = 0.1
 _EARLY_ANSWERS = 7
 # Answers that wait on a bus at a time; what is asked beyond gets lost, as where an adapter's buffer is full.
 _MOST_WAITING = 64
+
+
+class Port(Protocol):
+    """What is served beside the buses. None of it may ever wait for anybody."""
+
+    @property
+    def readers(self) -> Sequence[Any]:
+        """What to wait for until there may be something to read."""
+
+    @property
+    def writers(self) -> Sequence[Any]:
+        """What to wait for until something that waits can be sent."""
+
+    def handle(self, ready: set[Any]) -> None:
+        """Take what has come, of the readers where there is something."""
+
+    def flush(self) -> None:
+        """Do what does not depend on what came, such as to send what waits; called at least once a step."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +69,7 @@ class ServeLoop:
     Args:
         sockets: of the plant's buses, in their order.
         gap: time between two answers on a bus, s, as long as a program is not late.
-        portals: that answer calls beside them.
+        ports: that are served beside them.
         tick: called before every physics step.
     """
 
@@ -61,11 +78,11 @@ class ServeLoop:
         plant: Plant,
         sockets: Sequence[UnixBus | KernelBus],
         gap: float = 0.0,
-        portals: Sequence[PortalServer] = (),
+        ports: Sequence[Port] = (),
         tick: Callable[[], None] = lambda: None,
     ) -> None:
         self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
-        self._portals = tuple(portals)
+        self._ports = tuple(ports)
         # When the next answer may come, of each bus.
         self._free = [0.0] * len(self._sockets)
         self._waiting = [0] * len(self._sockets)
@@ -122,20 +139,21 @@ class ServeLoop:
                 _, _, k, frame = heapq.heappop(self._answers)
                 self._waiting[k] -= 1
                 self._sockets[k].send(frame)
-            for one in (*self._sockets, *self._portals):
+            for one in (*self._sockets, *self._ports):
                 one.flush()
             wake = min(until, self._answers[0][0]) if self._answers else until
             # Asked for anew: a program may have been hung up on meanwhile.
-            ready = set(select.select(self._readers(), [], [], max(0.0, wake - time.monotonic()))[0])
+            writers = [writer for port in self._ports for writer in port.writers]
+            ready = set(select.select(self._readers(), writers, [], max(0.0, wake - time.monotonic()))[0])
             if ready:
                 self._receive(ready)
             if time.monotonic() >= until:
                 return
 
-    def _readers(self) -> list[socket.socket]:
-        return [reader for one in (*self._sockets, *self._portals) for reader in one.readers]
+    def _readers(self) -> list[Any]:
+        return [reader for one in (*self._sockets, *self._ports) for reader in one.readers]
 
-    def _receive(self, ready: set[socket.socket]) -> None:
+    def _receive(self, ready: set[Any]) -> None:
         for k, one in enumerate(self._sockets):
             for frame in one.receive(ready):
                 if self._waiting[k] >= _MOST_WAITING:
@@ -147,5 +165,5 @@ class ServeLoop:
                     due = max(now, self._free[k])
                     self._free[k] = max(self._free[k], now - _EARLY_ANSWERS * self._gap) + self._gap
                     heapq.heappush(self._answers, (due, next(self._count), k, answer))
-        for portal in self._portals:
-            portal.handle(ready)
+        for port in self._ports:
+            port.handle(ready)

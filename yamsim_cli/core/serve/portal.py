@@ -52,7 +52,12 @@ class PortalServer:
         """What to wait for until there may be something to read."""
         return self._connections.readers
 
-    def handle(self, ready: set[socket.socket]) -> None:
+    @property
+    def writers(self) -> list[socket.socket]:
+        """What to wait for until a program takes its answers."""
+        return self._connections.writers
+
+    def handle(self, ready: set[Any]) -> None:
         """Take and answer what has come on sockets where there is something to read."""
         for program in self._connections.heard(ready):
             self._serve(program)

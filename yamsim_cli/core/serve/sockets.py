@@ -17,9 +17,11 @@ from ..motors import frames
 from ..motors.frames import Frame
 from .connections import Connections, Program
 
+# Frames that are read at once: whoever sends without end does not stop physics.
+_READ_FRAMES = 256
 # Bytes that are read at once, and that wait for a program which does not read: more is thrown away, as a full buffer of
 # an adapter is.
-_READ_BYTES = 256 * frames.FRAME_BYTES
+_READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
 _BACKLOG_BYTES = 4096 * frames.FRAME_BYTES
 
 
@@ -39,6 +41,26 @@ def open_folder(folder: Path) -> Path:
     return folder
 
 
+def listen_in(path: Path) -> socket.socket:
+    """A Unix socket that listens at a path, in a folder of `open_folder`.
+
+    Raises:
+        ResourceError: somebody else listens there, or the socket cannot be made.
+    """
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        open_folder(path.parent)
+        _drop_stale(path)
+        listener.bind(str(path))
+    except OSError as error:
+        listener.close()
+        raise ResourceError(f"{path}: cannot be listened on: {error.strerror or error}") from error
+    except ResourceError:
+        listener.close()
+        raise
+    return listener
+
+
 class UnixBus:
     """A bus on a Unix socket, `<folder>/<channel>`; close it.
 
@@ -47,14 +69,8 @@ class UnixBus:
     """
 
     def __init__(self, folder: Path, channel: str) -> None:
-        self.path = open_folder(folder) / channel
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            _drop_stale(self.path)
-            self._listener.bind(str(self.path))
-        except OSError as error:
-            self._listener.close()
-            raise ResourceError(f"{self.path}: cannot be listened on: {error.strerror or error}") from error
+        self.path = folder / channel
+        self._listener = listen_in(self.path)
         self._connections = Connections(self._listener, _READ_BYTES)
 
     @property
@@ -109,15 +125,19 @@ class KernelBus:
     clients = 0
 
     def __init__(self, channel: str) -> None:
+        opened = None
         try:
-            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-            self._socket.bind((channel,))
+            opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+            opened.bind((channel,))
         except (AttributeError, OSError) as error:
+            if opened is not None:
+                opened.close()
             raise ResourceError(
                 f"CAN interface {channel}: cannot be opened: {getattr(error, 'strerror', error)}. Make it with "
                 f"`ip link add {channel} type vcan` and `ip link set {channel} up`, or leave out --kernel and "
                 "use `yamsim can-run`"
             ) from error
+        self._socket = opened
         self._socket.setblocking(False)
 
     @property
@@ -127,7 +147,7 @@ class KernelBus:
 
     def receive(self, ready: set[socket.socket]) -> Iterator[Frame]:
         """The frames that have come."""
-        while self._socket in ready:
+        for _ in range(_READ_FRAMES if self._socket in ready else 0):
             try:
                 frame = frames.parse(self._socket.recv(frames.FRAME_BYTES))
             except OSError:
@@ -136,7 +156,7 @@ class KernelBus:
                 yield frame
 
     def send(self, frame: Frame) -> None:
-        """Put a frame onto the bus; one that its buffer has no room for is lost."""
+        """Put a frame onto the bus; one that its buffer has no room for, or whose interface is down, is lost."""
         try:
             self._socket.send(frames.to_wire(frame))
         except OSError:

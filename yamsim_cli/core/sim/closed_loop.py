@@ -11,8 +11,9 @@ from ..config.program_task import ProgramTiming
 from ..config.task import Success, Timing
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
-from ..types import Actions, Holds
+from ..types import Actions, EpisodeJob, Holds
 from .cloth import ClothGrips
+from .readings import readings, sensed
 from .rollout import attach
 
 # Largest distance of the hand from the object's middle at which the magnet takes it, m. The banana's ends are 0.09 m
@@ -59,6 +60,12 @@ class ClosedLoop:
         """Of each arm's joints in rad/s, and of its finger's opening in m/s, (arms, drives)."""
         return np.array([self.data.qvel[arm.recorded_dof] for arm in self._scene.arms])
 
+    def readings(self, job: EpisodeJob) -> Array:
+        """What encoders read now of each arm's joints in rad and its finger's opening in m, (arms, drives)."""
+        now = np.array([self.data.qpos[arm.recorded_qpos] for arm in self._scene.arms])
+        seen = sensed(self._scene, self.data)
+        return readings(self._scene, now if seen is None else seen, job, self.ticks)
+
     @property
     def actions(self) -> Actions:
         """All actions so far. Without a plan, the joints that it would ask for are what the drives were told."""
@@ -94,7 +101,7 @@ class ClosedLoop:
         data.ctrl[:] = told
         self._ctrl.append(told)
         self._magnet.append(holds)
-        mujoco.mj_step(scene.model, data, self._timing.physics_steps_per_tick)
+        scene.step(data, self._timing.physics_steps_per_tick)
         # After mj_step, poses are those of the step before.
         mujoco.mj_kinematics(scene.model, data)
         if self._grips:

@@ -13,6 +13,7 @@ from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
 from ..types import Actions, JointPath, Layout, Motion, Phases, Stand, StepState
 from .monitor import MotionMonitor, object_pose
+from .readings import sensed
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,9 @@ def simulate(
         if tick % timing.ticks_per_frame == 0:
             until = slice(tick, tick + timing.ticks_per_frame)
             acting = Actions(actions.ctrl[until], actions.magnet[until], actions.joints[until])
-            states.append(StepState(data.time, data.qpos.copy(), acting))
+            states.append(StepState(data.time, data.qpos.copy(), acting, sensed(scene, data)))
         for _ in range(steps):
-            mujoco.mj_step(model, data)
+            scene.step(data)
             watch.step(data)
             if see:
                 see(data)

@@ -16,6 +16,7 @@ from ..scene.compiled import CompiledScene
 from ..types import Actions, Margins, Motion, StepState
 from .cloth import ClothGrips
 from .faults import Faults
+from .readings import sensed
 from .rollout import Rollout
 from .world import world_of
 
@@ -73,7 +74,7 @@ class WatchedLoop:
         self._limits = _Limits(scene)
         self._T_at_start = self._poses()
         self._actions: list[Actions] = []
-        self._positions: list[tuple[float, Array]] = []
+        self._positions: list[tuple[float, Array, Array | None]] = []
         self._verdict: Verdict | None = None
         self.ticks = 0
         if see:
@@ -101,14 +102,14 @@ class WatchedLoop:
         judged_from = len(actions.ctrl) - self._task.hold_ticks if last else len(actions.ctrl)
         for tick, ctrl in enumerate(actions.ctrl):
             if self.ticks % timing.ticks_per_frame == 0:
-                self._positions.append((data.time, data.qpos.copy()))
+                self._positions.append((data.time, data.qpos.copy(), sensed(self._scene, data)))
             if tick >= judged_from:
                 self._judge()
             if self._grips:
                 magnet[tick] = self._grips.update(data, ctrl)
             data.ctrl[:] = ctrl
             for _ in range(timing.physics_steps_per_tick):
-                mujoco.mj_step(model, data)
+                self._scene.step(data)
                 self._limits.step(data)
                 if self._see:
                     self._see(data)
@@ -154,8 +155,8 @@ class WatchedLoop:
         joints = np.concatenate([actions.joints for actions in self._actions])
         spans = [slice(k * every, (k + 1) * every) for k in range(len(self._positions))]
         return tuple(
-            StepState(time, qpos, Actions(ctrl[span], magnet[span], joints[span]))
-            for (time, qpos), span in zip(self._positions, spans, strict=True)
+            StepState(time, qpos, Actions(ctrl[span], magnet[span], joints[span]), seen)
+            for (time, qpos, seen), span in zip(self._positions, spans, strict=True)
         )
 
 
@@ -193,7 +194,7 @@ def settle(scene: CompiledScene, start: Array, timestep: float) -> Array:
     stiff = [np.arange(dof, dof + 6) for dof in scene.object_dof.values()]
     dofs = np.concatenate([*stiff, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
     for _ in range(int(_SETTLE_SECONDS / timestep / _SETTLE_STEPS)):
-        mujoco.mj_step(scene.model, data, _SETTLE_STEPS)
+        scene.step(data, _SETTLE_STEPS)
         if float(np.abs(data.qvel[dofs]).max()) < _AT_REST:
             break
     settled: Array = data.qpos.copy()

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import datetime
 import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ... import __version__
 from ..config.recording import RecordConfig
 from ..dataset.checks.facts import EpisodeFacts
 from ..dataset.survey import Survey
-from ..errors import ResourceError
-from ..files import write_file
 from ..images.jpeg import thumbnail
 from ..report.leaderboard_page import leaderboard_page
 from ..report.page import Strip, page
+from ..report.page_files import made_line, write_page
 from ..report.trials_page import start_boxes, trials_page
 
 _STRIPS = 6
@@ -29,7 +26,7 @@ def write_report(survey: Survey, summary: Mapping[str, Any], path: Path) -> None
     Raises:
         ResourceError: the file cannot be written.
     """
-    _write(page(survey, summary, contact_sheet(survey), _made()), path)
+    write_page(page(survey, summary, contact_sheet(survey), made_line()), path)
 
 
 def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:
@@ -38,23 +35,12 @@ def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Pat
     Args:
         config: by which the trials were run.
     """
-    _write(trials_page(report, start_boxes(config), _made()), path)
+    write_page(trials_page(report, start_boxes(config), made_line()), path)
 
 
 def write_leaderboard(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write a leaderboard's page, replacing what is there. Raises as `write_report`."""
-    _write(leaderboard_page(reports, pairs, _made()), path)
-
-
-def _made() -> str:
-    return f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
-
-
-def _write(text: str, path: Path) -> None:
-    try:
-        write_file(path, text.encode())
-    except OSError as error:
-        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --html") from error
+    write_page(leaderboard_page(reports, pairs, made_line()), path)
 
 
 def contact_sheet(survey: Survey) -> list[Strip]:

@@ -26,6 +26,8 @@ class Stream(IntEnum):
     TONE = 20
     NOISE = 21
     SALT_PEPPER = 22
+    READINGS = 23
+    ARMS = 24
     CAST = 30
     PHRASING = 31
     PLACES = 32

@@ -110,7 +110,7 @@ class _Processes(Generic[J, R]):
             target=serve, args=(theirs, self._factory), name=f"yamsim-worker-{number}", daemon=True
         )
         try:
-            with _stop_signals_held():
+            with stop_signals_held():
                 process.start()
         except BaseException:
             # A signal that was held back is raised here.
@@ -132,7 +132,7 @@ class _Processes(Generic[J, R]):
 
 
 @contextmanager
-def _stop_signals_held() -> Iterator[None]:
+def stop_signals_held() -> Iterator[None]:
     """Hold back stop signals in the block. A process that starts in it begins with them blocked."""
     # Starting multiprocessing's resource tracker would lift the block, so that it is started before.
     resource_tracker.ensure_running()

@@ -75,7 +75,7 @@ def serve(pipe: Connection, factory: bytes) -> None:
     """
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     # EOFError or OSError mean that the parent closed the pipe, or is gone.
     with contextlib.closing(Servant()) as servant, contextlib.suppress(EOFError, OSError):
         pipe.send_bytes(HEADER.pack(os.getpid(), 0) + servant.open(factory))
@@ -84,7 +84,7 @@ def serve(pipe: Connection, factory: bytes) -> None:
             pipe.send_bytes(HEADER.pack(os.getpid(), number) + servant.run(job))
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """End this process as soon as its parent has ended, even in the middle of a job: MuJoCo releases the GIL."""
     parent = multiprocessing.parent_process()
     assert parent is not None

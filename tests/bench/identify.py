@@ -1,0 +1,110 @@
+"""How well `yamsim identify` finds the parameters of arms that move by known ones.
+
+    python -m tests.bench.identify --plants 20
+
+plants arms in a physics of their own (other integrators, steps of 0.5 ms, another law of friction), logs them as a bus
+would (16 bits, jittered times) while they follow `yamsim excite`, and compares what is identified with what was
+planted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.planted_arms import Planted, drive, random_plant
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.identify.excitation import excite
+from yamsim_cli.core.identify.identify import Identified, identify
+from yamsim_cli.core.resources import Locations
+
+# Name -> how far a value may be off, as a share of the true one, or in its own unit.
+_GOALS = {
+    "delay_s": (0.002, False),
+    "friction_nm": (0.05, True),
+    "damping_nms": (0.15, True),
+    "armature": (0.30, True),
+    "offset_rad": (np.radians(0.2), False),
+    "gravity_factor": (0.02, False),
+}
+
+
+@dataclass(frozen=True)
+class _Row:
+    name: str
+    joint: str
+    error: float
+    inside: bool
+    told: bool
+
+
+def _true(planted: Planted, name: str, joint: int) -> float:
+    field = name.partition("_")[0]
+    found = getattr(planted, field)
+    return float(found if field == "delay" else found[joint])
+
+
+def _rows(planted: Planted, found: Identified, joints: tuple[str, ...]) -> list[_Row]:
+    rows = []
+    for each in found.estimates:
+        true = _true(planted, each.name, joints.index(each.joint) if each.joint else 0)
+        error = abs(each.value - true) / (true if _GOALS[each.name][1] else 1.0)
+        rows.append(_Row(each.name, each.joint, error, each.low <= true <= each.high, each.told))
+    return rows
+
+
+def main() -> None:
+    """Plant, identify, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plants", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="number of the first plant")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each log")
+    parser.add_argument("--rig", default="single")
+    options = parser.parse_args()
+    where = Locations.find(os.environ)
+    rig = load_config(RigConfig, "rigs", options.rig, where)
+    scene = load_config(SceneConfig, "scenes", "tabletop", where)
+    rows: list[_Row] = []
+    falls = []
+    for number in range(options.first, options.first + options.plants):
+        rng = np.random.default_rng(number)
+        planted = random_plant(rig.arms[0], rng)
+        motion = excite(rig, 0, scene, where, options.seconds, number)
+        log = drive(rig.arms[0], planted, motion.times, motion.commands, rng)
+        begun = time.perf_counter()
+        found = identify(rig, [log], [], "planted")[0]
+        spent = time.perf_counter() - begun
+        here = _rows(planted, found, rig.arms[0].robot.joint_names)
+        rows += here
+        falls.append(found.gap.fallen)
+        missed = [f"{r.joint} {r.name} {r.error:.3g}" for r in here if r.told and r.error > _GOALS[r.name][0]]
+        outside = [f"{r.joint} {r.name}" for r in here if not r.inside]
+        gap = f"gap {1000 * found.gap.before:.1f} -> {1000 * found.gap.after:.2f} mrad"
+        sys.stdout.write(
+            f"plant {number}: {planted.law}, {planted.integrator}, {spent:.0f} s, {gap}; missed: {', '.join(missed)}; "
+            f"outside: {', '.join(outside)}\n"
+        )
+        sys.stdout.flush()
+    sys.stdout.write("| parameter | goal | median | 95 % | most | within the goal | inside its interval | told |\n")
+    sys.stdout.write("|---|---|---|---|---|---|---|---|\n")
+    for name, (goal, _) in _GOALS.items():
+        mine = [row for row in rows if row.name == name]
+        told = [row for row in mine if row.told]
+        errors = np.array([row.error for row in told])
+        sys.stdout.write(
+            f"| {name} | {goal:.3g} | {np.median(errors):.3g} | {np.quantile(errors, 0.95):.3g} | {errors.max():.3g} | "
+            f"{np.mean(errors <= goal):.1%} | {np.mean([row.inside for row in mine]):.1%} | "
+            f"{len(told)} of {len(mine)} |\n"
+        )
+    sys.stdout.write(f"The gap on what was held out fell by {min(falls):.1%} at least, {np.median(falls):.1%} median\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""Episodes of ours: the simulation follows them exactly, as long as nothing is touched that the rig alone has not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.core.unrendered import write_dataset
+from tests.rig_scenes import rig_scene
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.dataset.reader import open_episode
+from yamsim_cli.core.gap.figures import gap_of
+from yamsim_cli.core.recordings.reading import read_motions
+from yamsim_cli.core.resources import Locations
+
+
+@pytest.mark.parametrize(
+    ("rig", "task"), [("single", "pickplace"), pytest.param("russet", "handover", marks=pytest.mark.slow)]
+)
+def test_an_episode_has_no_gap_until_something_is_held(
+    rig: str, task: str, locations: Locations, make_config: Callable[..., RecordConfig], tmp_path: Path
+) -> None:
+    config = make_config({("rig",): rig, ("task",): task})
+    write_dataset(tmp_path / "dataset", config, locations, 1)
+    (motion,) = read_motions([tmp_path / "dataset"], config.rig, locations)
+    frames = open_episode(Path(motion.name)).frames()
+    held = next(frame["timestamp"] for frame in frames if np.any(frame["magnet"]))
+    scene = rig_scene(rig)
+    before, after = (gap_of(scene, motion, *part) for part in ((0.0, held), (held, np.inf)))
+    # Frames hold joints as float32.
+    assert before.error.max < 1e-6
+    assert len(before.joints) == 6 * len(config.rig.arms)
+    # What the hand carries weighs, and the rig alone does not know of it.
+    assert after.error.max > 1e-3
+    assert frames[before.worst.frame]["timestamp"] == pytest.approx(before.worst.time, abs=1e-6)

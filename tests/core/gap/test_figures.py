@@ -1,0 +1,141 @@
+"""A motion's gap: none of a perfect model's, and what was planted in one that is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.rig_scenes import later, new_scene, plant, rig_scene, swings
+from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.gap.figures import Gap, gap_of
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.motion import Motion
+
+TIMES = np.arange(0, 6.0, 0.004)
+PERFECT = 1e-4
+
+
+@pytest.fixture(scope="module")
+def made() -> Motion:
+    return plant(rig_scene(), TIMES, [swings(TIMES)])
+
+
+@pytest.fixture(scope="module")
+def perfect(made: Motion) -> Gap:
+    return gap_of(rig_scene(), made)
+
+
+def measured(motion: Motion, joints: Array) -> Motion:
+    return replace(motion, arms=(replace(motion.arms[0], joints=joints),))
+
+
+def test_a_perfect_model_has_no_gap(perfect: Gap) -> None:
+    assert perfect.error.max < PERFECT
+    assert all(joint.error.max < PERFECT for joint in perfect.joints)
+    assert all(joint.beyond.delay == pytest.approx(0, abs=1e-4) for joint in perfect.joints)
+    (hand,) = perfect.hands
+    assert hand.position.max < 1e-4 and hand.turn.max < 1e-3 and hand.opening is not None
+    assert hand.opening.max < 1e-4
+    assert [joint.name for joint in perfect.joints] == [f"joint{k}" for k in range(1, 7)]
+
+
+def test_it_follows_its_commands_late_as_the_simulation_does(perfect: Gap) -> None:
+    for joint in perfect.joints:
+        assert joint.measured.delay == pytest.approx(joint.simulated.delay, abs=1e-6)
+        assert joint.measured.delay is not None and 0.02 < joint.measured.delay < 0.2
+
+
+def test_a_delay_is_found_to_two_milliseconds(made: Motion, perfect: Gap) -> None:
+    found = gap_of(rig_scene(), later(made, 6))
+    assert found.error.rms > 0.005
+    for joint, before in zip(found.joints, perfect.joints, strict=True):
+        assert joint.beyond.delay == pytest.approx(0.024, abs=0.002)
+        assert joint.error.rms > 10 * before.error.rms
+        assert joint.measured.delay is not None and before.measured.delay is not None
+        assert joint.measured.delay - before.measured.delay == pytest.approx(0.024, abs=0.002)
+    assert found.hands[0].delay == pytest.approx(0.024, abs=0.002)
+
+
+def test_friction_makes_a_gap_that_grows_with_it() -> None:
+    sizes = []
+    for factor in (1.2, 2.0):
+        rough = new_scene()
+        rough.model.dof_frictionloss[rough.arm.joint_dof] *= factor
+        found = gap_of(rig_scene(), plant(rough, TIMES, [swings(TIMES)]))
+        sizes.append([joint.error.rms for joint in found.joints])
+    assert (np.array(sizes[0]) > 4 * PERFECT).all()
+    assert (np.array(sizes[1]) > 2 * np.array(sizes[0])).all()
+
+
+def test_weight_that_is_not_made_up_for_is_seen_as_sag_at_rest() -> None:
+    times = np.arange(0, 4.0, 0.004)
+    still = swings(times, amplitude=0.0)
+    # Its simulation starts where it was measured, and comes to its own rest within a second.
+    found = gap_of(rig_scene(), plant(rig_scene(), times, [still], gravity=0.8), begin=1.5)
+    turning, lifting = found.joints[0], found.joints[1]
+    assert turning.beyond.sag == pytest.approx(0, abs=1e-4)
+    assert lifting.beyond.sag is not None and abs(lifting.beyond.sag) > 0.005
+    assert lifting.beyond.sag == pytest.approx(lifting.measured.sag, abs=2e-3)
+    assert lifting.simulated.sag == pytest.approx(0, abs=2e-3)
+    assert set(found.phases) == {"still"}
+    # Of a still arm nothing can be said of delays, nor of stops.
+    assert {joint.beyond.delay for joint in found.joints} == {None}
+    assert {joint.beyond.overshoot for joint in found.joints} == {None}
+
+
+def test_an_overshoot_that_the_simulation_lacks_is_measured() -> None:
+    times = np.arange(0, 4.0, 0.004)
+    share = np.clip(times - 1, 0, 1)[:, None]
+    still = swings(times, amplitude=0.0)
+    bump = 0.02 * np.exp(-(((times - 2.25) / 0.05) ** 2))[:, None]
+    for sign in (1.0, -1.0):
+        made = plant(rig_scene(), times, [still + sign * 0.4 * share**3 * (10 - 15 * share + 6 * share**2)])
+        found = gap_of(rig_scene(), measured(made, made.arms[0].joints + sign * bump))
+        for joint in found.joints[2:]:
+            assert joint.simulated.overshoot == pytest.approx(0, abs=2e-3)
+            # It had not wholly come to its end when it went beyond it.
+            assert joint.beyond.overshoot is not None and 0.01 < joint.beyond.overshoot < 0.02
+            assert joint.measured.overshoot is not None
+            assert joint.measured.overshoot - joint.beyond.overshoot == pytest.approx(joint.simulated.overshoot)
+
+
+def test_the_worst_frame_counts_measured_samples(made: Motion) -> None:
+    joints = made.arms[0].joints.copy()
+    joints[1000, 3] += 0.2
+    joints[np.arange(len(joints)) % 4 != 0] = np.nan
+    worst = gap_of(rig_scene(), measured(made, joints)).worst
+    assert (worst.frame, worst.joint, worst.arm) == (250, "joint4", "")
+    assert worst.time == pytest.approx(4.0) and worst.error == pytest.approx(0.2, abs=1e-3)
+
+
+def test_a_hand_is_off_by_what_its_joints_are_off(made: Motion) -> None:
+    joints = made.arms[0].joints.copy()
+    joints[:, 0] += 0.01
+    (hand,) = gap_of(rig_scene(), measured(made, joints)).hands
+    # Its simulation starts where it was measured, and is back at its command within some tenths of a second.
+    assert np.degrees(hand.turn.p95) == pytest.approx(np.degrees(0.01), rel=0.1)
+    assert 0.001 < hand.position.p95 < 0.01
+
+
+def test_only_what_lies_between_is_compared(made: Motion) -> None:
+    joints = made.arms[0].joints.copy()
+    joints[:500] += 0.1
+    off = measured(made, joints)
+    assert gap_of(rig_scene(), off).error.max > 0.09
+    found = gap_of(rig_scene(), off, begin=3.0, end=5.0)
+    assert found.error.max < 2e-3
+    assert found.seconds == pytest.approx(2.0, abs=0.01)
+    assert 3.0 <= found.worst.time <= 5.0
+
+
+@pytest.mark.parametrize(("begin", "end"), [(7.0, np.inf), (0.0, 0.02)])
+def test_too_few_samples_say_so(made: Motion, begin: float, end: float) -> None:
+    with pytest.raises(DatasetError, match=r"measured samples from .* s to .* s; a gap needs 10"):
+        gap_of(rig_scene(), made, begin, end)
+
+
+def test_every_phase_of_a_motion_has_its_errors(perfect: Gap) -> None:
+    assert list(perfect.phases) == ["still", "accelerating", "cruising", "braking"]
+    assert sum(size.samples for size in perfect.phases.values()) == 6 * len(TIMES)

@@ -1,0 +1,102 @@
+"""The motion that `yamsim excite` writes: within what the arm can do, clear of everything, and telling all."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.identify.excitation import Excitation, excite
+from yamsim_cli.core.identify.motion_files import commands_csv, log_csv
+from yamsim_cli.core.identify.plant import ArmPlant, Log
+from yamsim_cli.core.identify.room import Room
+from yamsim_cli.core.identify.usable import check_usable
+from yamsim_cli.core.recordings.csv_file import read_csv
+from yamsim_cli.core.resources import Locations
+
+WHERE = Locations.find({})
+SCENE = load_config(SceneConfig, "scenes", "tabletop", WHERE)
+
+
+@cache
+def _rig(name: str) -> RigConfig:
+    return load_config(RigConfig, "rigs", name, WHERE)
+
+
+@cache
+def _excitation(name: str, number: int = 0, seed: int = 0) -> Excitation:
+    return excite(_rig(name), number, SCENE, WHERE, 30.0, seed)
+
+
+@pytest.mark.parametrize(("name", "number"), [("single", 0), ("bimanual", 1), ("yam_pro+linear_4310", 0)])
+def test_it_keeps_to_stops_speeds_and_torques_and_touches_nothing(name: str, number: int) -> None:
+    found, arm = _excitation(name, number), _rig(name).arms[number]
+    room = Room(_rig(name), number, SCENE, WHERE)
+    low, high = arm.robot.joint_range.T
+
+    assert (found.commands > low + 0.1).all()
+    assert (found.commands < high - 0.1).all()
+    speeds = np.abs(np.gradient(found.commands, found.times, axis=0))
+    motors = np.array([joint.motor_rad_s for joint in arm.robot.joints])
+    assert (speeds < 0.55 * motors).all()
+    assert 0 < found.torque <= 0.5
+    assert not any(room.touches(row) for row in found.commands[::20])
+
+
+def test_room_is_told_from_what_touches() -> None:
+    room = Room(_rig("single"), 0, SCENE, WHERE)
+
+    assert room.touches(np.array([0.0, 3.2, 0.6, 0.0, 0.0, 0.0]))
+    assert not room.touches(np.array(_rig("single").arms[0].robot.start))
+
+
+def test_every_joint_is_excited_in_every_third_of_it() -> None:
+    found = excite(_rig("single"), 0, SCENE, WHERE, 60.0, 3)
+    log = Log("log", found.times, found.commands, found.commands, None)
+
+    for start in (0.0, 20.0, 40.0):
+        check_usable([log.between(start, start + 20)], _rig("single").arms[0].robot.joint_names)
+
+
+def test_it_begins_and_ends_at_rest_in_one_place_and_follows_from_its_seed() -> None:
+    found, again, other = (
+        _excitation("single"),
+        excite(_rig("single"), 0, SCENE, WHERE, 30.0, 0),
+        _excitation("single", 0, 1),
+    )
+
+    assert np.allclose(found.commands[0], found.commands[-1], atol=1e-6)
+    assert np.abs(np.diff(found.commands[:3], axis=0)).max() < 1e-4
+    assert np.array_equal(found.commands, again.commands)
+    assert not np.allclose(found.commands, other.commands)
+
+
+def test_its_files_hold_commands_and_what_the_simulated_arm_reads(tmp_path: Path) -> None:
+    rig, found = _rig("bimanual"), _excitation("bimanual", 1)
+    (tmp_path / "log.csv").write_bytes(log_csv(rig, 1, found))
+
+    motion = read_csv(tmp_path / "log.csv", rig)
+
+    place = rig.recorded.index(1)
+    told = motion.arms[place].commands
+    assert told is not None
+    assert np.allclose(told, found.commands)
+    behind = np.abs(motion.arms[place].joints - told).max()
+    assert 0.001 < behind < 0.5
+    lines = commands_csv(rig, 1, found).decode().splitlines()
+    assert lines[0].startswith("t,command_left_joint1,")
+    assert len(lines) == 1 + len(found.times)
+    assert "position" not in lines[0]
+
+
+def test_a_plants_values_are_its_models() -> None:
+    plant = ArmPlant(_rig("single").arms[0])
+
+    assert np.allclose(plant.values.armature, [0.032] * 3 + [0.0018] * 3)
+    assert np.allclose(plant.values.friction, 0.1)
+    assert plant.values.delay == 0

@@ -1,0 +1,74 @@
+"""Our own tasks as tasks of Inspect Robots: which there are, what they ask for, and that our goal judges."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("inspect_robots", reason="needs yamsim[inspect]")
+pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
+
+from inspect_robots import Action, Scene
+from inspect_robots import eval as evaluate
+from inspect_robots.compat import check_compatibility
+
+from yamsim_cli.core.errors import YamsimError
+from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
+from yamsim_cli.kitchenbench.own_tasks import own_task
+from yamsim_cli.kitchenbench.policy import YamsimExpert
+
+ROOT = Path(__file__).resolve().parents[2]
+ENTRY_POINTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["inspect_robots.tasks"]
+
+
+@pytest.fixture(scope="module")
+def embodiment() -> Iterator[YamsimEmbodiment]:
+    made = YamsimEmbodiment(images=False)
+    yield made
+    made.close()
+
+
+def test_each_of_our_tasks_of_things_is_one() -> None:
+    texts = {path.stem: path.read_text() for path in (ROOT / "configs" / "tasks").glob("*.yaml")}
+    assert set(ENTRY_POINTS) == {f"yamsim/{name}" for name, text in texts.items() if "\nkind: program\n" in text}
+
+
+def test_what_they_ask_for_fits(embodiment: YamsimEmbodiment) -> None:
+    expert = YamsimExpert()
+    for name, where in ENTRY_POINTS.items():
+        module, _, factory = where.partition(":")
+        task = getattr(import_module(module), factory)()
+        assert task.name == name
+        assert check_compatibility(expert, embodiment, task).ok
+        assert 30 <= task.resolve_envelope(embodiment.info.control_hz).max_steps <= 1000
+
+
+def test_the_expert_stands_a_thing_up_and_our_goal_says_so(embodiment: YamsimEmbodiment, tmp_path: Path) -> None:
+    task = replace(own_task("set_upright"), epochs=1)
+    (log,) = evaluate(task, policy=YamsimExpert(), embodiment=embodiment, log_dir=str(tmp_path))
+    assert log.status == "success"
+    assert [scene.reduced["success_at_end"] for scene in log.samples] == [1.0]
+
+
+def test_who_holds_still_does_not(embodiment: YamsimEmbodiment) -> None:
+    (scene,) = own_task("tower").scenes
+    first = embodiment.reset(scene, seed=3)
+    assert first.instruction in {"stack the three cubes into a tower", "build a tower of all the cubes",
+                                 "put the cubes on top of each other"}  # fmt: skip
+    for _ in range(6):
+        step = embodiment.step(Action(first.state[JOINTS]))
+        assert not step.terminated
+    assert step.info["explanation"].startswith("not yet: stacked")
+    again = embodiment.reset(scene, seed=3)
+    np.testing.assert_equal(again.state[JOINTS], first.state[JOINTS])
+
+
+def test_an_unknown_task_is_one_line(embodiment: YamsimEmbodiment) -> None:
+    with pytest.raises(YamsimError, match="towers"):
+        embodiment.reset(Scene("x", "do it", metadata={"benchmark": "yamsim", "task": "towers"}))

@@ -1,0 +1,195 @@
+"""`yamsim gap`: how far recordings lie from what the simulation does with the same commands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from yamsim_cli.core.errors import UsageError
+
+from .console import note, print_json, print_table, progress_bar
+from .report_path import require_free
+from .session import Json, Margin, Revision, Robot, opener
+from .settings import ReportFile
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.config.rig import RigConfig
+    from yamsim_cli.core.config.scene import SceneConfig
+    from yamsim_cli.core.gap.figures import Gap
+    from yamsim_cli.core.gap_photos.compare import PhotoRequest
+    from yamsim_cli.core.motion import Motion
+    from yamsim_cli.core.report.gap_page import Shown
+    from yamsim_cli.core.resources import Locations
+
+
+def gap(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Each a CSV, an episode, a dataset with all its episodes, or what else `yamsim import` reads.",
+            show_default=False,
+        ),
+    ],
+    rig: Annotated[
+        str | None,
+        typer.Option(help="A name from configs/rigs/ or a YAML file.  [default: single, or an episode's own]"),
+    ] = None,
+    revision: Revision = None,
+    robot: Robot = None,
+    margin: Margin = None,
+    mapping: Annotated[
+        str | None,
+        typer.Option(
+            help="How columns of somebody else's are called: a name from configs/recordings/ or a YAML.  "
+            "[default: found out]"
+        ),
+    ] = None,
+    begin: Annotated[
+        float | None, typer.Option("--from", min=0, metavar="S", help="Compare from here on, s after the first sample.")
+    ] = None,
+    end: Annotated[float | None, typer.Option("--to", min=0, metavar="S", help="Compare up to here, s.")] = None,
+    pictures: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Photos to compare too, of recordings with any: so many at most.")
+    ] = 0,
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE[:CAMERA]", help="The photos' calibration, in place of the recording's own."),
+    ] = None,
+    episode_camera: Annotated[str | None, typer.Option(help="Which camera's photos; else the fixed one's.")] = None,
+    fail_above: Annotated[
+        float | None, typer.Option(min=0, metavar="MRAD", help="Exit 5 if a joint's RMS error is above this.")
+    ] = None,
+    html: Annotated[Path | None, typer.Option(help="Also write a page with curves and pictures.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a page that is there.")] = False,
+    out: ReportFile = None,
+    json: Json = False,
+) -> None:
+    """Let the simulated arms follow recorded commands, and say how far what was measured lies from what they do.
+
+    Example: yamsim gap log.csv --rig single --html gap.html
+    """
+    if begin is not None and end is not None and begin >= end:
+        raise UsageError(f"--from {begin:g} and --to {end:g}: nothing lies between; give --from below --to")
+    if (camera or episode_camera) and not pictures:
+        raise UsageError("--camera and --episode-camera are of photos; give --pictures N with them")
+    if html:
+        require_free(html, overwrite)
+    where = opener.locations()
+    settings = _rig(rig, revision, robot, margin, recordings[0], where)
+
+    from yamsim_cli.core.config.camera import CameraConfig
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.scene import SceneConfig
+
+    surroundings = load_config(SceneConfig, "scenes", "studio", where)
+    model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
+    if pictures:
+        where = opener.use_gl(where)
+    else:
+        opener.skip_gl()
+
+    from yamsim_cli.core.gap.tally import report_of, require_small
+    from yamsim_cli.core.recordings.faults import find_faults
+    from yamsim_cli.core.recordings.reading import read_motions
+
+    motions = read_motions(recordings, settings, where, mapping)
+    problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, settings)]
+    for name, problem in problems:
+        note(f"{name}: {problem.text}")
+    gaps = _gaps(motions, settings, surroundings, where, (begin or 0.0, math.inf if end is None else end))
+    report = report_of(gaps, settings.name)
+    report["problems"] = [
+        {"recording": name, "fault": str(problem.fault), "time_s": problem.time, "text": problem.text}
+        for name, problem in problems
+    ]
+    shown: list[Shown] = []
+    if pictures:
+        from yamsim_cli.core.gap_photos.compare import PhotoRequest
+
+        request = PhotoRequest(pictures, model, episode_camera)
+        report["pictures"], shown = _photos(gaps, settings, request, surroundings, where)
+    _tell(report, gaps, shown, html, out, json)
+    require_small(report, fail_above)
+
+
+def _rig(
+    name: str | None,
+    revision: str | None,
+    robot: list[str] | None,
+    margin: float | None,
+    recording: Path,
+    where: Locations,
+) -> RigConfig:
+    """The named rig; without a name, the one that a dataset was recorded with."""
+    from yamsim_cli.core.dataset.layout import CONFIG
+    from yamsim_cli.core.dataset.reader import dataset_config
+    from yamsim_cli.core.dataset.real import is_real, real_config
+
+    datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG).is_file()]
+    if name is None and recording.is_dir() and datasets:
+        if margin is not None or revision is not None or robot:
+            raise UsageError("--margin, --revision and --robot change a rig that is named; give --rig with them")
+        return (real_config if is_real(datasets[0]) else dataset_config)(datasets[0], where).rig
+    return opener.rig(name or "single", where, margin, revision, robot)
+
+
+def _gaps(
+    motions: Sequence[Motion],
+    rig: RigConfig,
+    surroundings: SceneConfig,
+    where: Locations,
+    part: tuple[float, float],
+) -> list[Gap]:
+    from yamsim_cli.core.gap.figures import gap_of
+    from yamsim_cli.core.scene.build import build_rig_scene
+
+    scene = build_rig_scene(rig, surroundings, where)
+    gaps = []
+    with progress_bar("gap", "recordings") as advance:
+        for k, motion in enumerate(motions):
+            advance(k, len(motions), "")
+            gaps.append(gap_of(scene, motion, *part))
+        advance(len(motions), len(motions), "")
+    return gaps
+
+
+def _photos(
+    gaps: Sequence[Gap], rig: RigConfig, request: PhotoRequest, surroundings: SceneConfig, where: Locations
+) -> tuple[dict[str, Any], list[Shown]]:
+    """What the recordings' photos say, as plain data, and pictures for the page."""
+    from yamsim_cli.core.config.loader import load_config
+    from yamsim_cli.core.config.recording import RenderConfig
+    from yamsim_cli.core.gap_photos.compare import compare_photos
+    from yamsim_cli.core.scene.compose import rig_mesh_sets
+
+    quality = load_config(RenderConfig, "quality", "fast", where)
+    where = opener.find_meshes(where, rig_mesh_sets(rig))
+    with progress_bar("photos", "photos") as advance:
+        return compare_photos(gaps, rig, request, surroundings, quality, where, lambda k, n: advance(k, n, ""))
+
+
+def _tell(
+    report: dict[str, Any], gaps: Sequence[Gap], shown: Sequence[Shown], html: Path | None, out: Path | None, json: bool
+) -> None:
+    """Write and print the report."""
+    if html:
+        from yamsim_cli.core.gap.page_file import write_gap_page
+
+        write_gap_page(report, gaps, shown, html)
+        report["html"] = str(html)
+        note(f"The page is in {html}.")
+    if out is not None:
+        from yamsim_cli.core.gap.tally import write_report
+
+        write_report(report, out)
+        note(f"Written to {out}.")
+    if json:
+        print_json(report)
+    else:
+        from .gap_table import gap_tables
+
+        print_table(gap_tables(report))

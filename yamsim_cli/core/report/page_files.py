@@ -1,0 +1,27 @@
+"""Pages on the disk: what stands at their foot, and how they are written whole or not at all."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+
+from ... import __version__
+from ..errors import ResourceError
+from ..files import write_file
+
+
+def made_line() -> str:
+    """A line for the foot of a page: by what it was made, and when."""
+    return f"Made by yamsim {__version__} on {datetime.date.today().isoformat()}."
+
+
+def write_page(text: str, path: Path) -> None:
+    """Write a page, replacing what is there.
+
+    Raises:
+        ResourceError: the file cannot be written.
+    """
+    try:
+        write_file(path, text.encode())
+    except OSError as error:
+        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --html") from error

@@ -1,0 +1,53 @@
+"""Our own tasks as tasks of Inspect Robots: `yamsim/tower` and the others that are things, a goal and skills."""
+
+from __future__ import annotations
+
+import zlib
+from functools import partial
+
+from inspect_robots import Epochs, Scene, Target, Task
+
+from .opening import open_base
+from .own import BENCHMARK, GOAL_KIND
+
+# Trials unless `--epochs` says otherwise: as many as KitchenBench asks of a scene.
+_TRIALS = 5
+
+
+def own_task(name: str) -> Task:
+    """One of our tasks: a scene whose trials differ by their seeds, and our own goal.
+
+    Raises:
+        ConfigError: there is no such task, or it is not one of things, a goal and skills.
+    """
+    session = open_base("64x48", images=False, task=name)
+    task = session.config.program
+    assert task is not None, "the entry points name tasks that are data alone"
+    return Task(
+        name=f"{BENCHMARK}/{name}",
+        scenes=[
+            Scene(
+                id=name,
+                instruction=task.language_prompt,
+                target=Target(kind=GOAL_KIND, spec={"task": name}),
+                init_seed=zlib.crc32(f"{BENCHMARK}/{name}".encode()),
+                metadata={"benchmark": BENCHMARK, "task": name},
+            )
+        ],
+        scorer=["success_at_end", "episode_length"],
+        max_seconds=task.time_limit_s,
+        epochs=Epochs(count=_TRIALS, reducer="mean"),
+        metadata={"title": name.replace("_", " ")},
+    )
+
+
+cans_into_bin = partial(own_task, "cans_into_bin")
+drawer = partial(own_task, "drawer")
+fold_napkin = partial(own_task, "fold_napkin")
+fold_napkin_diagonal = partial(own_task, "fold_napkin_diagonal")
+hang_mug = partial(own_task, "hang_mug")
+lift_tray = partial(own_task, "lift_tray")
+set_upright = partial(own_task, "set_upright")
+sort_row = partial(own_task, "sort_row")
+swap = partial(own_task, "swap")
+tower = partial(own_task, "tower")

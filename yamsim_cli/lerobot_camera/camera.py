@@ -1,0 +1,131 @@
+"""A simulated camera as LeRobot reads cameras."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from lerobot.cameras.camera import Camera
+from lerobot.cameras.configs import ColorMode
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from numpy.typing import NDArray
+
+from ..camera_reader import CameraReader, Picture, served_cameras
+from ..core.errors import ResourceError, YamsimError
+from .config import YamsimCameraConfig
+
+# How long `read` waits, s.
+_READ_S = 5.0
+
+
+class YamsimCamera(Camera):
+    """What one of the cameras sees of the arms that `yamsim serve-robot --cameras` simulates."""
+
+    def __init__(self, config: YamsimCameraConfig) -> None:
+        super().__init__(config)
+        self.config = config
+        self._reader: CameraReader | None = None
+        # Number of the picture that was read last.
+        self._last = -1
+
+    def __str__(self) -> str:
+        return f"YamsimCamera({self.config.camera})"
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it is."""
+        return self._reader is not None
+
+    @staticmethod
+    def find_cameras() -> list[dict[str, Any]]:
+        """The cameras that are served in the usual folder."""
+        try:
+            found = served_cameras()
+        except ResourceError:
+            return []
+        return [
+            {
+                "name": name,
+                "type": "yamsim",
+                "id": name,
+                "default_stream_profile": {"width": form.width, "height": form.height, "fps": form.fps},
+            }
+            for name, form in found.items()
+        ]
+
+    def connect(self, warmup: bool = True) -> None:
+        """Find the camera, and with `warmup` wait for a picture.
+
+        Raises:
+            DeviceAlreadyConnectedError: it is connected.
+            ConnectionError: nothing is served, or not this camera.
+            ValueError: its pictures are not what the config expects.
+        """
+        if self._reader is not None:
+            raise DeviceAlreadyConnectedError(f"{self} is already connected")
+        try:
+            reader = CameraReader(self.config.camera, self.config.folder)
+        except YamsimError as error:
+            raise ConnectionError(str(error)) from error
+        form = reader.form
+        size = (self.config.width or form.width, self.config.height or form.height)
+        if size != (form.width, form.height) or (self.config.fps or 0) > form.fps:
+            raise ValueError(
+                f"{self}: {size[0]}x{size[1]} at {self.config.fps or form.fps:g} a second is asked for, and "
+                f"{form.width}x{form.height} at {form.fps:g} is served: give serve-robot --size and --camera-fps"
+            )
+        self.width, self.height = size
+        self.fps = self.config.fps or round(form.fps)
+        self._reader, self._last = reader, -1
+        if warmup:
+            self.read()
+
+    def read(self) -> NDArray[Any]:
+        """The next picture (height, width, 3) that was not read yet; waits for it.
+
+        Raises:
+            DeviceNotConnectedError: it is not connected, or the server has ended.
+            TimeoutError: no picture came.
+        """
+        return self._new(_READ_S)
+
+    def async_read(self, timeout_ms: float = 200) -> NDArray[Any]:
+        """The newest picture (height, width, 3) if it was not read yet, else the next one. Raises as `read`."""
+        return self._new(timeout_ms / 1000)
+
+    def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:
+        """The newest picture (height, width, 3), read or not. Raises as `read`, also for one that is older."""
+        picture = self._ask(-1, _READ_S)
+        age_ms = (time.time_ns() - picture.time_ns) / 1e6
+        if age_ms > max_age_ms:
+            raise TimeoutError(f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms} ms")
+        return self._coloured(picture)
+
+    def disconnect(self) -> None:
+        """Hang up.
+
+        Raises:
+            DeviceNotConnectedError: it is not connected.
+        """
+        if self._reader is None:
+            raise DeviceNotConnectedError(f"{self} is not connected")
+        self._reader.close()
+        self._reader = None
+
+    def _new(self, timeout: float) -> NDArray[Any]:
+        picture = self._ask(self._last, timeout)
+        self._last = picture.number
+        return self._coloured(picture)
+
+    def _ask(self, after: int, timeout: float) -> Picture:
+        if self._reader is None:
+            raise DeviceNotConnectedError(f"{self} is not connected")
+        try:
+            return self._reader.read(after, timeout)
+        except YamsimError as error:
+            raise DeviceNotConnectedError(str(error)) from error
+
+    def _coloured(self, picture: Picture) -> NDArray[Any]:
+        image = picture.image
+        return image.copy() if self.config.color_mode == ColorMode.RGB else np.ascontiguousarray(image[..., ::-1])

@@ -1,0 +1,139 @@
+"""A camera of raiden's that sees the arms which `yamsim serve-robot --cameras` simulates.
+
+    camera = YamsimCamera("right_wrist_camera", "right")
+    camera.open()
+    camera.grab()
+    frame = camera.get_frame()
+
+raiden has to be importable: this is one of its `raiden.cameras.base.Camera`.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+from raiden.cameras.base import Camera, CameraFrame
+
+from .camera_reader import CameraReader, Picture
+from .core.errors import YamsimError
+
+__all__ = ["YamsimCamera"]
+
+# Those hang upside down at a real station, and raiden turns their pictures. Source: TRI-ML/raiden 2353b10, server.py.
+_UPSIDE_DOWN = ("right_wrist_camera",)
+_GRAB_S = 5.0
+
+
+class YamsimCamera(Camera):
+    """What one of the served cameras sees, as raiden's real cameras give it: BGR, and without depth.
+
+    Pictures of `right_wrist_camera` are turned by half a turn, as those of the real one: raiden turns them back.
+
+    Args:
+        name: raiden's for the camera, such as "left_wrist_camera".
+        camera: the name that `serve-robot` prints, such as "left".
+        folder: that `serve-robot` was given with `--folder`; its default unless given.
+    """
+
+    def __init__(self, name: str, camera: str, folder: str | None = None) -> None:
+        self._name, self._camera, self._folder = name, camera, folder
+        self._reader: CameraReader | None = None
+        self._picture: Picture | None = None
+        self._file: BinaryIO | None = None
+
+    @property
+    def name(self) -> str:
+        """What raiden calls it."""
+        return self._name
+
+    @property
+    def serial_number(self) -> str:
+        """Its name at the server, which no other camera there has."""
+        return f"yamsim-{self._camera}"
+
+    @property
+    def recording_extension(self) -> str:
+        """Of files that `start_recording` writes: see there."""
+        return "rgb"
+
+    def open(self) -> None:
+        """Find the camera.
+
+        Raises:
+            RuntimeError: nothing is served, or not this camera.
+        """
+        try:
+            self._reader = CameraReader(self._camera, self._folder)
+        except YamsimError as error:
+            raise RuntimeError(str(error)) from error
+
+    def close(self) -> None:
+        """Hang up."""
+        self.stop_recording()
+        if self._reader is not None:
+            self._reader.close()
+        self._reader = self._picture = None
+
+    def start_recording(self, path: Path) -> None:
+        """Write what is grabbed from now on into a file: of each picture a line of JSON, and its RGB bytes.
+
+        raiden's converter reads no such files; its camera server and its calibration need none.
+        """
+        self._file = path.open("wb")
+
+    def stop_recording(self) -> None:
+        """Finish the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def grab(self) -> bool:
+        """Wait for the next picture; False if none came."""
+        if self._reader is None:
+            return False
+        try:
+            self._picture = self._reader.read(-1 if self._picture is None else self._picture.number, _GRAB_S)
+        except (TimeoutError, YamsimError):
+            return False
+        if self._file is not None:
+            height, width, _ = self._picture.image.shape
+            told = {"time_ns": self._picture.time_ns, "width": width, "height": height}
+            self._file.write(json.dumps(told).encode() + b"\n" + self._turned(self._picture.image).tobytes())
+        return True
+
+    def get_frame(self) -> CameraFrame:
+        """The picture that was grabbed last.
+
+        Raises:
+            RuntimeError: none was.
+        """
+        if self._picture is None:
+            raise RuntimeError(f"camera {self._name}: grab comes first")
+        image = self._turned(self._picture.image)[..., ::-1]
+        return CameraFrame(color=np.ascontiguousarray(image), depth=None, timestamp_ns=self._picture.time_ns)
+
+    def get_current_timestamp_ns(self) -> int:
+        """Now, by the clock of frames."""
+        return time.time_ns()
+
+    def get_intrinsics(self) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int]]:
+        """Intrinsics (3, 3), no distortion (5,), and width and height in px.
+
+        Raises:
+            RuntimeError: it is not open.
+        """
+        if self._reader is None:
+            raise RuntimeError(f"camera {self._name}: open comes first")
+        form = self._reader.form
+        K = form.K.copy()
+        if self._name in _UPSIDE_DOWN:
+            K[:2, 2] = form.width - 1 - K[0, 2], form.height - 1 - K[1, 2]
+        return K, np.zeros(5), (form.width, form.height)
+
+    def _turned(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        return image[::-1, ::-1] if self._name in _UPSIDE_DOWN else image

@@ -1,0 +1,109 @@
+"""What a station is, by settings, and what its rows and pictures are: known from configs alone, before it is built."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from .api import PROGRAM
+from .core.opener import Opener
+
+if TYPE_CHECKING:
+    from .core.config.recording import RecordConfig
+
+# Name of a setting where sessions are opened -> its name here.
+_SPELT = {"camera": "cameras"}
+
+
+@dataclass(frozen=True)
+class StationSettings:
+    """What a station is, as the flags of `yamsim record` say it; None for what the config says.
+
+    Attributes:
+        action: "drives" for rad and m and then each arm's weld, "joints" for rad and grippers as shares, without welds.
+        fps: frames a second.
+        size: width and height of pictures, px, or `640x480`.
+        cameras: which to show, in order; the scene's and those of the wrists unless given, or all of the rig's own.
+        config: a name from `configs/record/`, or a YAML file.
+        spelling: how messages write a setting, such as "--env.{}".
+    """
+
+    task: str | None = None
+    rig: str | None = None
+    arm: str | None = None
+    grasp: str | None = None
+    action: str | None = None
+    fps: float | None = None
+    size: tuple[int, int] | str | None = None
+    quality: str | None = None
+    cameras: tuple[str, ...] | None = None
+    randomize: bool | None = None
+    config: str = "default"
+    spelling: str = "{}="
+
+    @property
+    def opener(self) -> Opener:
+        """What opens a session with them."""
+        return dataclasses.replace(PROGRAM, spell=lambda name: self.spelling.format(_SPELT.get(name, name)))
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Setting -> value, as sessions are opened with; without the config's name."""
+        apart = ("config", "spelling")
+        given = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in apart}
+        return given | {"camera": given.pop("cameras"), "wrist": True}
+
+
+@dataclass(frozen=True)
+class StationForm:
+    """What a station's rows and pictures are, which is known before it is built.
+
+    Attributes:
+        state: names of the numbers of a state.
+        action: names of the numbers of a command.
+        environment: names of the numbers that say where things are, see `Station.environment`.
+        cameras: camera -> shape of its pictures (height, width, 3).
+        fps: frames a second.
+        most_frames: how many a trial may take.
+        prompt: the task in words; a trial of a task that has several ways to say it may say it otherwise.
+    """
+
+    state: tuple[str, ...]
+    action: tuple[str, ...]
+    environment: tuple[str, ...]
+    cameras: Mapping[str, tuple[int, int, int]]
+    fps: float
+    most_frames: int
+    prompt: str
+
+    @classmethod
+    def of(cls, settings: StationSettings) -> StationForm:
+        """That of the station with these settings; reads configs alone.
+
+        Raises:
+            ConfigError, UsageError: a setting is not valid.
+        """
+        opener = settings.opener
+        return cls.of_config(opener.config(settings.config, opener.locations(), **settings.given))
+
+    @classmethod
+    def of_config(cls, config: RecordConfig) -> StationForm:
+        """That of a record config."""
+        from .core.dataset.rows import Rows
+        from .core.evaluate.stepped import most_ticks
+        from .core.policies.environment_state import state_names, things_told
+
+        joints = {item.name: [link.name for link in item.links] for item in config.task.objects}
+        rows, timing = Rows.of(config), config.task.timing
+        width, height = config.image.size_px
+        return cls(
+            rows.drives,
+            rows.actions,
+            state_names(tuple(things_told(config)), joints if config.program else {}),
+            dict.fromkeys(config.recorded_cameras, (height, width, 3)),
+            round(1 / (timing.tick * timing.ticks_per_frame), 6),
+            most_ticks(config) // timing.ticks_per_frame,
+            config.task.language_prompt,
+        )
