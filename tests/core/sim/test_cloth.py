@@ -52,6 +52,47 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
         assert scene.model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
 
 
+def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path) -> None:
+    crumpled = changed({("starts", "napkin", "crumpled"): [0.3, 0.6]}, FOLD)
+    with Simulators(session_of(tmp_path, crumpled)) as simulators:
+        starts = []
+        for number in (0, 1, 0):
+            simulator, attempt = first_attempt(simulators, number)
+            assert attempt.start is not None
+            starts.append(attempt.start)
+            points = simulator.scene.cloths["napkin"].points(attempt.start)
+            # Flat, it is 200 mm wide along its sides, and no higher than a layer.
+            assert np.ptp(points[:, 2]) > 0.015
+            assert points[:, 2].min() > simulator.config.table.top
+        assert np.array_equal(starts[0], starts[2])
+        assert np.abs(starts[0] - starts[1]).max() > 0.01
+
+
+ONTO: dict[str, Any] = changed(
+    {
+        ("things", "cube"): {"of": "cube_red"},
+        ("starts", "cube"): {"x": [0.34, 0.36], "y": [0.20, 0.22], "yaw_deg": [0, 10]},
+        ("goal",): {"all": [{"on": {"thing": "cube", "surface": "napkin"}}], "for_s": 0.2},
+        ("expert",): [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "napkin"}}],
+    },
+    FOLD,
+)
+
+
+def test_what_is_put_onto_cloth_lies_on_it_as_high_as_it_is_thick(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, ONTO)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        done = demonstrate_program(simulator, attempt)
+        assert done.outcome.success, done.outcome
+        ended = done.states[-1].qpos
+        assert attempt.start is not None
+        address = simulator.scene.model.joint("cube").qposadr[0]
+        higher = ended[address + 2] - attempt.start[address + 2]
+        assert higher == pytest.approx(0.005, abs=0.0015)
+        cloth = simulator.scene.cloths["napkin"]
+        assert np.ptp(cloth.points(ended)[:, 2]) < 0.01
+
+
 @pytest.mark.slow
 def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
@@ -105,6 +146,9 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
         ),
         (changed({("rig",): "single_linear"}, FOLD), {}, "takes two arms"),
         (changed({("starts", "napkin", "attitudes"): ["lying"]}, FOLD), {}, "starts flat"),
+        (changed({("starts", "cube", "crumpled"): [0.3, 0.6]}, ONTO), {}, "does not crumple"),
+        (changed({("starts", "napkin", "crumpled"): [0.6, 0.3]}, FOLD), {}, "must not be above"),
+        (changed({("starts", "napkin", "crumpled"): [0.0, 0.3]}, FOLD), {}, "greater than or equal to 0.1"),
         (changed({("starts", "napkin", "open"): {"lid": [0, 1]}}, FOLD), {}, "no part"),
     ],
 )

@@ -61,9 +61,11 @@ def check_program(task: ProgramTask, arms: int = 2) -> None:
         if isinstance(skill, Hang):
             _check_hung(task, cast, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
-            if task.of_cloth(role) != skill.OF_CLOTH:
+            if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.EITHER:
                 said = (
-                    "is no cloth; give a role that cloth plays" if skill.OF_CLOTH else "is cloth; it can only be folded"
+                    "is no cloth; give a role that cloth plays"
+                    if skill.OF_CLOTH
+                    else "is cloth; it can only be folded, or have things placed onto it"
                 )
                 raise ConflictError(f"the {role} {said}", (*path, argument))
         if isinstance(skill, Fold):
