@@ -17,6 +17,7 @@ from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import frame_faults
 from yamsim_cli.core.errors import ConfigError, UsageError
+from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.types import Actions
 
@@ -94,6 +95,40 @@ def test_what_is_put_onto_cloth_lies_on_it_as_high_as_it_is_thick(tmp_path: Path
 
 
 @pytest.mark.slow
+def test_thirds_lie_on_each_other_and_what_is_folded_in_part_is_folded_on(tmp_path: Path) -> None:
+    thirds = changed(
+        {
+            ("goal",): {"all": [{"folded": {"thing": "napkin", "how": "thirds"}}], "for_s": 0.2},
+            ("expert",): [{"fold": {"thing": "napkin", "how": "thirds"}}],
+        },
+        FOLD,
+    )
+    with Simulators(session_of(tmp_path, thirds)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        done = demonstrate_program(simulator, attempt)
+        assert done.outcome.success, done.outcome
+        assert len(done.states) > 100
+        cloth = simulator.scene.cloths["napkin"]
+        # The first third, two cells of 25 mm, was laid and nothing else: from there, the last one is laid alone.
+        halfway = next(
+            state.qpos
+            for state in done.states[40:]
+            if np.ptp(cloth.points(state.qpos)[:, 2]) < 0.007
+            and not state.actions.magnet.any()
+            and _area(cloth.points(state.qpos)) < 0.8 * _area(cloth.points(attempt.start))
+        )
+        start = attempt.start.copy()
+        start[cloth.qpos] = halfway[cloth.qpos]
+        on = demonstrate_program(simulator, replace(attempt, start=start))
+        assert on.outcome.success, on.outcome
+        assert len(on.states) < 0.7 * len(done.states)
+
+
+def _area(points: np.ndarray) -> float:
+    return outline_area(points[:, :2])
+
+
+@pytest.mark.slow
 def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt = first_attempt(simulators)
@@ -144,6 +179,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
             {},
             "as many points along both sides, not 9 x 13",
         ),
+        (changed({("expert",): [{"fold": {"thing": "napkin", "how": "quarters"}}]}, FOLD), {}, "'diagonal' or 'thirds'"),
         (changed({("rig",): "single_linear"}, FOLD), {}, "takes two arms"),
         (changed({("starts", "napkin", "attitudes"): ["lying"]}, FOLD), {}, "starts flat"),
         (changed({("starts", "cube", "crumpled"): [0.3, 0.6]}, ONTO), {}, "does not crumple"),
