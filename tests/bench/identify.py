@@ -71,13 +71,14 @@ def main() -> None:
     where = Locations.find(os.environ)
     rig = load_config(RigConfig, "rigs", options.rig, where)
     scene = load_config(SceneConfig, "scenes", "tabletop", where)
+    opened = rig.arms[0].robot.fingers.opened if rig.arms[0].robot.fingers else 0.0
     rows: list[_Row] = []
     falls = []
     for number in range(options.first, options.first + options.plants):
         rng = np.random.default_rng(number)
         planted = random_plant(rig.arms[0], rng)
         motion = excite(rig, 0, scene, where, options.seconds, number)
-        log = drive(rig.arms[0], planted, motion.times, motion.commands, rng)
+        log = drive(rig.arms[0], planted, motion.times, motion.commands, rng, opening=opened)
         begun = time.perf_counter()
         found = identify(rig, [log], [], "planted")[0]
         spent = time.perf_counter() - begun
