@@ -285,7 +285,8 @@ class DrivenScene:
     def cloth_points(self) -> Array:
         """Every point of all cloths (nflexvert, 3) in `world`, m."""
         with self.lock:
-            return self.data.flexvert_xpos.copy()
+            points: Array = self.data.flexvert_xpos.copy()
+        return points
 
     def _begin(self) -> None:
         """Put the scene into its attempt's layout, at rest, with open fingers."""

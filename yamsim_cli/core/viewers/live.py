@@ -118,7 +118,8 @@ class LiveRig:
     def cloth_points(self) -> Array:
         """Every point of all cloths (nflexvert, 3) in `world`, m."""
         with self.lock:
-            return self.data.flexvert_xpos.copy()
+            points: Array = self.data.flexvert_xpos.copy()
+        return points
 
 
 def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> Drive:
