@@ -79,7 +79,8 @@ class EpisodePlayer:
     def cloth_points(self) -> Array:
         """Every point of all cloths (nflexvert, 3) in `world`, m."""
         with self.lock:
-            return self.data.flexvert_xpos.copy()
+            points: Array = self.data.flexvert_xpos.copy()
+            return points
 
     def _show(self) -> None:
         self.data.qpos[:] = self._positions[self.frame]
