@@ -63,7 +63,7 @@ ROWS: dict[str, Row] = {
     "inspect-robots": Row(
         "Inspect Robots",
         "inspect-robots",
-        "KitchenBench's rigid tasks on our station: conforms, all 25 scenes at rest; our expert stacks two cups",
+        "Six of KitchenBench's tasks on our station: conforms, all 30 scenes at rest; our expert stacks two cups",
         Environment("inspect", beside=True),
     ),
     "act": Row(

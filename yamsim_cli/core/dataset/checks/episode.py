@@ -173,7 +173,8 @@ class _EpisodeCheck:
         record = self._record
         if record is None or not record.truth:
             return
-        checks = TruthChecks(record.cameras, record.frames, self._reader, self._read, self._hash_fits, self._problems)
+        sizes, cloths = record.cameras, record.cloths
+        checks = TruthChecks(sizes, record.frames, cloths, self._reader, self._read, self._hash_fits, self._problems)
         checks.check_missing(record.files, self._files.sizes)
         for camera in record.cameras:
             checks.check_arrays(camera)
