@@ -179,7 +179,11 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
             {},
             "as many points along both sides, not 9 x 13",
         ),
-        (changed({("expert",): [{"fold": {"thing": "napkin", "how": "quarters"}}]}, FOLD), {}, "'diagonal' or 'thirds'"),
+        (
+            changed({("expert",): [{"fold": {"thing": "napkin", "how": "quarters"}}]}, FOLD),
+            {},
+            "'diagonal' or 'thirds'",
+        ),
         (changed({("rig",): "single_linear"}, FOLD), {}, "takes two arms"),
         (changed({("starts", "napkin", "attitudes"): ["lying"]}, FOLD), {}, "starts flat"),
         (changed({("starts", "cube", "crumpled"): [0.3, 0.6]}, ONTO), {}, "does not crumple"),
