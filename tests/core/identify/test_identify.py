@@ -116,6 +116,27 @@ def test_finer_steps_change_little_and_what_is_told_late_acts_late() -> None:
     assert np.abs(later[52:] - at_once[50:-2]).max() < np.abs(later - at_once).max() / 5
 
 
+def test_fingers_are_where_the_log_has_them_and_closed_where_it_says_nothing() -> None:
+    times, commands = _commands(2.0)
+    fingers = ARM.robot.fingers
+    assert fingers is not None
+    opened, sparse = np.full(len(times), fingers.opened), np.full(len(times), np.nan)
+    sparse[::10] = fingers.opened
+    plant = ArmPlant(ARM)
+
+    def followed(**seen: Array) -> Array:
+        log = Log.of(motion := Motion("log.csv", times, (ArmMotion("", commands, commands, **seen),)), motion.arms[0])
+        return Run(plant, log).follow(plant.values)
+
+    told, measured, unknown = followed(commanded_openings=opened), followed(openings=sparse), followed()
+    closed = followed(openings=np.full(len(times), fingers.range[0]))
+
+    assert np.array_equal(told, measured)
+    assert np.array_equal(unknown, closed)
+    # The fingers' inertia is a tenth of the last joint's.
+    assert np.abs(told - closed)[:, -1].max() > 1e-4
+
+
 def test_intervals_are_wide_where_a_log_says_nothing() -> None:
     plant = ArmPlant(ARM)
     times, commands = _commands(5.0)

@@ -43,9 +43,8 @@ _AWAY = 2.0
 def sample_program(simulator: Simulator, job: EpisodeJob, variation: Variation) -> Attempt:
     """The attempt of a seed and a number, everything at rest; without a layout where there is none, see `no_start`."""
     task, cast = _played(simulator)
-    scene, config = simulator.scene, simulator.config
     attempt = Attempt(job, None, variation, cast=cast, phrasing=draw_phrasing(task, job))
-    simulator.varied(attempt)
+    scene, config = simulator.varied(attempt), simulator.config
     for number in range(_DRAWS):
         places = draw_places(task, cast, _blocks(simulator), config.table, job, number)
         if isinstance(places, str):

@@ -127,7 +127,9 @@ def identify(
         source = f"{counted(len(motions), 'recording')}: {', '.join(motion.name for motion in motions)}"
         dynamics = _dynamics(plant, fitted, told, revision, arm.model.name, source)
         gap = _gap(plant, fitted.values, others)
-        found.append(Identified(arm.name, called, dynamics, told, cannot_tell(told), rms(fitted.errors), gap))
+        gripper = not plant.fingers or all(log.openings is not None for log in logs)
+        unsaid = cannot_tell(told, gripper)
+        found.append(Identified(arm.name, called, dynamics, told, unsaid, rms(fitted.errors), gap))
     return found
 
 

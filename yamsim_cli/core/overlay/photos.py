@@ -136,7 +136,10 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
         except OSError as error:
             raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
         except KeyError as error:
-            raise DatasetError(f"{lowdim}: has no {error} of camera {camera}; check the dataset") from error
+            raise DatasetError(
+                f"{lowdim}: has no {error} of camera {camera}: without them, give its pictures with --img "
+                f"{episode}/rgb/{camera}"
+            ) from error
         except (TypeError, ValueError, DatasetError) as error:
             raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
         height, width = read_image(path).shape[:2]
