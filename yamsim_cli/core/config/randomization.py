@@ -162,8 +162,8 @@ class RandomizationConfig(Config):
         friction: range of the factor on the friction of each object and of the table. Of all parts only mass, friction
             and arm_dynamics act in physics.
         lens_deg: range of what is added to the scene camera's field of view, degrees.
-        arm_dynamics: how late arms act, how they are read, and how their gravity compensation errs. Configs
-            of before it do not say it.
+        arm_dynamics: how late arms act, how they are read, and how their gravity compensation errs. Older configs do
+            not say it.
     """
 
     name: Name = "none"

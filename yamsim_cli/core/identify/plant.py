@@ -242,7 +242,7 @@ def _filled(commands: Array) -> Array:
 def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynamics: Dynamics | None) -> Values:
     joints = [dynamics.joint(name) if dynamics else None for name in names]
     return Values(
-        delay=dynamics.command_delay_ms / 1000 if dynamics else 0.0,
+        delay=(dynamics.command_delay_ms + dynamics.sensor_delay_ms) / 1000 if dynamics else 0.0,
         friction=model.dof_frictionloss[dof].copy(),
         damping=model.dof_damping[dof].copy(),
         armature=model.dof_armature[dof].copy(),
