@@ -80,7 +80,8 @@ def _successes(runs: Sequence[dict[str, Any]]) -> list[str]:
             low_end, high_end = (y(end) for end in run["wilson95"])
             parts.append(f'<path d="M{at:.1f} {low_end:.1f}V{high_end:.1f}" stroke="{colour}" stroke-width="2"/>')
             parts.append(f'<circle cx="{at:.1f}" cy="{rate:.1f}" r="4" fill="{colour}"/>')
-        parts.append(_text(left + 12, _TOP + 18 + 16 * number, name, "start", colour))
+        # At the lower right, where no curve comes that is worth looking at.
+        parts.append(_text(left + _PANEL - 8, _BOTTOM - 70 + 16 * number, name, "end", colour))
     return parts
 
 

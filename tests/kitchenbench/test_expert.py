@@ -28,7 +28,9 @@ from kitchenbench.policies import NoopKitchenPolicy
 from kitchenbench.sim import build_blueprint
 
 from yamsim_cli.core.geometry.se3 import quat_from_rotation
+from yamsim_cli.core.goals.cast import Cast
 from yamsim_cli.core.skills.bench import Bench, Fingers
+from yamsim_cli.core.skills.grips import Grip
 from yamsim_cli.core.skills.handover import Handover
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
@@ -38,6 +40,7 @@ from yamsim_cli.kitchenbench.opening import open_base
 from yamsim_cli.kitchenbench.policy import Twin, YamsimExpert, actions_of, is_still
 from yamsim_cli.kitchenbench.programs import program_of
 from yamsim_cli.kitchenbench.scene import realize
+from yamsim_cli.kitchenbench.slide import Slide
 from yamsim_cli.kitchenbench.sorting import Sort
 from yamsim_cli.kitchenbench.world import KitchenWorld
 
@@ -102,16 +105,57 @@ def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first(
         world = KitchenWorld(realized, Motion(realized, 10)).scene
         (sort,) = program_of(realized.blueprint, {}, BASES)
         assert isinstance(sort, Sort)
-        left = sort.left(world, cast)
+        left = sort.left(world, cast, hasty=False)
         assert left[0] == "knife_1" and sorted(left) == ["fork_1", "fork_2", "knife_1", "spoon_1"]
         address = realized.simulator.scene.object_qpos["knife_1"]
         tray = world.pose("tray")
         world.data.qpos[address : address + 3] = (tray @ (0.10, 0.0, 0.012, 1.0))[:3]
         world.data.qpos[address + 3 : address + 7] = quat_from_rotation(tray[:3, :3])
         mujoco.mj_kinematics(realized.simulator.scene.model, world.data)
-        assert "knife_1" not in sort.left(world, cast)
+        assert "knife_1" not in sort.left(world, cast, hasty=False)
     finally:
         realized.simulator.close()
+
+
+@pytest.fixture
+def tray_twin() -> Iterator[Twin]:
+    """Cutlery that lies in the cells of a tray, a fork beside the wall on its left."""
+    scene = SCENES["sort-cutlery-overlapping"]
+    seed = derive_seed(0, scene.init_seed, 0)
+    twin = Twin(realize(build_blueprint(scene, seed), open_base("64x48", images=False)), seed, 10)
+    yield twin
+    twin.close()
+
+
+def test_beside_a_wall_fingers_come_nearer_than_arms(tray_twin: Twin) -> None:
+    """A fork for which there is no grip otherwise."""
+    bench = tray_twin.bench
+    hand, T = bench.hands[0], bench.world.pose("cutlery_2")
+
+    def free(grip: Grip, beside: float | None) -> bool:
+        at = hand.reach(T @ grip.T_pinch_in_thing, (hand.joints, hand.ready))
+        wide = grip.opening + grip.clearance
+        return at is not None and bench.touched(hand, at, wide, between="cutlery_2", beside=beside) is None
+
+    close = [grip for grip in bench.grips("cutlery_2", hand.widest) if grip.beside is not None]
+    first = next(grip for grip in close if free(grip, grip.beside))
+    assert not free(first, None)
+
+
+def test_a_thing_has_as_much_room_as_there_is_to_the_wall(tray_twin: Twin) -> None:
+    """The fork is 30 mm wide, and lies with its middle 22 mm from the wall."""
+    bench = tray_twin.bench
+    room = [bench.obstacles.room(bench.qpos, "cutlery_2", np.array((0.0, side)), 0.04) for side in (1.0, -1.0)]
+    assert room == pytest.approx([0.008, 0.026], abs=0.003)
+
+
+def test_what_lies_beside_a_wall_is_slid_away_from_it(tray_twin: Twin) -> None:
+    before = tray_twin.bench.world.pose("cutlery_2")[1, 3]
+    cast = Cast({"cutlery_2": ("cutlery_2",)}, {"cutlery_2": "fork"})
+    tray_twin.do([Slide(thing="cutlery_2")], cast)
+    while len(tray_twin.next_actions()) > 1:
+        pass
+    assert before - tray_twin.bench.world.pose("cutlery_2")[1, 3] > 0.002
 
 
 def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:

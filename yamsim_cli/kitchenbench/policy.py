@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from inspect_robots import (
@@ -19,7 +19,9 @@ from inspect_robots import (
 from kitchenbench.sim import build_blueprint
 
 from ..core.geometry.se3 import Array
+from ..core.goals.cast import Cast
 from ..core.planning.demonstration import start_stands
+from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
 from ..core.skills.program import Diary, run_program
@@ -135,7 +137,11 @@ class Twin:
         world.begin()
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
         self.bench: Bench = simulator.expert_tools.bench(world, list(start_stands(simulator.config)), rng)
-        self._segments = run_program(program, self.bench, simulator.cast, Diary())
+        self.do(program, simulator.cast)
+
+    def do(self, program: Sequence[Skill], cast: Cast) -> None:
+        """Begin a program: the next actions are those of its motions."""
+        self._segments = run_program(program, self.bench, cast, Diary())
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
@@ -145,8 +151,8 @@ class Twin:
         actions = [self.motion.reference] if segment is None else list(actions_of(self.bench, segment, self._ticks))
         for action in actions:
             self.motion.act(action)
-        most = len(actions) + _WAITS
         # References end a motion at once, and arms come after them: what is looked at next shall not move any more.
+        most = len(actions) + (_WAITS if segment is None or segment.arrives else 0)
         while not self.motion.at_rest() and len(actions) < most:
             actions.append(self.motion.reference)
             self.motion.act(actions[-1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
@@ -23,6 +24,11 @@ _FINGER_DEPTH = 5e-4
 # How a thing's way down is searched for what it meets: in steps of so much, m, the last one halved so often.
 _DESCENT = 0.004
 _HALVINGS = 6
+
+# How a thing's way aside is searched, in steps of so much, m. What it lies on is below: there, the contact's normal
+# points up or down by more than this, as a sine.
+_ASIDE = 0.002
+_LEVEL = 0.7
 
 
 @dataclass(frozen=True)
@@ -81,6 +87,7 @@ class Obstacles:
         opening: float,
         load: Load | None = None,
         between: str | None = None,
+        beside: float | None = None,
     ) -> str | None:
         """Names of two geoms that come too near each other; None if there are none.
 
@@ -91,13 +98,14 @@ class Obstacles:
             opening: of one of its fingers, m.
             load: what it carries.
             between: a thing that its fingers are around, which they may come near to.
+            beside: how near its fingers may come to everything else, m; without, as near as the rest of the arm.
         """
         data = self._pose(qpos, arm, joints, opening, load)
         mujoco.mj_collision(self._model, data)
         if not data.ncon:
             return None
         geoms = data.contact.geom
-        near = self._counts(geoms, data.contact.dist, arm, load, between)
+        near = self._counts(geoms, data.contact.dist, arm, load, between, beside)
         if not near.any():
             return None
         one, other = (self._model.geom(int(geom)).name for geom in geoms[near][0])
@@ -150,6 +158,26 @@ class Obstacles:
             low, high = (middle, high) if meets(middle) else (low, middle)
         return high
 
+    def room(self, qpos: Array, thing: str, direction: Array, most: float) -> float:
+        """How far a thing can go along a direction (2,) over what it lies on before it meets something, m.
+
+        Args:
+            most: where the search ends.
+        """
+        data, address = self._data, int(self._model.joint(thing).qposadr[0])
+        number, step = self._things.index(thing), direction / np.linalg.norm(direction) * _ASIDE
+        data.qpos[:] = qpos
+        for count in range(math.ceil(most / _ASIDE)):
+            data.qpos[address : address + 2] += step
+            mujoco.mj_kinematics(self._model, data)
+            mujoco.mj_collision(self._model, data)
+            geoms, normals = data.contact.geom, data.contact.frame[:, :3]
+            of_thing, of_arm = self._thing_of[geoms] == number, self._arm_of[geoms] >= 0
+            meets = of_thing.any(axis=1) & ~of_thing.all(axis=1) & ~of_arm.any(axis=1)
+            if (meets & (data.contact.dist < 0) & (np.abs(normals[:, 2]) < _LEVEL)).any():
+                return count * _ASIDE
+        return most
+
     def _drop(self, data: mujoco.MjData, thing: str) -> float:
         """At least so far a thing can come down before the block around one of its geoms meets that of another, m."""
         low, high = _blocks(self._model, data)
@@ -175,7 +203,15 @@ class Obstacles:
             mujoco.mj_kinematics(self._model, data)
         return data
 
-    def _counts(self, geoms: Array, distances: Array, arm: int, load: Load | None, between: str | None) -> Array:
+    def _counts(
+        self,
+        geoms: Array,
+        distances: Array,
+        arm: int,
+        load: Load | None,
+        between: str | None,
+        beside: float | None,
+    ) -> Array:
         """Which contacts (n,) are of what moves with what it must not touch."""
         of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
         of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
@@ -184,9 +220,12 @@ class Obstacles:
         for name in load.may_touch if load else ():
             other = self._table[geoms] if name == TABLE else of_thing == self._things.index(name)
             counts &= ~(of_load.any(axis=1) & other.any(axis=1))
+        fingers = (of_arm & self._finger[geoms]).any(axis=1)
         if between is not None:
-            fingers = (of_arm & self._finger[geoms]).any(axis=1) & (of_thing == self._things.index(between)).any(axis=1)
-            counts &= ~(fingers & (distances > -_FINGER_DEPTH))
+            around = fingers & (of_thing == self._things.index(between)).any(axis=1)
+            counts &= ~(around & (distances > -_FINGER_DEPTH))
+        if beside is not None:
+            counts &= ~(fingers & (distances > beside))
         found: Array = counts
         return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -10,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.se3 import Array, quat_from_rotation
+from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ..shown_meshes import ShownMeshes
 from ..types import Layout, Stand
 
@@ -166,6 +167,14 @@ class SceneCloth:
         """Where its points (n, 3) are in `world` at MuJoCo's positions (nq,), m."""
         found: Array = self.rest + qpos[self.qpos]
         return found
+
+    def pose(self, qpos: Array) -> Array:
+        """An upright frame (4, 4) in `world`: in the middle of its points, turned as these are on the whole."""
+        points = self.points(qpos)
+        middle = points.mean(axis=0)
+        shared = self.rest[:, :2].T @ (points - middle)[:, :2]
+        turn = math.atan2(shared[0, 1] - shared[1, 0], shared[0, 0] + shared[1, 1])
+        return pose(middle, rotation_z(turn))
 
 
 @dataclass(frozen=True)

@@ -113,10 +113,14 @@ class SimWorld:
             return corners.min(axis=0), corners.max(axis=0)
         if cloth := self._cloths.get(thing):
             return cloth.bounds
+        corners = self.parts(thing)
+        return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+
+    def parts(self, thing: str) -> Array:
+        """The lowest and the highest corner (n, 2, 3) in `world` of each part of a thing that collides, m."""
         geoms = self._geoms[self._known(thing)]
         solid = geoms[self._model.geom_contype[geoms] != 0]
-        corners = np.array([geom_bounds(self._model, self._data, int(geom)) for geom in solid])
-        return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        return np.array([geom_bounds(self._model, self._data, int(geom)) for geom in solid])
 
     def speed(self, thing: str) -> float:
         """See `World`."""

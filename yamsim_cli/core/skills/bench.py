@@ -12,19 +12,16 @@ import numpy as np
 from ..config.things import ObjectConfig
 from ..geometry.se3 import Array, inverse, pose, rotation_z
 from ..goals.world import TABLE
-from ..planning.joint_motion import LINE_SPEED, clear, ease, straight, through, traced
+from ..planning.joint_motion import LINE_SPEED, ease, straight, traced
 from ..planning.obstacles import Load, Obstacles
-from ..planning.tree_search import search
 from ..sim.antipodal import Span, spans
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
 from .errors import SkillFailedError
-from .grips import CLEARANCE, Grip, found_grips, grips, sideways_grips
-from .hand import PASSING, Hand, Held
+from .grips import CLEARANCE, Grip, close_grips, found_grips, grips, sideways_grips
+from .hand import Hand, Held
+from .ways import free_way
 
-# Over the table, a hand that crosses it stays at least so high, m.
-_CROSSING = 0.22
-_RAISE = 0.05
 _GRAVITY = 9.81
 
 # Room around a thing that is put down, and where in front of the arms there may be some, m.
@@ -38,9 +35,15 @@ V = TypeVar("V")
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of motion of all arms: one path each, all of one length."""
+    """A stretch of motion of all arms: one path each, all of one length.
+
+    Attributes:
+        paths: of the arms, in their order.
+        arrives: whether what comes after needs arms that have come where they were told to be, and not only almost.
+    """
 
     paths: tuple[JointPath, ...]
+    arrives: bool = True
 
     @property
     def ticks(self) -> int:
@@ -126,6 +129,7 @@ class Bench:
             self._spans[thing] = spans(self.model, self.world.data, body, 2 * (widest - CLEARANCE / 2))
         yield from found_grips(self.items[thing], self._spans[thing])
         yield from sideways_grips(self.items[thing])
+        yield from close_grips(self.items[thing])
 
     def half_outline(self, thing: str, heading: float) -> Array:
         """Half the room (2,) that a thing takes along x and y when it stands upright, turned by `heading`, m."""
@@ -136,10 +140,19 @@ class Bench:
 
     def height_on(self, thing: str, place: Array, onto: str, heading: float) -> float:
         """Height in `world` at which a thing's origin comes to rest, upright, over a place (2,), m."""
+        return self.height_of(thing, pose((*place, 0.0), rotation_z(heading)), onto)
+
+    def height_of(self, thing: str, T: Array, onto: str) -> float:
+        """Height in `world` at which the origin of a thing, turned as in a pose (4, 4), comes to rest below it, m."""
         top = float(self.world.bounds(onto)[1][2])
         low, high = self.world.block(thing)
-        T = pose((*place, top + float(high[2] - low[2])), rotation_z(heading))
-        return self.obstacles.rest_height(self.qpos, thing, T, float(self.world.bounds(TABLE)[0][2]))
+        T_over = T.copy()
+        T_over[2, 3] = top + float(np.abs(T[2, :3]) @ (high - low))
+        table_low, table_high = self.world.bounds(TABLE)
+        rest = self.obstacles.rest_height(self.qpos, thing, T_over, float(table_low[2]))
+        # What comes down goes through cloth there, since nothing is in the way of a hand that is to press on it.
+        on_cloth = onto in self.items and self.items[onto].cloth is not None
+        return rest + (top - float(table_high[2]) if on_cloth else 0.0)
 
     def is_free(self, thing: str, place: Array) -> bool:
         """Whether a thing that stands upright would have room at a place (2,) on the table, m."""
@@ -171,10 +184,16 @@ class Bench:
         return grasp.clearance if grasp is not None else CLEARANCE
 
     def touched(
-        self, hand: Hand, joints: Array, opening: float, load: Load | None = None, between: str | None = None
+        self,
+        hand: Hand,
+        joints: Array,
+        opening: float,
+        load: Load | None = None,
+        between: str | None = None,
+        beside: float | None = None,
     ) -> str | None:
         """What a hand would touch at given joints, see `Obstacles.touched`."""
-        return self.obstacles.touched(self.qpos, hand.number, joints, opening, load, between)
+        return self.obstacles.touched(self.qpos, hand.number, joints, opening, load, between, beside)
 
     def imagined(self, hand: Hand, joints: Array, opening: float, held: Held | None) -> Array:
         """MuJoCo's positions (nq,) with a hand, and what it holds, elsewhere, and all else as it is."""
@@ -186,38 +205,21 @@ class Bench:
     def way(self, hand: Hand, goal: Array, opening: float | None = None, load: Load | None = None) -> Array:
         """A motion (n + 1, dof) of a hand to joints `goal` that touches nothing: the simplest that is free.
 
+        A hand that touches something where it begins may leave that first, straight up.
+
         Raises:
             SkillFailedError: none was found.
         """
-        start = hand.joints
         wide = max(hand.opening, opening if opening is not None else 0.0)
 
         def touched(joints: Array) -> str | None:
             return self.touched(hand, joints, wide, load)
 
-        for points in self._simple_ways(hand, start, goal):
-            path = through(points, hand.arm.motor_speed, self.tick)
-            if clear(path, touched):
-                return path
-        found = search(start, goal, hand.arm.joint_range, touched, self._rng)
-        if found is None:
-            blocked = touched(goal) or touched(start) or "everything between"
+        path = free_way(hand, goal, touched, self.tick, self._rng)
+        if path is None:
+            blocked = touched(goal) or touched(hand.joints) or "everything between"
             raise SkillFailedError(Cause.UNREACHABLE, f"no free way for the {hand.side} arm: {blocked} is in the way")
-        return through(found, hand.arm.motor_speed, self.tick)
-
-    def _simple_ways(self, hand: Hand, start: Array, goal: Array) -> list[list[Array]]:
-        """Straight there; or up, across and down; or by way of the posture in which the arm is ready."""
-        raised = []
-        for joints in (start, goal):
-            T = hand.pinch_at(joints)
-            T[2, 3] = max(T[2, 3] + _RAISE, _CROSSING)
-            raised.append(hand.reach(T, [joints], PASSING))
-        up, down = raised
-        ways = [[start, goal]]
-        if up is not None and down is not None:
-            ways.append([start, up, down, goal])
-        ways += [[start, via, goal] for via in (down, up, hand.ready) if via is not None]
-        return ways
+        return path
 
     def line(self, hand: Hand, T_pinch_in_world: Array, speed: float = LINE_SPEED) -> Array:
         """A motion (n + 1, dof) that takes a hand's pinch frame straight to a pose (4, 4).
@@ -245,12 +247,15 @@ class Bench:
         """A hand that stays where it is (ticks + 1, dof)."""
         return np.tile(hand.joints, (ticks + 1, 1))
 
-    def segment(self, motions: Mapping[Hand, Array], fingers: Mapping[Hand, Fingers] | None = None) -> Segment:
+    def segment(
+        self, motions: Mapping[Hand, Array], fingers: Mapping[Hand, Fingers] | None = None, arrives: bool = True
+    ) -> Segment:
         """What all arms do while some move: the others hold their place, and what they hold.
 
         Args:
             motions: hand -> joints (n + 1, dof); a shorter motion than the longest waits at its end.
             fingers: hand -> what its fingers do meanwhile; of others they stay as they are.
+            arrives: see `Segment`.
         """
         ticks = max(len(motion) for motion in motions.values()) - 1
         paths = []
@@ -274,7 +279,7 @@ class Bench:
                 )
             )
             hand.joints, hand.opening, hand.grip = joints[-1].copy(), to.opening, to.grip
-        return Segment(tuple(paths))
+        return Segment(tuple(paths), arrives)
 
     def wait(self, ticks: int) -> Segment:
         """All hands hold their places."""

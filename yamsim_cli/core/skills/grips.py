@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,11 @@ _LEANS = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 6
 # fingers come but so far from the thing, m, and hold it so much higher.
 _SIDEWAYS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35, 50, -50, 70, -70, 90, -90))
 _NARROW, _CLOSE, _HIGHER = 0.010, 0.004, 0.004
+
+# Where even that finds no room: so far off the thing's middle a hand may be before it closes, so near its fingers may
+# come to what stands beside, and so much higher they hold, m.
+_OFF, _BESIDE = 0.0025, 0.0015
+_HIGHER_STILL = (_HIGHER, 2 * _HIGHER)
 
 # No arm that stands on the table points its fingers farther up than this, as the sine of the angle; nor farther back
 # towards its base, as the cosine of the angle to what leads away from it.
@@ -47,12 +53,14 @@ class Grip:
         opening: of one finger around the thing, m.
         clearance: how much wider each finger is before it closes and after it opened, m.
         force: with which each finger presses, N.
+        beside: how near its fingers may come to other things, m; without, no nearer than the rest of the arm.
     """
 
     T_pinch_in_thing: Array
     opening: float
     clearance: float
     force: float
+    beside: float | None = None
 
 
 def grips(item: ObjectConfig) -> Iterator[Grip]:
@@ -90,6 +98,20 @@ def found_grips(item: ObjectConfig, spans: Sequence[Span]) -> Iterator[Grip]:
             T = pose(span.middle, frame @ rotation_from_vector([0.0, angle, 0.0]))
             for turn in (0.0, math.pi):
                 yield Grip(T @ pose(rotation=rotation_z(turn)), span.width / 2, clearance, force)
+
+
+def close_grips(item: ObjectConfig) -> Iterator[Grip]:
+    """The ways to hold something narrow with the ends of the fingers, one of them close to it: for places beside a wall
+    where nothing else goes.
+    """
+    places = [place for place in _places(item) if place[1] <= _NARROW]
+    for higher, tilt in itertools.product(_HIGHER_STILL, _SIDEWAYS):
+        for T, opening, clearance, force in places:
+            for lean, turn, side in itertools.product(_LEANS[:3], (0.0, math.pi), (-1.0, 1.0)):
+                turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_z(turn)
+                leaning = pose(rotation=turned @ rotation_from_vector([0.0, lean, 0.0]))
+                off = pose((0.0, side * _OFF, -higher))
+                yield Grip(T @ leaning @ off, opening, min(clearance, _CLOSE), force, _BESIDE)
 
 
 def _apart(spans: Sequence[Span]) -> list[Span]:

@@ -22,7 +22,7 @@ _BACK = 0.07
 def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
     """Open the fingers by so much a finger, and draw the hand back the way it points, or up."""
     wide = min(hand.opening + clearance, hand.widest)
-    yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(wide)})
+    yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(wide)}, arrives=False)
     thing, hand.held = None if hand.held is None else hand.held.thing, None
     T = hand.pinch_at(hand.joints)
     back, up = T @ pose((0.0, 0.0, -_BACK)), T.copy()
@@ -36,7 +36,7 @@ def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
     # Fingers that were around something start near to it. Where neither way is free, the first one has to do.
     free = (path for path in paths if clear(path, lambda joints: bench.touched(hand, joints, wide, between=thing)))
     if paths:
-        yield bench.segment({hand: next(free, paths[0])})
+        yield bench.segment({hand: next(free, paths[0])}, arrives=False)
 
 
 def bring(bench: Bench, hand: Hand, T_thing: Array, speed: float) -> Array:
@@ -54,7 +54,7 @@ def bring(bench: Bench, hand: Hand, T_thing: Array, speed: float) -> Array:
 def park(bench: Bench, hand: Hand) -> Iterator[Segment]:
     """Bring a hand that holds nothing out of the way."""
     if abs(hand.joints - hand.ready).max() > 1e-6:
-        yield bench.segment({hand: bench.way(hand, hand.ready)})
+        yield bench.segment({hand: bench.way(hand, hand.ready)}, arrives=False)
 
 
 def park_others(bench: Bench, hand: Hand) -> Iterator[Segment]:

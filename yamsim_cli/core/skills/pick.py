@@ -47,6 +47,8 @@ class Pick(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS: ClassVar[bool | None] = False
     LEAVES: ClassVar[bool | None] = True
+    # Whether each motion waits for the arm at the end of the one before.
+    WAITS: ClassVar[bool] = True
     thing: str
     arm: Side = "any"
     lift: Distance = 0.06
@@ -81,8 +83,10 @@ class Pick(Skill):
 
     def _take(self, bench: Bench, hand: Hand, thing: str, found: _Reach) -> Iterator[Segment]:
         grip = found.grip
-        yield bench.segment({hand: bench.way(hand, found.before, found.wide)}, {hand: Fingers(found.wide)})
-        yield bench.segment({hand: bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)})
+        path = bench.way(hand, found.before, found.wide)
+        yield bench.segment({hand: path}, {hand: Fingers(found.wide)}, arrives=self.WAITS)
+        path = bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)
+        yield bench.segment({hand: path}, arrives=self.WAITS)
         closing = Fingers(grip.opening, grip.force)
         yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
         yield rest(bench)
@@ -92,7 +96,7 @@ class Pick(Skill):
         hand.held = Held(thing, inverse(bench.T_pinch(hand)) @ bench.world.pose(thing))
         T_up = hand.pinch_at(hand.joints)
         T_up[2, 3] += self.lift
-        yield bench.segment({hand: bench.line(hand, T_up)})
+        yield bench.segment({hand: bench.line(hand, T_up)}, arrives=self.WAITS)
         try:
             bench.look_at(hand)
         except SkillFailedError:
@@ -112,7 +116,7 @@ class Pick(Skill):
             at = hand.reach(T_at, (hand.joints, hand.ready))
             before, why = None, f"the {hand.side} arm does not reach it so"
             if at is not None:
-                before, why = _before(bench, hand, thing, T_at, at, wide)
+                before, why = _before(bench, hand, thing, T_at, at, wide, grip.beside)
             if at is not None and before is not None:
                 blocked = self._blocked(bench, hand, thing, grip, T_at, at)
                 if blocked is None and ahead:
@@ -133,9 +137,11 @@ class Pick(Skill):
         return bench.touched(hand, up, grip.opening, load)
 
 
-def _before(bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, wide: float) -> tuple[Array | None, str]:
+def _before(
+    bench: Bench, hand: Hand, thing: str, T_at: Array, at: Array, wide: float, beside: float | None
+) -> tuple[Array | None, str]:
     """Joints (dof,) from which a hand comes straight to a thing; else None, and why there are none."""
-    why = bench.touched(hand, at, wide, between=thing)
+    why = bench.touched(hand, at, wide, between=thing, beside=beside)
     if why is not None:
         return None, why
     why = f"the {hand.side} arm does not reach the place before it"

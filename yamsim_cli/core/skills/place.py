@@ -22,9 +22,8 @@ from .errors import SkillFailedError
 from .hand import PASSING, Hand
 from .moves import bring, let_go, rest
 
-# From so high a thing comes straight down, at this speed, and is let go so much above where it will lie; m and m/s.
-_OVER = 0.07
-_LOWERING = 0.15
+# From so high a thing comes straight down, and is let go so much above where it will lie, m.
+OVER = 0.07
 _GAP = 0.002
 
 # A thing farther than this from where it was to lie has not been placed, m.
@@ -45,6 +44,8 @@ class Placing(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS: ClassVar[bool | None] = True
     LEAVES: ClassVar[bool | None] = False
+    # How fast a thing comes down, m/s.
+    LOWERING: ClassVar[float] = 0.15
     thing: str
     drop: Annotated[FiniteFloat, Within("m", 0, 0.05)] = 0.0
 
@@ -71,13 +72,13 @@ class Placing(Skill):
         fault = None
         load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
         for T_lying in self._best(bench, cast, thing):
-            T_goal = _raised(T_lying, self.drop)
+            T_goal = raised(T_lying, self.drop)
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
             there = hand.reach(T_pinch, (joints, hand.ready))
             if there is None:
                 fault = f"the {hand.side} arm does not reach its goal with it"
                 continue
-            over = hand.reach(_raised(T_goal, _OVER) @ inverse(T_thing_in_pinch), (there,), PASSING)
+            over = hand.reach(raised(T_goal, OVER) @ inverse(T_thing_in_pinch), (there,), PASSING)
             if over is None:
                 fault = f"the {hand.side} arm does not reach over its goal with it"
             elif blocked := bench.touched(hand, there, hand.opening, load):
@@ -95,9 +96,8 @@ class Placing(Skill):
         held = bench.look_at(hand)
         fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
         for T_lying in self._best(bench, cast, thing):
-            T_goal = _raised(T_lying, self.drop)
-            over = _raised(T_goal, _OVER) @ inverse(held.T_thing_in_pinch)
-            joints = hand.reach(over, (hand.joints, hand.ready), PASSING)
+            T_goal = raised(T_lying, self.drop)
+            joints = self._over(hand, T_goal @ inverse(held.T_thing_in_pinch))
             if joints is None or hand.reach(T_goal @ inverse(held.T_thing_in_pinch), (joints,), PASSING) is None:
                 continue
             try:
@@ -111,8 +111,12 @@ class Placing(Skill):
             return
         raise SkillFailedError(Cause.UNREACHABLE, fault)
 
+    def _over(self, hand: Hand, T_pinch: Array) -> Array | None:
+        """Joints (dof,) of a hand over where its pinch frame is to go (4, 4)."""
+        return hand.reach(raised(T_pinch, OVER), (hand.joints, hand.ready), PASSING)
+
     def _lower(self, bench: Bench, hand: Hand, thing: str, T_goal: Array) -> Iterator[Segment]:
-        yield bench.segment({hand: bring(bench, hand, _raised(T_goal, _GAP), _LOWERING)})
+        yield bench.segment({hand: bring(bench, hand, raised(T_goal, _GAP), self.LOWERING)})
         yield rest(bench)
         yield from let_go(bench, hand, bench.clearance(thing))
         yield rest(bench)
@@ -139,6 +143,7 @@ class Place(Placing):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
+    EITHER: ClassVar[tuple[str, ...]] = ("on",)
     on: str
     at: tuple[FiniteFloat, FiniteFloat] | None = None
     start_of: str | None = None
@@ -173,7 +178,8 @@ class Place(Placing):
         ]
 
 
-def _raised(T: Array, height: float) -> Array:
-    raised = T.copy()
-    raised[2, 3] += height
-    return raised
+def raised(T: Array, height: float) -> Array:
+    """A pose (4, 4) so much higher, m."""
+    higher = T.copy()
+    higher[2, 3] += height
+    return higher
