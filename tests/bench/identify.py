@@ -95,7 +95,7 @@ def _refused(rig: RigConfig, motion: Excitation, opened: float, number: int) -> 
         said = str(error)
     sys.stdout.write(f"log {number}: {name} {way}: {said}\n")
     sys.stdout.flush()
-    return f" {name} " in said and "record it" in said
+    return f" {name} " in said and "; record " in said
 
 
 def main() -> None:

@@ -15,6 +15,8 @@ from yamsim_cli.core.dataset.reader import open_episode
 from yamsim_cli.core.gap.figures import gap_of
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robots.dynamics import Dynamics
+from yamsim_cli.core.scene.build import build_rig_scene
 
 
 @pytest.mark.parametrize(
@@ -36,3 +38,21 @@ def test_an_episode_has_no_gap_until_something_is_held(
     # What the hand carries weighs, and the rig alone does not know of it.
     assert after.error.max > 1e-3
     assert frames[before.worst.frame]["timestamp"] == pytest.approx(before.worst.time, abs=1e-6)
+
+
+def test_an_arm_that_acts_late_begins_as_its_episode_did(
+    locations: Locations, config: RecordConfig, tmp_path: Path
+) -> None:
+    """An episode's drives hold the start until its first command acts, which is some way off."""
+    dynamics = Dynamics(revision="late", base="i2rt_yam", command_delay_ms=23.8, sensor_delay_ms=4.0)
+    arm = config.rig.arms[0].model_copy(update={"dynamics": dynamics})
+    rig = config.rig.model_copy(update={"arms": (arm,)})
+    write_dataset(tmp_path / "dataset", config.model_copy(update={"rig": rig}), locations, 1)
+    (motion,) = read_motions([tmp_path / "dataset"], rig, locations)
+
+    frames = open_episode(Path(motion.name)).frames()
+    held = next(frame["timestamp"] for frame in frames if np.any(frame["magnet"]))
+    gap = gap_of(build_rig_scene(rig, config.scene, locations), motion, 0.0, held)
+
+    # Of frames' float32.
+    assert gap.error.max < 1e-5

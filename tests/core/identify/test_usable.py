@@ -47,6 +47,16 @@ def test_a_joint_that_is_badly_excited_is_named_with_what_to_record(seed: int) -
     assert "yamsim excite" in str(told.value)
 
 
+def test_a_joint_that_only_others_shake_is_named() -> None:
+    times, commands = _swinging(30.0, np.random.default_rng(0))
+    joints = commands.copy()
+    commands[:, 3] = 0.3 * times / times[-1]
+    joints[:, 3] = commands[:, 3] + 0.06 * np.sin(20 * times)
+
+    with pytest.raises(DatasetError, match="joint4 never turns back"):
+        check_usable([Log("log.csv", times, commands, joints, None)], NAMES)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_log_in_which_all_joints_swing_is_taken(seed: int) -> None:
     check_usable([_log(*_swinging(30.0, np.random.default_rng(seed)))], NAMES)
@@ -62,9 +72,10 @@ def test_what_one_log_lacks_another_may_show() -> None:
 
 def test_samples_without_joints_do_not_count() -> None:
     times, joints = _swinging(30.0, np.random.default_rng(0))
-    joints[1::2] = np.nan
+    measured = joints.copy()
+    measured[1::2] = np.nan
 
-    check_usable([_log(times, joints)], NAMES)
+    check_usable([Log("log.csv", times, joints, measured, None)], NAMES)
 
 
 def test_a_short_log_is_refused() -> None:

@@ -43,9 +43,14 @@ def check_usable(logs: Sequence[Log], names: Sequence[str], side: str = "") -> N
             f"{where}: {seconds:.1f} s tell too little of the arm; record at least {SHORTEST:g} s, better 60; {_REMEDY}"
         )
     for k, name in enumerate(names):
-        paths = [(log.times[known], log.joints[known, k]) for log in logs if (known := _known(log)).sum() > 2]
-        if fault := _fault(paths):
-            raise DatasetError(f"{where}: {whose}{name} {fault}; {_REMEDY}")
+        known = [(log, rows) for log in logs if (rows := _known(log)).sum() > 2]
+        # What a joint is told counts too: others shake one that is told to do nothing.
+        for paths in (
+            [(log.times[rows], log.joints[rows, k]) for log, rows in known],
+            [(log.times, log.commands[:, k]) for log, _ in known],
+        ):
+            if fault := _fault(paths):
+                raise DatasetError(f"{where}: {whose}{name} {fault}; {_REMEDY}")
 
 
 def _known(log: Log) -> NDArray[np.bool_]:

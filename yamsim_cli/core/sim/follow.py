@@ -17,7 +17,7 @@ from ..scene.compiled import CompiledScene, SceneArm
 _LOOK_STEPS = 200
 # A motion starts at rest unless what was measured first, over so many seconds, says otherwise, s.
 _FIRST = 0.2
-# A start in motion has to explain what was measured first this many times better than rest.
+# Another start has to explain what was measured first this many times better than rest under the first command.
 _BETTER = 2.0
 # Samples that the speed at the start is taken from.
 _SLOPE_SAMPLES = 6
@@ -32,7 +32,8 @@ def follow(scene: CompiledScene, motion: Motion) -> Motion:
 
     The arms start where they were measured, and not where they would come to rest at the first command: friction lets
     a joint stand anywhere within some milliradians, so that only the measurement says where. They start at rest, or at
-    the speed that was measured if that explains the first tenths of a second much better.
+    the speed that was measured if that explains the first tenths of a second much better. Where commands act late, what
+    acts before the first one is the first one too, or to hold the start if that explains these much better.
 
     Args:
         scene: as `scene.build.build_rig_scene` makes it; its own time step is used.
@@ -51,12 +52,18 @@ def follow(scene: CompiledScene, motion: Motion) -> Motion:
     start = _start(scene, motion)
     first = int(np.searchsorted(motion.times, _FIRST, side="right"))
     steps = min(len(ctrl), int(np.ceil(_FIRST / scene.model.opt.timestep)))
-    speeds, moving = np.zeros(scene.model.nv), _speeds(scene, motion)
-    if moving.any() and first > 2:
-        tried = (_run(scene, motion.name, start, one, ctrl[:steps]) for one in (speeds, moving))
-        at_rest, in_motion = (_misfit(scene, motion, run, first) for run in tried)
-        speeds = moving if in_motion * _BETTER < at_rest else speeds
-    run = _run(scene, motion.name, start, speeds, ctrl)
+    rest, moving, before = np.zeros(scene.model.nv), _speeds(scene, motion), ctrl[0] if len(ctrl) else None
+    begins: list[tuple[Array, Array | None]] = [(rest, before)]
+    if any(arm.command_delay for arm in scene.arms):
+        begins.append((rest, None))
+    if moving.any():
+        begins.append((moving, before))
+    if len(begins) > 1 and first > 2:
+        tried = (_run(scene, motion.name, start, *one, ctrl[:steps]) for one in begins)
+        misfits = [_misfit(scene, motion, run, first) for run in tried]
+        best = int(np.argmin(misfits))
+        begins = [begins[best if misfits[best] * _BETTER < misfits[0] else 0]]
+    run = _run(scene, motion.name, start, *begins[0], ctrl)
     arms = tuple(_sampled(arm, told, run, motion.times) for arm, told in zip(scene.arms, motion.arms, strict=True))
     return Motion(motion.name, motion.times, arms)
 
@@ -93,10 +100,10 @@ class _Run:
     qvel: Array
 
 
-def _run(scene: CompiledScene, name: str, start: Array, speeds: Array, ctrl: Array) -> _Run:
-    """Step once for each row of `ctrl` (n, nu)."""
+def _run(scene: CompiledScene, name: str, start: Array, speeds: Array, before: Array | None, ctrl: Array) -> _Run:
+    """Step once for each row of `ctrl` (n, nu); `before` it drives were told that (nu,), or to hold the start."""
     model, data = scene.model, mujoco.MjData(scene.model)
-    scene.reset(data, start, told=ctrl[0] if len(ctrl) else None)
+    scene.reset(data, start, told=before)
     data.qvel[:] = speeds
     qpos, qvel = np.empty((len(ctrl) + 1, model.nq)), np.empty((len(ctrl) + 1, model.nv))
     qpos[0], qvel[0] = data.qpos, data.qvel
