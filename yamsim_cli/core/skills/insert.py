@@ -16,12 +16,16 @@ from .place import Placing
 _GRID = 0.03
 _LOWER = 0.01
 
+# A thing is inside if it goes so deep below the rim, as a share of its own height or of the container's depth.
+_DEEP = 0.5
+
 # Headings that are tried, as turns from along the container.
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(Placing):
-    """Put a thing into a container: where it comes to lie lowest, near the container's middle.
+    """Put a thing into a container: where it comes to lie lowest, near the container's middle. Onto the rim, or high
+    onto what is in there already, it goes only where there is room nowhere else.
 
     Attributes:
         thing: a role; it is in a hand.
@@ -39,6 +43,9 @@ class Insert(Placing):
         """See `Placing`."""
         container = cast.one(self.into)
         T, (low, high) = bench.world.pose(container), bench.world.interior(container)
+        block = bench.world.block(thing)
+        highest = float((T @ (0.0, 0.0, high[2], 1.0))[2]) - float(block[0, 2])
+        highest -= _DEEP * min(float(np.ptp(block[:, 2])), float(high[2] - low[2]))
         found = []
         for turn in _TURNS:
             heading = yaw(T) + turn
@@ -53,7 +60,8 @@ class Insert(Placing):
                     height = bench.height_on(thing, place, container, heading)
                     off = float(np.hypot(x - middles[0], y - middles[1]))
                     found.append((round(height / _LOWER), off, pose((*place, height), rotation_z(heading))))
-        return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
+        goals = [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
+        return [T_goal for T_goal in goals if T_goal[2, 3] <= highest] or goals
 
 
 def _spread(first: float, last: float) -> Array:
