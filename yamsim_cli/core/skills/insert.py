@@ -19,6 +19,10 @@ _LOWER = 0.01
 # A thing is inside if it goes so deep below the rim, as a share of its own height or of the container's depth.
 _DEEP = 0.5
 
+# What fell aside has come into the container all the same with so large a share of its volume inside: tall things do not
+# go deep.
+_INSIDE = 0.3
+
 # Headings that are tried, as turns from along the container.
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
@@ -62,6 +66,10 @@ class Insert(Placing):
                     found.append((round(height / _LOWER), off, pose((*place, height), rotation_z(heading))))
         goals = [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
         return [T_goal for T_goal in goals if T_goal[2, 3] <= highest] or goals
+
+    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
+        if bench.world.share_inside(thing, onto) < _INSIDE:
+            super()._check(bench, thing, onto, T_goal)
 
 
 def _spread(first: float, last: float) -> Array:
