@@ -16,11 +16,8 @@ from .place import Placing
 _GRID = 0.03
 _LOWER = 0.01
 
-# A thing is inside if it goes so deep below the rim, as a share of its own height or of the container's depth.
-_DEEP = 0.5
-
-# What fell aside has come into the container all the same with so large a share of its volume inside: tall things do not
-# go deep.
+# What fell aside has come into the container all the same with so large a share of its volume inside: what is tall does
+# not go deep.
 _INSIDE = 0.3
 
 # Headings that are tried, as turns from along the container.
@@ -28,8 +25,7 @@ _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(Placing):
-    """Put a thing into a container: where it comes to lie lowest, near the container's middle. Onto the rim, or high
-    onto what is in there already, it goes only where there is room nowhere else.
+    """Put a thing into a container: where it comes to lie lowest, near the container's middle.
 
     Attributes:
         thing: a role; it is in a hand.
@@ -47,9 +43,6 @@ class Insert(Placing):
         """See `Placing`."""
         container = cast.one(self.into)
         T, (low, high) = bench.world.pose(container), bench.world.interior(container)
-        block = bench.world.block(thing)
-        highest = float((T @ (0.0, 0.0, high[2], 1.0))[2]) - float(block[0, 2])
-        highest -= _DEEP * min(float(np.ptp(block[:, 2])), float(high[2] - low[2]))
         found = []
         for turn in _TURNS:
             heading = yaw(T) + turn
@@ -64,8 +57,7 @@ class Insert(Placing):
                     height = bench.height_on(thing, place, container, heading)
                     off = float(np.hypot(x - middles[0], y - middles[1]))
                     found.append((round(height / _LOWER), off, pose((*place, height), rotation_z(heading))))
-        goals = [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
-        return [T_goal for T_goal in goals if T_goal[2, 3] <= highest] or goals
+        return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
 
     def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
         if bench.world.share_inside(thing, onto) < _INSIDE:
