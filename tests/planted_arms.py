@@ -91,12 +91,14 @@ def drive(
     rng: np.random.Generator,
     jitter: float = 0.001,
     step: float = ENCODER_STEP,
+    opening: float = 0.0,
 ) -> Motion:
     """What is logged of an arm that is told commands (n, dof) at times (n,).
 
     Args:
         jitter: how far a sample's time is from when it should be at most, s.
         step: of the encoders, rad.
+        opening: of one finger, m, which the gripper is told all along.
     """
     times = times + np.concatenate([[0.0], rng.uniform(-jitter, jitter, len(times) - 1)])
     # Samples lie on the steps of this physics, so that it is exact about when they were.
@@ -117,6 +119,10 @@ def drive(
     friction = _friction(planted, model.dof_invweight0[dof])
     mujoco.mj_resetData(model, data)
     data.qpos[qpos] = commands[0]
+    if (fingers := arm.robot.fingers) is not None:
+        places = [model.joint(name).qposadr[0] for name in fingers.joints]
+        data.qpos[places] = opening * np.array(arm.robot.finger_signs)
+        data.ctrl[model.actuator(fingers.drive).id] = opening
     mujoco.mj_forward(model, data)
     read, next_sample = np.empty(commands.shape), 0
     acting = 0
@@ -134,4 +140,5 @@ def drive(
     while next_sample < len(times):
         read[next_sample] = read[next_sample - 1]
         next_sample += 1
-    return Motion("planted", times, (ArmMotion("", read, commands),))
+    openings = None if arm.robot.fingers is None else np.full(len(times), opening)
+    return Motion("planted", times, (ArmMotion("", read, commands, openings, openings),))

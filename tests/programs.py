@@ -53,6 +53,19 @@ def changed(changes: dict[tuple[str, ...], Any], task: dict[str, Any] | None = N
     return data
 
 
+#: A napkin, folded in half by both arms of a station.
+FOLD: dict[str, Any] = changed(
+    {
+        ("rig",): STATION,
+        ("things",): {"napkin": {"of": "soft_napkin"}},
+        ("starts",): {"napkin": {"x": [0.34, 0.36], "y": [-0.02, 0.02], "yaw_deg": [10, 20]}},
+        ("goal",): {"all": [{"folded": {"thing": "napkin"}}], "for_s": 0.2},
+        ("expert",): [{"fold": {"thing": "napkin"}}],
+        ("timing",): {"timestep": 0.004, "physics_steps_per_tick": 8, "ticks_per_frame": 2},
+    }
+)
+
+
 def written(folder: Path, task: dict[str, Any], name: str = "small") -> Path:
     """The file of a task."""
     file = folder / f"{name}.yaml"

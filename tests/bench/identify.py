@@ -1,10 +1,12 @@
 """How well `yamsim identify` finds the parameters of arms that move by known ones.
 
     python -m tests.bench.identify --plants 20
+    python -m tests.bench.identify --plants 0 --bad 20
 
 plants arms in a physics of their own (other integrators, steps of 0.5 ms, another law of friction), logs them as a bus
 would (16 bits, jittered times) while they follow `yamsim excite`, and compares what is identified with what was
-planted.
+planted. `--bad` logs such arms while one joint does too little to tell anything, and counts the logs that are refused
+by that joint's name.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ from tests.planted_arms import Planted, drive, random_plant
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.identify.excitation import excite
+from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.identify.excitation import Excitation, excite
 from yamsim_cli.core.identify.identify import Identified, identify
 from yamsim_cli.core.resources import Locations
 
@@ -60,38 +64,91 @@ def _rows(planted: Planted, found: Identified, joints: tuple[str, ...]) -> list[
     return rows
 
 
+def _bad(commands: Array, joint: int, way: int, rng: np.random.Generator) -> str:
+    """Let one joint of a motion (n, dof) do too little, in one of five ways, and say in which."""
+    share, middle = np.linspace(0, 1, len(commands)), commands[0, joint]
+    names = ("stands still", "trembles", "turns one way", "turns back twice", "is always slow")
+    commands[:, joint] = (
+        middle
+        + (
+            np.zeros(len(share)),
+            0.02 * np.sin(2 * np.pi * rng.uniform(10, 60) * share),
+            rng.choice([-0.4, 0.4]) * share,
+            0.4 * np.sin(1.5 * np.pi * share) * rng.choice([-1, 1]),
+            0.1 * np.sin(2 * np.pi * rng.uniform(3, 5) * share),
+        )[way]
+    )
+    return names[way]
+
+
+def _refused(rig: RigConfig, motion: Excitation, opened: float, number: int) -> bool:
+    """Whether a badly excited log is refused by the name of its joint and with what to record; says so."""
+    rng, arm = np.random.default_rng([number, 1]), rig.arms[0]
+    commands, joint = motion.commands.copy(), int(np.random.default_rng(number).integers(arm.robot.dof))
+    way = _bad(commands, joint, number % 5, rng)
+    log = drive(arm, random_plant(arm, rng), motion.times, commands, rng, opening=opened)
+    name = arm.robot.joint_names[joint]
+    try:
+        identify(rig, [log], [], "planted")
+        said = "taken"
+    except DatasetError as error:
+        said = str(error)
+    sys.stdout.write(f"log {number}: {name} {way}: {said}\n")
+    sys.stdout.flush()
+    return f" {name} " in said and "record it" in said
+
+
 def main() -> None:
     """Plant, identify, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plants", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="number of the first plant")
     parser.add_argument("--seconds", type=float, default=60.0, help="of each log")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no plant after so long")
+    parser.add_argument("--bad", type=int, default=0, help="how many badly excited logs of 30 s")
     parser.add_argument("--rig", default="single")
     options = parser.parse_args()
     where = Locations.find(os.environ)
     rig = load_config(RigConfig, "rigs", options.rig, where)
     scene = load_config(SceneConfig, "scenes", "tabletop", where)
+    opened = rig.arms[0].robot.fingers.opened if rig.arms[0].robot.fingers else 0.0
+    if options.bad:
+        motion = excite(rig, 0, scene, where, 30.0, 0)
+        refused = [_refused(rig, motion, opened, number) for number in range(options.bad)]
+        sys.stdout.write(f"{sum(refused)} of {len(refused)} badly excited logs are refused by the joint's name\n")
     rows: list[_Row] = []
-    falls = []
+    falls: list[float] = []
+    began = time.perf_counter()
     for number in range(options.first, options.first + options.plants):
+        if time.perf_counter() - began > 60 * options.minutes:
+            break
+        motion = excite(rig, 0, scene, where, options.seconds, number)
         rng = np.random.default_rng(number)
         planted = random_plant(rig.arms[0], rng)
-        motion = excite(rig, 0, scene, where, options.seconds, number)
-        log = drive(rig.arms[0], planted, motion.times, motion.commands, rng)
+        log = drive(rig.arms[0], planted, motion.times, motion.commands, rng, opening=opened)
         begun = time.perf_counter()
         found = identify(rig, [log], [], "planted")[0]
-        spent = time.perf_counter() - begun
         here = _rows(planted, found, rig.arms[0].robot.joint_names)
         rows += here
         falls.append(found.gap.fallen)
-        missed = [f"{r.joint} {r.name} {r.error:.3g}" for r in here if r.told and r.error > _GOALS[r.name][0]]
-        outside = [f"{r.joint} {r.name}" for r in here if not r.inside]
-        gap = f"gap {1000 * found.gap.before:.1f} -> {1000 * found.gap.after:.2f} mrad"
-        sys.stdout.write(
-            f"plant {number}: {planted.law}, {planted.integrator}, {spent:.0f} s, {gap}; missed: {', '.join(missed)}; "
-            f"outside: {', '.join(outside)}\n"
-        )
-        sys.stdout.flush()
+        _tell(number, planted, found, here, time.perf_counter() - begun)
+    if rows:
+        _table(rows, falls)
+
+
+def _tell(number: int, planted: Planted, found: Identified, rows: list[_Row], spent: float) -> None:
+    missed = [f"{r.joint} {r.name} {r.error:.3g}" for r in rows if r.told and r.error > _GOALS[r.name][0]]
+    outside = [f"{r.joint} {r.name}" for r in rows if not r.inside]
+    gap = f"gap {1000 * found.gap.before:.1f} -> {1000 * found.gap.after:.2f} mrad"
+    sys.stdout.write(
+        f"plant {number}: {planted.law}, {planted.integrator}, {spent:.0f} s, {gap}; missed: {', '.join(missed)}; "
+        f"outside: {', '.join(outside)}\n"
+    )
+    sys.stdout.flush()
+
+
+def _table(rows: list[_Row], falls: list[float]) -> None:
+    sys.stdout.write(f"{len(falls)} plants\n")
     sys.stdout.write("| parameter | goal | median | 95 % | most | within the goal | inside its interval | told |\n")
     sys.stdout.write("|---|---|---|---|---|---|---|---|\n")
     for name, (goal, _) in _GOALS.items():

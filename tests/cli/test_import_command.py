@@ -33,14 +33,43 @@ def test_a_log_comes_in_and_is_summarized(log: Path, tmp_path: Path) -> None:
 
 def test_what_cannot_be_done_with_a_real_recording_says_so(log: Path, tmp_path: Path) -> None:
     assert yamsim("import", "log.csv", cwd=tmp_path).code == 0
-    for asked in (["verify", "real"], ["export", "lerobot", "real", "out"]):
-        run = yamsim(*asked, cwd=tmp_path)
-        assert run.code == 4
-        assert "not simulated" in run.message
+    run = yamsim("import", "real", "--out", "again", cwd=tmp_path)
+    assert (run.code, "needs no import" in run.message) == (4, True)
+    run = yamsim("overlay", "--episode", "real/ep_000000", cwd=tmp_path)
+    assert (run.code, "has no pictures" in run.message) == (4, True)
+    run = yamsim("verify", "real", cwd=tmp_path)
+    assert (run.code, "not simulated" in run.message) == (4, True)
+    assert "yamsim summarize real --strict" in run.message
     film = yamsim("replay", "real/ep_000000", "--video", "film.mp4", cwd=tmp_path)
     assert (film.code, "has no pictures" in film.message) == (4, True)
     anew = yamsim("replay", "real/ep_000000", "--video", "film.mp4", "--render", cwd=tmp_path)
     assert (anew.code, "was not simulated" in anew.message) == (2, True)
+
+
+def test_a_real_dataset_is_exported(log: Path, tmp_path: Path) -> None:
+    assert yamsim("import", "log.csv", cwd=tmp_path).code == 0
+    run = yamsim("export", "lerobot", "real", "out", "--json", cwd=tmp_path)
+    assert (run.json["episodes"], run.json["frames"], run.json["notes"]) == (1, 50, [])
+    slower = yamsim("export", "lerobot", "real", "slower", "--fps", "20", cwd=tmp_path)
+    assert slower.out.strip() == "1 episode, 10 frames in slower"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["mp4", "real", "out"], 4, "real has no pictures"),
+        (["lerobot", "real", "out", "--environment-state"], 2, "nobody recorded where things were"),
+        (["lerobot", "real", "out", "--episodes", "7"], 2, "has no episode 7"),
+        (["lerobot", "real", "out", "--fps", "0"], 2, "--fps"),
+    ],
+)
+def test_what_a_real_dataset_has_not_is_one_line(
+    log: Path, tmp_path: Path, arguments: list[str], code: int, message: str
+) -> None:
+    assert yamsim("import", "log.csv", cwd=tmp_path).code == 0
+    run = yamsim("export", *arguments, cwd=tmp_path)
+    assert (run.code, message in run.message) == (code, True), run.err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -52,6 +81,7 @@ def test_what_cannot_be_done_with_a_real_recording_says_so(log: Path, tmp_path: 
         (["log.csv", "--resume", "--overwrite"], 2, "give one of them"),
         (["log.csv", "--format", "lerobot"], 4, "meta/info.json cannot be read"),
         (["."], 4, "is no recording that is known"),
+        (["log.csv", "--mirror-gripper", "no"], 2, "--mirror-gripper"),
     ],
 )
 def test_what_cannot_be_is_one_line(log: Path, tmp_path: Path, arguments: list[str], code: int, message: str) -> None:

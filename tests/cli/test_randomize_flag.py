@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from yamsim_cli.commands.session import opener
-from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.resources import Locations
 
 MINE = "{lens_deg: [-1, 1]}"
@@ -38,6 +38,16 @@ def test_the_flag_takes_the_default_and_leaves_ones_own_ranges(
         assert len(parts) > 5
     else:
         assert parts == (() if wanted == "none" else (wanted,))
+
+
+def test_ranges_are_named_by_a_flag_that_says_more_than_the_other(locations: Locations) -> None:
+    for randomize in (None, True):
+        found = opener.config("default", locations, randomize=randomize, randomization="arms")
+        assert found.randomization.parts == ("arm_dynamics",)
+    with pytest.raises(UsageError, match="--randomization says how things vary, and --no-randomize that nothing does"):
+        opener.config("default", locations, randomize=False, randomization="arms")
+    with pytest.raises(ConfigError, match="unknown randomization 'arm'; did you mean 'arms'"):
+        opener.config("default", locations, randomization="arm")
 
 
 def test_a_file_may_name_or_spell_out_a_randomization(tmp_path: Path, locations: Locations, repository: Path) -> None:

@@ -63,7 +63,7 @@ ROWS: dict[str, Row] = {
     "inspect-robots": Row(
         "Inspect Robots",
         "inspect-robots",
-        "KitchenBench's rigid tasks on our station: conforms, all 25 scenes at rest; our expert stacks two cups",
+        "Six of KitchenBench's tasks on our station: conforms, all 30 scenes at rest; our expert stacks two cups",
         Environment("inspect", beside=True),
     ),
     "act": Row(
@@ -133,6 +133,28 @@ ROWS: dict[str, Row] = {
         "`lerobot_robot_yamsim`: records episodes of the expert, which its loader reads; replays one by the clock",
         Environment("lerobot", "3.12"),
         heavy=True,
+    ),
+    "lerobot-writes": Row(
+        "LeRobot 0.6: its own writer",
+        "lerobot",
+        "`import`: what `LeRobotDataset.create` wrote, with films in AV1 or with pictures; and its loader reads our "
+        "`export lerobot` of that",
+        Environment("lerobot", "3.12"),
+        heavy=True,
+    ),
+    "raiden-records": Row(
+        client="raiden's recorder and sharder, of its repository",
+        distribution="raiden",
+        opens="`import`: what it recorded of two arms; it shards our `export raiden` of real ones",
+        environment=Environment("raiden", python="3.11"),
+        heavy=True,
+        checkout="YAMSIM_RAIDEN",
+    ),
+    "mcap": Row(
+        "mcap, foxglove-schemas-protobuf",
+        "mcap",
+        "`import`: what their writers wrote with the topics of ABC-130k, films in H.264 and H.265",
+        Environment("mcap"),
     ),
     "lerobot-0.4": Row("LeRobot 0.4", "lerobot", _LEROBOT, Environment("lerobot-0.4", "3.11"), heavy=True),
     "lerobot-doctor": Row(

@@ -56,7 +56,7 @@ def excite(
     found = run(settings, number, scene, where, seconds, seed)
     write_file(out, commands_csv(settings, number, found))
     if log is not None:
-        write_file(log, log_csv(settings, number, found))
+        write_file(log, log_csv(settings, number, found, scene, where))
     start = [round(float(angle), 4) for angle in found.commands[0]]
     if json:
         print_json(

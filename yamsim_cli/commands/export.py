@@ -13,6 +13,8 @@ from .console import note, print_json, print_line, progress_bar
 from .session import Json, opener
 
 if TYPE_CHECKING:
+    from yamsim_cli.core.export.raiden_options import RaidenOptions
+    from yamsim_cli.core.export.real_source import ActionSource, RealSource
     from yamsim_cli.core.export.source import Exported, Source
     from yamsim_cli.core.resources import Locations
 
@@ -21,9 +23,28 @@ _MOST_FPS = 500
 
 app = typer.Typer(help="Write a dataset in the formats of others.", no_args_is_help=True)
 
-Dataset = Annotated[Path, typer.Argument(help="The directory that `yamsim record` wrote.", show_default=False)]
+Dataset = Annotated[
+    Path, typer.Argument(help="The directory that `yamsim record` or `yamsim import` wrote.", show_default=False)
+]
 Out = Annotated[Path, typer.Argument(help="Directory to make.", show_default=False)]
 Episodes = Annotated[str | None, typer.Option(metavar="LIST", help="Which episodes, such as 0,3,5-9.  [default: all]")]
+RealFps = Annotated[
+    float | None,
+    typer.Option(
+        "--fps",
+        min=1,
+        max=_MOST_FPS,
+        help="Of real recordings: frames at even times, each the nearest recorded one.  [default: those recorded]",
+        show_default=False,
+    ),
+]
+RealActions = Annotated[
+    Literal["recorded", "measured", "none"] | None,
+    typer.Option(
+        help="Of real recordings: what was commanded, what was measured one frame later, or none.  [default: recorded]",
+        show_default=False,
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")]
 
 
@@ -57,6 +78,7 @@ def raiden(
         typer.Option(help="Hand poses as the simulated arm has them, or as raiden's kinematics of the same joints do."),
     ] = "yamsim",
     workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 2,
+    actions: RealActions = None,
     episodes: Episodes = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -65,11 +87,26 @@ def raiden(
 
     Example: yamsim export raiden dataset/ real_layout/
     """
+    from yamsim_cli.core.dataset.real import is_real
     from yamsim_cli.core.export.raiden_options import RaidenOptions
 
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} is for other times than the recorded ones: leave out --fps source")
     options = RaidenOptions(_rate(fps), pictures or "draw", images, single, hand_frame)
+    if is_real(dataset):
+        if pictures == "draw":
+            raise UsageError(f"--pictures draw: {dataset} is real, and its pictures are those that were recorded")
+        done = _real_raiden(dataset, out, options, actions, episodes, overwrite)
+    else:
+        _require_real("--actions", actions, dataset)
+        done = _simulated_raiden(dataset, out, options, workers, episodes, overwrite)
+    _show(done, json)
+
+
+def _simulated_raiden(
+    dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
+) -> Exported:
+    """Export a simulation, whose pictures may be rendered anew."""
     where = opener.locations()
     if options.renders:
         where = _with_renderer(where)
@@ -88,14 +125,39 @@ def raiden(
         def progress(n: int, total: int) -> None:
             advance(n, total, "")
 
-        done = export_raiden(source, out, where, progress, options, workers=workers, overwrite=overwrite)
-    _show(done, json)
+        return export_raiden(source, out, where, progress, options, workers=workers, overwrite=overwrite)
+
+
+def _real_raiden(
+    dataset: Path,
+    out: Path,
+    options: RaidenOptions,
+    actions: ActionSource | None,
+    episodes: str | None,
+    overwrite: bool,
+) -> Exported:
+    """Export real recordings, of which nothing is rendered."""
+    opener.skip_gl()
+
+    from yamsim_cli.core.export.raiden_real import export_real_raiden
+    from yamsim_cli.core.export.real_source import open_real_source
+
+    where = opener.locations()
+    source = open_real_source(dataset, episodes, where, options.fps)
+    with progress_bar("exporting", "episodes") as advance:
+
+        def progress(n: int, total: int) -> None:
+            advance(n, total, "")
+
+        return export_real_raiden(source, out, where, progress, options, actions or "recorded", overwrite=overwrite)
 
 
 @app.command()
 def lerobot(
     dataset: Dataset,
     out: Out,
+    fps: RealFps = None,
+    actions: RealActions = None,
     environment_state: Annotated[
         bool,
         typer.Option("--environment-state", help="Also write where things are, as observation.environment_state."),
@@ -111,14 +173,26 @@ def lerobot(
 
     Example: yamsim export lerobot dataset/ lerobot_dataset/
     """
-    source, _ = _source(dataset, episodes)
+    source = _source(dataset, episodes, fps)
 
-    from yamsim_cli.core.export.lerobot import export_lerobot
-    from yamsim_cli.core.export.lerobot_options import LeRobotOptions
+    from yamsim_cli.core.export.lerobot import export_lerobot, export_real_lerobot
+    from yamsim_cli.core.export.lerobot_options import LeRobotOptions, RealOptions
+    from yamsim_cli.core.export.real_source import RealSource
 
-    options = LeRobotOptions(pictures, environment_state)
     with progress_bar("exporting", "episodes") as advance:
-        done = export_lerobot(source, out, lambda n, total: advance(n, total, ""), options, overwrite=overwrite)
+
+        def progress(n: int, total: int) -> None:
+            advance(n, total, "")
+
+        if isinstance(source, RealSource):
+            if environment_state:
+                raise UsageError(f"--environment-state: {dataset} is real, and nobody recorded where things were")
+            wanted = RealOptions(pictures, actions or "recorded")
+            done = export_real_lerobot(source, out, progress, wanted, overwrite=overwrite)
+        else:
+            _require_real("--actions", actions, dataset)
+            options = LeRobotOptions(pictures, environment_state)
+            done = export_lerobot(source, out, progress, options, overwrite=overwrite)
     _show(done, json)
 
 
@@ -133,6 +207,7 @@ def mp4(
     columns: Annotated[int, typer.Option(min=1, max=100, help="With --sheet: images in a row.")] = 8,
     width: Annotated[int, typer.Option(min=16, max=1920, help="With --sheet: width of each image, px.")] = 160,
     speed: Annotated[float, typer.Option(min=0.01, max=1000, help="How fast time passes in videos.")] = 1.0,
+    fps: RealFps = None,
     episodes: Episodes = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -141,7 +216,7 @@ def mp4(
 
     Example: yamsim export mp4 dataset/ videos/
     """
-    source, _ = _source(dataset, episodes)
+    source = _source(dataset, episodes, fps)
 
     from yamsim_cli.core.export.videos import export_mp4, export_sheet
 
@@ -165,7 +240,7 @@ def rerun(
 
     Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
     """
-    source, _ = _source(dataset, episodes)
+    source = _source(dataset, episodes)
 
     from yamsim_cli.core.export.rrd import export_rerun
 
@@ -195,21 +270,37 @@ def _with_renderer(where: Locations) -> Locations:
         raise ResourceError(f"{error}; or draw nothing, with --pictures nearest or --fps source") from None
 
 
-def _source(dataset: Path, episodes: str | None) -> tuple[Source, Locations]:
-    """The chosen episodes, for an export that renders nothing."""
+def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> Source | RealSource:
+    """The chosen episodes, simulated or real, for an export that renders nothing."""
     opener.skip_gl()
 
+    from yamsim_cli.core.dataset.real import is_real
+    from yamsim_cli.core.export.real_source import open_real_source
     from yamsim_cli.core.export.source import open_source
 
     where = opener.locations()
-    return open_source(dataset, episodes, where), where
+    if is_real(dataset):
+        return open_real_source(dataset, episodes, where, fps)
+    _require_real("--fps", fps, dataset)
+    return open_source(dataset, episodes, where)
+
+
+def _require_real(flag: str, value: object, dataset: Path) -> None:
+    """Refuse a flag of real recordings with simulated ones."""
+    if value is not None:
+        raise UsageError(
+            f"{flag} is for real recordings, and {dataset} was simulated, with even times and all actions: leave it out"
+        )
 
 
 def _show(done: Exported, json: bool) -> None:
+    for line in done.notes:
+        note(line)
     if done.moved_aside:
         note(f"What was at {done.path} is now at {done.moved_aside}.")
     if json:
         moved = str(done.moved_aside) if done.moved_aside else None
-        print_json({"path": str(done.path), "episodes": done.episodes, "frames": done.frames, "moved_aside": moved})
+        told = {"path": str(done.path), "episodes": done.episodes, "frames": done.frames, "moved_aside": moved}
+        print_json(told | {"notes": list(done.notes)})
     else:
         print_line(f"{counted(done.episodes, 'episode')}, {counted(done.frames, 'frame')} in {done.path}")

@@ -37,6 +37,10 @@ def import_recording(
         Literal["metres", "share", "closed_share"] | None,
         typer.Option(help="Of one finger; 0 closed .. 1 open; 0 open .. 1 closed.  [default: the format's]"),
     ] = None,
+    mirror_gripper: Annotated[
+        Literal["measured", "commanded", "both"] | None,
+        typer.Option(help="Which openings are upside down: 0 open, and the widest closed.", show_default=False),
+    ] = None,
     degrees: Annotated[bool, typer.Option("--degrees", help="Joints are in degrees.")] = False,
     swap_arms: Annotated[
         bool, typer.Option("--swap-arms", help="What was measured of the left arm is the right one's.")
@@ -60,7 +64,8 @@ def import_recording(
     from yamsim_cli.core.import_recording.importing import ImportRequest, import_recordings
 
     mode = OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
-    request = ImportRequest(source, settings, kind, mapping, Corrections(degrees, swap_arms, gripper), out, mode)
+    said = Corrections(degrees, swap_arms, gripper, mirror_gripper)
+    request = ImportRequest(source, settings, kind, mapping, said, out, mode)
     with progress_bar("import", "episodes") as advance:
         report = import_recordings(request, where, lambda done, total: advance(done, total, ""))
     if json:

@@ -128,7 +128,7 @@ def _rig(
 ) -> RigConfig:
     """The named rig; without a name, the one that the recordings' dataset was recorded with."""
     from yamsim_cli.core.dataset.layout import CONFIG
-    from yamsim_cli.core.dataset.reader import dataset_config
+    from yamsim_cli.core.dataset.reader import recorded_rig
 
     datasets = {path.resolve() if (path / CONFIG).is_file() else path.resolve().parent for path in recordings}
     if name is None and len(datasets) > 1:
@@ -140,7 +140,7 @@ def _rig(
             raise UsageError(
                 f"--revision {revision}: an episode's arms are those it was recorded with; give --rig with it"
             )
-        return dataset_config(datasets.pop(), where).rig
+        return recorded_rig(datasets.pop(), where)
     return opener.rig(name or "single", where, margin, revision)
 
 

@@ -19,6 +19,7 @@ from .settings import (
     Grasp,
     Object,
     Quality,
+    Randomization,
     Randomize,
     Rig,
     Seed,
@@ -54,6 +55,7 @@ def record(
     wrist: Wrist = None,
     camera: Cameras = None,
     randomize: Randomize = None,
+    randomization: Randomization = None,
     boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
@@ -110,6 +112,7 @@ def record(
         wrist=wrist,
         camera=camera,
         randomize=randomize,
+        randomization=randomization,
         boards=boards,
         truth=truth,
         action=action,

@@ -51,6 +51,14 @@ Randomize = Annotated[
     bool | None,
     typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more."),
 ]
+Randomization = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Ranges to vary by: a name from configs/randomization/ or a YAML file; `arms` has delays, noise, encoder "
+        "steps and errors of the gravity compensation.  [default: with --randomize, `default`]",
+    ),
+]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")]
 Quality = Annotated[
     str | None, typer.Option(help="fast, balanced, high, auto (GPU or not), or a YAML file.  [default: auto]")

@@ -23,7 +23,7 @@ _LONGEST_EXAMPLE = 200
 def findings(report: Mapping[str, Any]) -> RenderableType:
     """Figures, rates by threshold, workspace, and problems by code."""
     parts: list[RenderableType] = [_figures(report)]
-    if report["episodes"]:
+    if report["episodes"] and not report["real"]:
         parts += [*([_rates(report)] if report["success_rate"] else []), _workspace(report["workspace"])]
     parts.append(_problems(report))
     return Constrain(Group(*parts), _WIDTH)
@@ -37,10 +37,13 @@ def _figures(report: Mapping[str, Any]) -> Facts:
             rows.append((name, printable(value)))
 
     row("dataset", report["path"])
+    row("source", "real: imported, not simulated" if report["real"] else "")
     row("episodes", f"{report['episodes']:,}: {report['frames']:,} frames, {_duration(report['seconds'])}")
     each = report["bytes_per_episode"]
     row("size", file_size(report["bytes"]) + (f", {file_size(each['median'])} an episode" if each else ""))
     row("cameras", ", ".join(f"{name} {w}x{h}" for name, (w, h) in report["cameras"].items()))
+    noted = report["noted_at_import"]
+    row("noted at import", "; ".join(f"{name}: {line}" for name, lines in noted.items() for line in lines[:1]))
     row("task, grasp", "; ".join(", ".join(names) for names in (report["tasks"], report["grasps"]) if names))
     attempts = report["attempts"]
     if attempts["n"]:

@@ -50,6 +50,7 @@ _SETS: dict[str, tuple[str, ...]] = {
     "jpeg_quality": ("image", "jpeg_quality"),
     "action": ("action",),
     "quality": ("render",),
+    "randomization": ("randomization",),
     "randomize": ("randomization",),
 }
 
@@ -113,7 +114,7 @@ class Opener:
         Args:
             check: of what takes longer to find out, once all else is right; it raises a `ConflictError`.
             given: settings by their names; None for those that were not given. `randomize` keeps the ranges that a
-                config has of its own.
+                config has of its own, or that `randomization` names.
 
         Raises:
             ConfigError, UsageError: a value is not valid; what cannot be demonstrated is told before anything is made.
@@ -128,6 +129,9 @@ class Opener:
         if isinstance(size := given.get("size"), str):
             given["size"] = parse_size(size)
         if (randomize := given.get("randomize")) is not None:
+            if not randomize and given.get("randomization"):
+                named, no = self.spell("randomization"), self.spell("no_randomize")
+                raise UsageError(f"{named} says how things vary, and {no} that nothing does; leave one of them out")
             own = self.config(name, where, **(given | {"randomize": None})).randomization.parts
             given["randomize"] = (None if own else "default") if randomize else "none"
         fps = given.pop("fps", None)

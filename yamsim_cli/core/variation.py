@@ -34,6 +34,17 @@ class LookVariation:
 
 
 @dataclass(frozen=True)
+class ArmVariation:
+    """What is added to how one arm acts and is read, see `config.randomization.ArmRanges`; `gravity` has each joint."""
+
+    command_delay_ms: float
+    sensor_delay_ms: float
+    sensor_noise_rad: float
+    encoder_step_rad: float
+    gravity: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class Variation:
     """What was sampled for one attempt from the ranges of a randomization; records keep it, key by key.
 
@@ -47,6 +58,7 @@ class Variation:
         looks: object -> its look.
         distractors: object -> where it stands, `[x, y, z, yaw]` in `world`, m and rad.
         noise, salt_pepper: of the pictures; see `config.randomization.PictureRanges`.
+        arm_dynamics: of the scene's arms, in its order.
     """
 
     lights: tuple[LightVariation, ...] = ()
@@ -61,3 +73,4 @@ class Variation:
     distractors: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
     noise: float | None = None
     salt_pepper: float | None = None
+    arm_dynamics: tuple[ArmVariation, ...] = ()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.core.attempts import all_actions, planned
+from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.pictures import render
 from yamsim_cli.core.attempt.planned import demonstrate, with_room
@@ -19,10 +20,13 @@ from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.lowdim import load_frame
+from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robots.dynamics import Dynamics
 from yamsim_cli.core.session import Session
+from yamsim_cli.core.sim.readings import sensed
 from yamsim_cli.core.types import Attempt, EpisodeJob
-from yamsim_cli.core.variation import Variation
+from yamsim_cli.core.variation import ArmVariation, Variation
 
 N = 6
 VISUAL = {("randomization",): "default", ("randomization", "mass"): None, ("randomization", "friction"): None}
@@ -153,6 +157,69 @@ def test_an_attempt_is_the_same_whatever_was_made_before(
 
 
 @pytest.mark.render
+def test_arms_that_act_late_and_are_read_wrongly_do_the_same_again_whatever_was_made_before(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("randomization",): "arms"} | SMALL)
+    with Simulator(Session(config, locations)) as simulator:
+        one, other = planned(simulator, 0, 0), planned(simulator, 0, 1)
+        seen = frames(simulator, one.attempt, one.states)
+        # Of the second attempt, which the scene was varied as last, and of the first from its record.
+        again = repeat(simulator, one.attempt, all_actions(one.states), planned=True)
+        told = frames(simulator, one.attempt, again.states)
+    with Simulator(Session(config, locations)) as fresh:
+        alone = planned(fresh, 0, 1)
+
+    assert other.states and alone.states
+    for state, same in zip(other.states, alone.states, strict=True):
+        np.testing.assert_array_equal(state.qpos, same.qpos)
+    for frame, same_frame in zip(seen, told, strict=True):
+        np.testing.assert_array_equal(frame["joints"], same_frame["joints"])
+        np.testing.assert_array_equal(frame["sim_qpos"], same_frame["sim_qpos"])
+    off = np.array([frame["joints"][:6] - frame["sim_qpos"][:6] for frame in seen])
+    # Old by milliseconds, with noise and in steps.
+    assert 1e-4 < np.abs(off).max() < 0.05
+    assert np.abs(off[0]).max() < 0.003
+
+
+def test_an_arms_draw_is_added_to_its_own_delays(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    def told(own: float, drawn: float, most: float) -> Array:
+        """Where joint 1 goes by and by after a command."""
+        config = make_config(
+            {("randomization", "arm_dynamics"): {"command_delay_ms": [0, most], "sensor_delay_ms": [0, most]}} | SMALL
+        )
+        dynamics = Dynamics(revision="mine", base=config.rig.arms[0].model.name, command_delay_ms=own)
+        arm = config.rig.arms[0].model_copy(update={"dynamics": dynamics})
+        config = config.model_copy(update={"rig": config.rig.model_copy(update={"arms": (arm,)})})
+        with Simulator(Session(config, locations)) as simulator:
+            attempt = sample(simulator, EpisodeJob(0, 0))
+            by = (ArmVariation(drawn, drawn, 0.0, 0.0, (0.0,) * 6),)
+            scene = simulator.varied(replace(attempt, variation=Variation(arm_dynamics=by)))
+            data = mujoco.MjData(scene.model)
+            assert attempt.start is not None
+            scene.reset(data, attempt.start)
+            data.ctrl[scene.arm.arm_ctrl[0]] += 0.1
+            found = []
+            for _ in range(30):
+                scene.step(data)
+                read = sensed(scene, data)
+                assert read is not None
+                found.append([float(data.qpos[scene.arm.joint_qpos[0]]), float(read[0, 0])])
+            return np.array(found)
+
+    both, drawn, none = told(8.0, 6.0, 20.0), told(0.0, 14.0, 30.0), told(0.0, 0.0, 30.0)
+    little = told(1.0, 0.5, 30.0)
+
+    np.testing.assert_allclose(both[:, 0], drawn[:, 0], atol=1e-9)
+    np.testing.assert_allclose(both[7:, 0], none[:-7, 0], atol=1e-5)
+    np.testing.assert_allclose(both[3:, 1], both[:-3, 0], atol=1e-9)
+    np.testing.assert_allclose(none[:, 1], none[:, 0], atol=1e-12)
+    # A quarter of a step.
+    np.testing.assert_allclose(little[1:, 1], 0.75 * little[1:, 0] + 0.25 * little[:-1, 0], atol=1e-9)
+
+
 def test_a_distractor_is_seen_where_it_was_put(visual: Simulator, config: RecordConfig) -> None:
     done = planned(visual, 0)
     qpos, images = done.states[0].qpos, []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.folding import COVERED, Fold, outline_area, sheet_area, ways_to_fold
+from yamsim_cli.core.geometry.folding import Fold, outline_area, sheet_area, ways_to_fold
 
 
 def _exactly(how: Fold, side: int) -> np.ndarray:
@@ -16,22 +16,39 @@ def _exactly(how: Fold, side: int) -> np.ndarray:
             x, y = u, np.minimum(v, 1 - v)
         case "diagonal":
             x, y = np.minimum(u, v), np.maximum(u, v)
+        case "thirds":
+            # The first third is two cells of eight; the last one, of three, ends on its crease.
+            x, y = u, np.where(v < 1 / 4, 1 / 2 - v, np.where(v > 5 / 8, 5 / 4 - v, v))
     return np.stack([x, y, np.zeros_like(x)], axis=-1)
 
 
-@pytest.mark.parametrize("how", ["half", "diagonal"])
-def test_what_lies_on_each_other_does_and_covers_its_share(how: Fold) -> None:
-    sheet = _exactly(how, 7)
-    apart = []
-    for layers in ways_to_fold(how, 7, 7):
-        places = [sheet[layer[:, 0], layer[:, 1]] for layer in layers]
-        apart.append(max(float(np.abs(places[0] - other).max()) for other in places[1:]))
+@pytest.mark.parametrize(
+    ("how", "covered", "least"), [("half", 1 / 2, 0.3), ("diagonal", 1 / 2, 0.3), ("thirds", 3 / 8, 0.1)]
+)
+def test_what_lies_on_each_other_does_and_covers_its_share(how: Fold, covered: float, least: float) -> None:
+    sheet, apart = _exactly(how, 9), []
+    for way in ways_to_fold(how, 9, 9):
+        places = [[sheet[layer[:, 0], layer[:, 1]] for layer in pair] for pair in way.layers]
+        apart.append(max(float(np.abs(one - other).max()) for one, other in places))
+        assert way.covered == pytest.approx(covered)
     assert min(apart) == pytest.approx(0, abs=1e-12)
-    assert max(apart) > 0.3
+    assert max(apart) > least
     assert sheet_area(sheet) == pytest.approx(1)
-    assert outline_area(sheet[..., :2].reshape(-1, 2)) == pytest.approx(COVERED)
+    assert outline_area(sheet[..., :2].reshape(-1, 2)) == pytest.approx(covered)
+
+
+@pytest.mark.parametrize("how", ["half", "diagonal", "thirds"])
+def test_what_is_moved_comes_to_lie_where_its_way_says(how: Fold) -> None:
+    sheet = _exactly(how, 9)
+    apart = [
+        max(float(np.abs(sheet[one] - sheet[other]).max()) for move in way.moves for one, other in move)
+        for way in ways_to_fold(how, 9, 9)
+    ]
+    assert min(apart) == pytest.approx(0, abs=1e-12)
 
 
 def test_grids_that_cannot_be_folded_so() -> None:
     assert not ways_to_fold("diagonal", 7, 9)
-    assert [len(layers[0]) for layers in ways_to_fold("half", 6, 9)] == [27, 24]
+    assert not ways_to_fold("thirds", 7, 10)
+    assert [way.moves[0][0] for way in ways_to_fold("thirds", 7, 9)] == [((0, 0), (0, 4)), ((0, 8), (0, 4))]
+    assert [len(way.layers[0][0]) for way in ways_to_fold("half", 6, 9)] == [27, 27, 24, 24]

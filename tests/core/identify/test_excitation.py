@@ -11,6 +11,7 @@ import pytest
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.gap.figures import gap_of
 from yamsim_cli.core.identify.excitation import Excitation, excite
 from yamsim_cli.core.identify.motion_files import commands_csv, log_csv
 from yamsim_cli.core.identify.plant import ArmPlant, Log
@@ -18,6 +19,8 @@ from yamsim_cli.core.identify.room import Room
 from yamsim_cli.core.identify.usable import check_usable
 from yamsim_cli.core.recordings.csv_file import read_csv
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
+from yamsim_cli.core.scene.build import build_rig_scene
 
 WHERE = Locations.find({})
 SCENE = load_config(SceneConfig, "scenes", "tabletop", WHERE)
@@ -78,7 +81,7 @@ def test_it_begins_and_ends_at_rest_in_one_place_and_follows_from_its_seed() -> 
 
 def test_its_files_hold_commands_and_what_the_simulated_arm_reads(tmp_path: Path) -> None:
     rig, found = _rig("bimanual"), _excitation("bimanual", 1)
-    (tmp_path / "log.csv").write_bytes(log_csv(rig, 1, found))
+    (tmp_path / "log.csv").write_bytes(log_csv(rig, 1, found, SCENE, WHERE))
 
     motion = read_csv(tmp_path / "log.csv", rig)
 
@@ -92,6 +95,23 @@ def test_its_files_hold_commands_and_what_the_simulated_arm_reads(tmp_path: Path
     assert lines[0].startswith("t,command_left_joint1,")
     assert len(lines) == 1 + len(found.times)
     assert "position" not in lines[0]
+
+
+def test_an_arm_that_is_simulated_by_its_own_revision_has_no_gap(tmp_path: Path) -> None:
+    rig, found = _rig("single"), _excitation("single")
+    joints = {"joint2": JointDynamics(damping=0.4, offset_rad=0.01, gravity_factor=1.05)}
+    dynamics = Dynamics(
+        revision="mine", base="i2rt_yam", joints=joints, command_delay_ms=21.3, sensor_delay_ms=3.7, tip_mass_g=50
+    )
+    mine = rig.model_copy(update={"arms": (rig.arms[0].model_copy(update={"dynamics": dynamics}),)})
+    (tmp_path / "log.csv").write_bytes(log_csv(mine, 0, found, SCENE, WHERE))
+    motion = read_csv(tmp_path / "log.csv", rig)
+
+    own, plain = (gap_of(build_rig_scene(each, SCENE, WHERE), motion).error.rms for each in (mine, rig))
+
+    # Of what the file's digits leave.
+    assert own < 1e-5
+    assert plain > 5e-3
 
 
 def test_a_plants_values_are_its_models() -> None:

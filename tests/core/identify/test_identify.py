@@ -14,15 +14,15 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.identify import fit as fitting
-from yamsim_cli.core.identify.estimates import estimates
+from yamsim_cli.core.identify.estimates import NAMES, Estimate, estimates
 from yamsim_cli.core.identify.excitation import excite
 from yamsim_cli.core.identify.fit import Parameter, fit, parameters
-from yamsim_cli.core.identify.identify import identify
+from yamsim_cli.core.identify.identify import identify, revised
 from yamsim_cli.core.identify.intervals import half_widths
 from yamsim_cli.core.identify.plant import ArmPlant, Log, Run, Values
 from yamsim_cli.core.motion import ArmMotion, Motion
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.robots.dynamics import Dynamics
+from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
 
 WHERE = Locations.find({})
 RIG = load_config(RigConfig, "rigs", "single", WHERE)
@@ -114,6 +114,62 @@ def test_finer_steps_change_little_and_what_is_told_late_acts_late() -> None:
 
     assert np.abs(at_once - finer).max() < 1e-3
     assert np.abs(later[52:] - at_once[50:-2]).max() < np.abs(later - at_once).max() / 5
+
+
+def test_fingers_are_where_the_log_has_them_and_closed_where_it_says_nothing() -> None:
+    times, commands = _commands(2.0)
+    fingers = ARM.robot.fingers
+    assert fingers is not None
+    opened, sparse = np.full(len(times), fingers.opened), np.full(len(times), np.nan)
+    sparse[::10] = fingers.opened
+    plant = ArmPlant(ARM)
+
+    def followed(**seen: Array) -> Array:
+        log = Log.of(motion := Motion("log.csv", times, (ArmMotion("", commands, commands, **seen),)), motion.arms[0])
+        return Run(plant, log).follow(plant.values)
+
+    told, measured, unknown = followed(commanded_openings=opened), followed(openings=sparse), followed()
+    closed = followed(openings=np.full(len(times), fingers.range[0]))
+
+    assert np.array_equal(told, measured)
+    assert np.array_equal(unknown, closed)
+    # The fingers' inertia is a tenth of the last joint's.
+    assert np.abs(told - closed)[:, -1].max() > 1e-4
+
+
+def test_a_revision_of_a_revision_keeps_what_no_log_tells() -> None:
+    was = Dynamics(
+        revision="first",
+        base="i2rt_yam",
+        joints={"joint2": JointDynamics(kp=35.0, damping=0.2)},
+        command_delay_ms=12.0,
+        sensor_delay_ms=4.0,
+        encoder_step_rad=0.0004,
+        tip_mass_g=80,
+    )
+    plant = ArmPlant(ARM.model_copy(update={"dynamics": was}))
+    told = [
+        Estimate(
+            "" if each.joint is None else ARM.robot.joint_names[each.joint],
+            NAMES[each.name],
+            number,
+            0,
+            0,
+            number,
+            True,
+        )
+        for each in parameters(plant)
+        if each.name in NAMES
+        for number in [fitting.value(plant.values, each)]
+    ]
+
+    found = revised(plant, was, told)
+
+    assert plant.values.delay == pytest.approx(0.016)
+    assert (found.command_delay_ms, found.sensor_delay_ms) == (pytest.approx(16.0), 0.0)
+    assert (found.tip_mass_g, found.encoder_step_rad) == (80, 0.0004)
+    assert found.joint("joint2").kp == 35.0
+    assert found.joint("joint2").damping == pytest.approx(0.2)
 
 
 def test_intervals_are_wide_where_a_log_says_nothing() -> None:

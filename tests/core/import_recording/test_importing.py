@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.core.recordings.foreign import PROMPT, write_lerobot_v2, write_raiden_raw
+from tests.core.recordings.foreign import PROMPT, write_lerobot_v2, write_lowdim, write_raiden_raw
 from tests.core.recordings.making import swinging, write_csv
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.opening import OpenMode
-from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded
+from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded, recorded_rig
+from yamsim_cli.core.dataset.summary import summarize
 from yamsim_cli.core.errors import ConfigError, DatasetError, UsageError
+from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.import_recording.corrections import Corrections
 from yamsim_cli.core.import_recording.importing import ImportReport, ImportRequest, import_recordings
 from yamsim_cli.core.motion import Motion
+from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.summarize.surveying import survey_dataset
@@ -75,11 +79,37 @@ def test_pictures_and_words_come_along(station: RigConfig, locations: Locations,
     assert all(episode.image("top", k)[:2] == b"\xff\xd8" for k in range(episode.record.frames))
 
 
+def test_photos_with_a_known_place_are_overlaid_on(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    """Each frame gives a photo with the camera's own lens and place, and says how the rig's arm stands."""
+    motion = swinging(single, 0.1)
+    folder = write_lowdim(tmp_path / "one", motion, single)
+    T = pose([0.4, 0.0, 0.9], np.diag([1.0, -1.0, -1.0]))
+    for file in (folder / "lowdim").iterdir():
+        known = {"intrinsics": {"scene_camera": np.diag([30.0, 30.0, 1.0])}, "extrinsics": {"scene_camera": T}}
+        file.write_bytes(pickle.dumps(pickle.loads(file.read_bytes()) | known))
+    bring_in(ImportRequest([folder], single, out=tmp_path / "real"), locations)
+    rig = recorded_rig(tmp_path / "real", locations)
+    photos = episode_photos(tmp_path / "real/ep_000000", None, rig)
+    assert (rig.name, len(photos)) == ("single", 10)
+    assert photos[3].T_base_in_cam is not None
+    np.testing.assert_allclose(photos[3].T_base_in_cam, np.linalg.inv(T), atol=1e-6)
+    assert photos[3].time == pytest.approx(0.03)
+
+
+def test_photos_without_a_place_say_how_they_are_used(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_lowdim(tmp_path / "one", swinging(single, 0.1), single)
+    bring_in(ImportRequest([folder], single, out=tmp_path / "real"), locations)
+    with pytest.raises(DatasetError, match=r"--img .*rgb/scene_camera"):
+        episode_photos(tmp_path / "real/ep_000000", None, single)
+
+
 def test_a_dataset_of_real_recordings_is_checked(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     raw = write_raiden_raw(tmp_path / "raw", swinging(station, 0.5), station)
     out = tmp_path / "real"
     bring_in(ImportRequest([raw], station, out=out), locations)
     assert codes(out, locations) == set()
+    report = summarize(survey_dataset(out, locations, 1, lambda done, total: None), (0.05,))
+    assert (report["real"], report["success_rate"], report["noted_at_import"]) == (True, {}, {})
     (out / "ep_000000/lowdim/000007.pkl").write_bytes((out / "ep_000000/lowdim/000008.pkl").read_bytes())
     (out / "ep_000000/lowdim/000049.pkl").unlink()
     assert {"file.hash", "file.missing"} <= codes(out, locations)
@@ -89,7 +119,7 @@ def codes(dataset: Path, locations: Locations) -> set[str]:
     return {problem.code for problem in survey_dataset(dataset, locations, 1, lambda done, total: None).problems}
 
 
-@pytest.mark.parametrize("what", ["degrees", "swapped", "share", "upside_down"])
+@pytest.mark.parametrize("what", ["degrees", "swapped", "share", "upside_down", "told_upside_down"])
 def test_what_a_recording_does_not_say_is_asked_for(
     what: str, station: RigConfig, locations: Locations, tmp_path: Path
 ) -> None:
@@ -97,7 +127,8 @@ def test_what_a_recording_does_not_say_is_asked_for(
     left, right = motion.arms
     assert left.openings is not None
     assert left.commands is not None
-    widest = float(left.openings.max())
+    # Of the station's gripper, m.
+    full = 0.0475
     spoilt, flag, said = {
         "degrees": (
             [replace(arm, joints=np.rad2deg(arm.joints), commands=np.rad2deg(arm.commands)) for arm in motion.arms],  # type: ignore[arg-type]
@@ -114,26 +145,34 @@ def test_what_a_recording_does_not_say_is_asked_for(
         ),
         "share": (
             [
-                replace(arm, openings=arm.openings / 0.0475, commanded_openings=arm.commanded_openings / 0.0475)  # type: ignore[operator]
+                replace(arm, openings=arm.openings / full, commanded_openings=arm.commanded_openings / full)  # type: ignore[operator]
                 for arm in motion.arms
             ],
             "--gripper share",
             Corrections(gripper="share"),
         ),
-        "upside_down": ([replace(left, openings=widest - left.openings), right], "--gripper closed_share", None),
+        "upside_down": (
+            [replace(arm, openings=full - arm.openings) for arm in motion.arms],  # type: ignore[operator]
+            "--mirror-gripper measured",
+            Corrections(mirrored="measured"),
+        ),
+        "told_upside_down": (
+            [replace(arm, commanded_openings=full - arm.commanded_openings) for arm in motion.arms],  # type: ignore[operator]
+            "or commanded",
+            Corrections(mirrored="commanded"),
+        ),
     }[what]
     source = write_csv(tmp_path / "log.csv", replace(motion, arms=tuple(spoilt)), station)
     request = ImportRequest([source], station, out=tmp_path / "real")
     with pytest.raises(DatasetError, match=flag):
         bring_in(request, locations)
     assert not (tmp_path / "real").exists()
-    if said is None:
-        return
     bring_in(replace(request, corrections=said), locations)
     (back,) = read_motions([tmp_path / "real"], station, locations)
     for arm, truth in zip(back.arms, motion.arms, strict=True):
         np.testing.assert_allclose(arm.joints, truth.joints, atol=1e-5)
-        np.testing.assert_allclose(arm.openings, truth.openings, atol=1e-3)  # type: ignore[arg-type]
+        np.testing.assert_allclose(arm.openings, truth.openings, atol=1e-6)  # type: ignore[arg-type]
+        np.testing.assert_allclose(arm.commanded_openings, truth.commanded_openings, atol=1e-6)  # type: ignore[arg-type]
 
 
 def test_gaps_and_jumps_are_told_and_kept_in_the_record(

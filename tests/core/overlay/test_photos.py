@@ -142,7 +142,7 @@ def test_another_camera_of_the_episode(episode: Path, single: RigConfig) -> None
         (b"\x80\x04", "not a whole pickle"),
         (pickle.dumps({"joints": print}), "print"),
         (dump_frame(frame(joints=np.zeros(5))), "joints have the shape (5,)"),
-        (dump_frame(frame(extrinsics={})), "has no 'scene_camera' of camera scene_camera; check the dataset"),
+        (dump_frame(frame(extrinsics={})), "has no 'scene_camera' of camera scene_camera: without them"),
         (dump_frame(frame(intrinsics={"scene_camera": np.eye(4)})), "shape (4, 4) or is not finite; valid: (3, 3)"),
         (dump_frame(frame(extrinsics={"scene_camera": np.full((4, 4), np.nan)})), "not finite"),
         (dump_frame(frame(extrinsics=3)), "cannot be used"),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import pyarrow
 import pyarrow.parquet
@@ -92,6 +94,50 @@ def write_lerobot_v2(folder: Path, motion: Motion, rig: RigConfig, names: list[s
     }
     (folder / "meta/info.json").write_text(json.dumps(info))
     (folder / "meta/tasks.jsonl").write_text(json.dumps({"task_index": 0, "task": PROMPT}) + "\n")
+    (folder / "meta/episodes.jsonl").write_text(json.dumps({"episode_index": 0, "length": n}) + "\n")
+    return folder
+
+
+def write_lowdim(folder: Path, motion: Motion, rig: RigConfig) -> Path:
+    """As the lab writes it: a pickle a frame, grippers in metres, and pictures whose grey tells the frame."""
+    rows = np.hstack([np.column_stack([arm.joints, arm.openings]) for arm in motion.arms if arm.openings is not None])
+    told = [np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms if arm.commands is not None]
+    (folder / "lowdim").mkdir(parents=True)
+    (folder / "rgb/scene_camera").mkdir(parents=True)
+    for k, time in enumerate(motion.times):
+        frame = {"joints": rows[k], "timestamp": float(time), "language_prompt": PROMPT}
+        if told:
+            frame["action_joints"] = np.hstack(told)[k]
+        (folder / f"lowdim/{k:06d}.pkl").write_bytes(pickle.dumps(frame))
+        picture = cv2.imencode(".jpg", np.full((24, 32, 3), grey_of(k), np.uint8))[1]
+        (folder / f"rgb/scene_camera/{k:06d}.jpg").write_bytes(picture.tobytes())
+    return folder
+
+
+def write_lerobot_v3(folder: Path, motion: Motion, rig: RigConfig, names: list[str]) -> Path:
+    """Version 3.0: what version 2.1 has, and in which files it lies."""
+    write_lerobot_v2(folder, motion, rig, names)
+    film = folder / "videos/observation.images.top/chunk-000"
+    film.mkdir(parents=True)
+    (folder / "videos/chunk-000/observation.images.top/episode_000000.mp4").rename(film / "file-000.mp4")
+    (folder / "data/chunk-000/episode_000000.parquet").rename(folder / "data/chunk-000/file-000.parquet")
+    info = json.loads((folder / "meta/info.json").read_text())
+    info |= {
+        "codebase_version": "v3.0",
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+    }
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    (folder / "meta/episodes.jsonl").unlink()
+    (folder / "meta/episodes/chunk-000").mkdir(parents=True)
+    row = {
+        "episode_index": [0],
+        "length": [len(motion.times)],
+        "videos/observation.images.top/chunk_index": [0],
+        "videos/observation.images.top/file_index": [0],
+        "videos/observation.images.top/from_timestamp": [0.0],
+    }
+    pyarrow.parquet.write_table(pyarrow.table(row), folder / "meta/episodes/chunk-000/file-000.parquet")
     return folder
 
 

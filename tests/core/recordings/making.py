@@ -8,7 +8,7 @@ import numpy as np
 
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.motion import ArmMotion, Motion
-from yamsim_cli.core.recordings.columns import sides
+from yamsim_cli.core.recordings.columns import header, sides
 from yamsim_cli.core.recordings.csv_file import csv_bytes
 
 RATE = 100.0
@@ -29,7 +29,7 @@ def swinging(rig: RigConfig, seconds: float = 4.0, lag: int = 3) -> Motion:
 
 
 def write_csv(path: Path, motion: Motion, rig: RigConfig) -> Path:
-    """A motion as a CSV that users bring."""
+    """A motion as a CSV that users bring; without commands where it has none."""
     rows = [
         np.column_stack(columns)
         for columns in (
@@ -38,6 +38,12 @@ def write_csv(path: Path, motion: Motion, rig: RigConfig) -> Path:
         )
         if all(values is not None for values in columns)
     ]
+    if any(arm.commands is None for arm in motion.arms):
+        names = [name for name in header(rig) if not name.startswith("command")]
+        np.savetxt(
+            path, np.column_stack([motion.times, *rows]), "%.17g", delimiter=",", header=",".join(names), comments=""
+        )
+        return path
     path.write_bytes(csv_bytes(rig, motion.times, np.hstack(rows)))
     return path
 

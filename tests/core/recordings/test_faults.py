@@ -101,6 +101,24 @@ def test_a_gripper_upside_down_is_told(rig: RigConfig) -> None:
     assert problem.fault is Fault.GRIPPER_UPSIDE_DOWN
 
 
+@pytest.mark.parametrize(("upside_down", "told"), [(False, []), (True, [Fault.GRIPPER_STALLS_OPENING])])
+def test_a_gripper_that_things_keep_from_opening_may_be_upside_down(
+    upside_down: bool, told: list[Fault], rig: RigConfig
+) -> None:
+    """Fingers close onto a thing of 30 mm and hold it. Mirrored altogether, they would be kept from opening."""
+    motion = swinging(rig, 4.0)
+    fingers = rig.arms[rig.recorded[0]].robot.fingers
+    assert fingers is not None
+    full = fingers.full_opening
+    wanted = full * (1 - np.clip((motion.times - 0.5) / 0.3, 0, 1))
+    measured = np.maximum(wanted, 0.015)
+    if upside_down:
+        wanted, measured = full - wanted, full - measured
+    found = find_faults(with_first(motion, openings=measured, commanded_openings=wanted), rig)
+    assert [problem.fault for problem in found] == told
+    assert all("--mirror-gripper both" in problem.text for problem in found)
+
+
 def test_swapped_arms_are_told(pair: RigConfig) -> None:
     motion = swinging(pair)
     left, right = motion.arms

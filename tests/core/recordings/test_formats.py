@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow.parquet
 import pytest
 
-from tests.core.recordings.foreign import PROMPT, grey_of, write_lerobot_v2, write_raiden_raw
+from tests.core.export.real_datasets import NAMES
+from tests.core.recordings.foreign import (
+    PROMPT,
+    grey_of,
+    write_lerobot_v2,
+    write_lerobot_v3,
+    write_lowdim,
+    write_raiden_raw,
+)
 from tests.core.recordings.making import swinging
 from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.loader import load_config
@@ -110,6 +120,25 @@ def test_lerobot_version_2_with_its_film(station: RigConfig, locations: Location
         assert abs(float(picture.mean()) - grey_of(k)) < 3
 
 
+def test_lerobot_with_a_picture_in_each_row(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.1), station, NAMES)
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"]["observation.images.top"]["dtype"] = "image"
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    (file,) = (folder / "data").glob("**/*.parquet")
+    table = pyarrow.parquet.read_table(file)
+    pictures = [cv2.imencode(".png", np.full((48, 64, 3), grey_of(k), np.uint8))[1].tobytes() for k in range(10)]
+    held = table.append_column("observation.images.top", [[{"bytes": data, "path": None} for data in pictures]])
+    pyarrow.parquet.write_table(held, file)
+    found = [decode_jpeg(data) for data in only(folder, station, locations).pictures["top"].read()]
+    np.testing.assert_allclose([picture.mean() for picture in found if picture is not None], [*map(grey_of, range(10))])
+    pictures[4] = pictures[4][:-20]
+    held = table.append_column("observation.images.top", [[{"bytes": data, "path": None} for data in pictures]])
+    pyarrow.parquet.write_table(held, file)
+    with pytest.raises(DatasetError, match=r"observation\.images\.top: row 4 holds no whole picture"):
+        list(only(folder, station, locations).pictures["top"].read())
+
+
 def test_names_that_nobody_knows_need_a_mapping(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     motion = swinging(station, 0.3)
     folder = write_lerobot_v2(tmp_path / "two", motion, station, [f"motor{k}" for k in range(14)])
@@ -165,6 +194,47 @@ def test_the_layout_of_raidens_converter(
     assert set(recording.intrinsics) == set(recording.extrinsics) == set(recording.pictures)
     images = next(iter(recording.pictures.values())).read()
     assert all(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None for data in images)
+
+
+def test_a_camera_that_raiden_did_not_calibrate_has_no_place(
+    station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    """Its converter writes the identity then, which would put the camera into the arm's base."""
+    folder = write_lowdim(tmp_path / "one", swinging(station, 0.1), station)
+    for file in (folder / "lowdim").iterdir():
+        frame = pickle.loads(file.read_bytes())
+        frame |= {
+            "intrinsics": {"scene_camera": np.diag([600.0, 600.0, 1.0])},
+            "extrinsics": {"scene_camera": np.eye(4)},
+        }
+        file.write_bytes(pickle.dumps(frame))
+    recording = only(folder, station, locations)
+    assert set(recording.intrinsics) == {"scene_camera"}
+    assert recording.extrinsics == {}
+
+
+def test_what_raiden_itself_calls_cut_off_is_told(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_raiden_raw(tmp_path / "raw", swinging(station, 0.5), station)
+    assert only(folder, station, locations).problems == ()
+    (folder / "metadata.json").write_text(json.dumps({"complete": False}))
+    (problem,) = only(folder, station, locations).problems
+    assert "says that it is not complete" in problem
+    other = write_lowdim(tmp_path / "one", swinging(station, 0.1), station)
+    (other / "metadata.json").write_text(json.dumps({"num_frames": 12}))
+    (problem,) = only(other, station, locations).problems
+    assert "there are 10 frames" in problem
+
+
+@pytest.mark.parametrize("version", ["v2", "v3"])
+def test_episodes_with_fewer_rows_than_they_say(
+    version: str, station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    write = {"v2": write_lerobot_v2, "v3": write_lerobot_v3}[version]
+    folder = write(tmp_path / "one", swinging(station, 0.3), station, NAMES)
+    (file,) = (folder / "data").glob("**/*.parquet")
+    pyarrow.parquet.write_table(pyarrow.parquet.read_table(file).slice(0, 20), file)
+    with pytest.raises(DatasetError, match=r"episode 0: has 20 rows, and meta/ says 30: was it cut off"):
+        only(folder, station, locations)
 
 
 def test_the_labs_own_layout(recorded: Path, config: RecordConfig, locations: Locations, tmp_path: Path) -> None:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.core.recordings.foreign import PROMPT, START_NS, grey_of, shares
+from tests.core.recordings.foreign import PROMPT, grey_of
+from tests.core.recordings.foreign_mcap import FILM_EVERY, write_mcap
 from tests.core.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.images.jpeg import decode_jpeg
+from yamsim_cli.core.import_recording.importing import ImportRequest, import_recordings
 from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.recordings.formats import format_of, reader_of
 from yamsim_cli.core.resources import Locations
@@ -22,76 +22,11 @@ from yamsim_cli.core.resources import Locations
 pytest.importorskip("mcap", reason="the extra mcap is not installed")
 
 STATION = "yam_station_linear_4310_d405"
-FILM_EVERY = 4
 
 
 @pytest.fixture(scope="module")
 def station(locations: Locations) -> RigConfig:
     return load_config(RigConfig, "rigs", STATION, locations)
-
-
-def messages() -> dict[str, Any]:
-    """Name -> class of a message: `RobotState`, `GripperState`, `Instruction` and a film's `CompressedVideo`."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
-    kinds = descriptor_pb2.FieldDescriptorProto
-    file = descriptor_pb2.FileDescriptorProto(name="recording.proto", package="test", syntax="proto3")
-    fields = {
-        "RobotState": [("position", kinds.TYPE_DOUBLE, kinds.LABEL_REPEATED)],
-        "GripperState": [("position", kinds.TYPE_DOUBLE, kinds.LABEL_REPEATED)],
-        "Instruction": [("text", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL)],
-        "CompressedVideo": [
-            ("data", kinds.TYPE_BYTES, kinds.LABEL_OPTIONAL),
-            ("format", kinds.TYPE_STRING, kinds.LABEL_OPTIONAL),
-        ],
-    }
-    for name, members in fields.items():
-        message = file.message_type.add(name=name)
-        for number, (field, kind, label) in enumerate(members, start=1):
-            message.field.add(name=field, number=number, type=kind, label=label)
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    return {name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"test.{name}")) for name in fields}
-
-
-def film_packets(frames: int) -> list[bytes]:
-    """A film's packets, one a frame."""
-    import av
-
-    encoder = av.CodecContext.create("libx264", "w")
-    encoder.width, encoder.height, encoder.pix_fmt = 64, 48, "yuv420p"
-    encoder.time_base = Fraction(1, 25)
-    encoder.options = {"tune": "zerolatency"}
-    packets = []
-    for k in range(frames):
-        grey = np.full((48, 64, 3), grey_of(k), np.uint8)
-        packets += [bytes(packet) for packet in encoder.encode(av.VideoFrame.from_ndarray(grey, format="rgb24"))]
-    return [*packets, *(bytes(packet) for packet in encoder.encode(None))]
-
-
-def write(path: Path, motion: Motion, rig: RigConfig) -> Path:
-    from mcap_protobuf.writer import Writer
-
-    kinds = messages()
-    measured, told = shares(motion, rig)
-    film = film_packets(len(range(0, len(motion.times), FILM_EVERY)))
-    with path.open("wb") as file, Writer(file) as writer:
-
-        def say(topic: str, message: Any, k: int) -> None:
-            time = START_NS + round(motion.times[k] * 1e9)
-            writer.write_message(topic, message, log_time=time, publish_time=time)
-
-        say("/instruction", kinds["Instruction"](text=PROMPT), 0)
-        for k in range(len(motion.times)):
-            for side, rows, commands in zip(("left", "right"), measured, told, strict=True):
-                say(f"/{side}-arm-state", kinds["RobotState"](position=rows[k, :6]), k)
-                say(f"/{side}-arm-action", kinds["RobotState"](position=commands[k, :6]), k)
-                say(f"/{side}-ee-state", kinds["GripperState"](position=rows[k, 6:]), k)
-                say(f"/{side}-ee-action", kinds["GripperState"](position=commands[k, 6:]), k)
-            if k % FILM_EVERY == 0:
-                video = kinds["CompressedVideo"](data=film[k // FILM_EVERY], format="h264")
-                say("/top-camera", video, k)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +36,7 @@ def motion(station: RigConfig) -> Motion:
 
 @pytest.fixture(scope="module")
 def file(station: RigConfig, motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("mcap") / "episode.mcap", motion, station)
+    return write_mcap(tmp_path_factory.mktemp("mcap") / "episode.mcap", motion, station)
 
 
 def test_a_recording_comes_in_with_its_film(
@@ -139,3 +74,22 @@ def test_another_rig_is_told_the_topics(file: Path, locations: Locations) -> Non
     single = load_config(RigConfig, "rigs", "single", locations)
     with pytest.raises(DatasetError, match="/left-arm-state"):
         reader_of("mcap")(file, single, None, locations)
+
+
+def test_a_topic_that_ends_early_and_a_camera_that_paused_are_told(
+    station: RigConfig, locations: Locations, tmp_path: Path
+) -> None:
+    path = write_mcap(
+        tmp_path / "one.mcap",
+        swinging(station, 3.0),
+        station,
+        leave_out=lambda topic, time: (
+            (topic == "/left-arm-action" and time > 1.5) or (topic == "/top-camera" and 1 < time < 2)
+        ),
+    )
+    request = ImportRequest([path], station, out=tmp_path / "real")
+    report = import_recordings(request, locations, lambda done, total: None)
+    (problems,) = report.problems.values()
+    early, paused = (next(line for line in problems if word in line) for word in ("-action ends", "saw nothing"))
+    assert "/left-arm-action ends 1.5 s before the arm's state" in early
+    assert "top_camera saw nothing for 1.00 s from 1.00 s on" in paused

@@ -9,12 +9,13 @@ import time
 import urllib.request
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
-from tests.programs import ONTO_PLATE, first_attempt, session_of
+from tests.programs import FOLD, ONTO_PLATE, first_attempt, session_of
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
@@ -31,6 +32,7 @@ from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.live import LiveRig
+from yamsim_cli.core.viewers.player import EpisodePlayer
 from yamsim_cli.core.viewers.viewpoint import FOV_DEG, frame_rig
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -197,6 +199,35 @@ def test_a_task_that_is_data_stands_as_its_first_attempt(tmp_path: Path) -> None
     run(live, 1.0)
     after, _ = live.body_poses()
     assert np.abs(after[live.model.body("cube").id] - positions[live.model.body("cube").id]).max() < 2e-3
+
+
+def test_cloth_is_shown_where_its_points_are(tmp_path: Path) -> None:
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.rig_page", reason="yamsim[view] is not installed")
+    live = live_task(session_of(tmp_path, FOLD))
+    page = page_module.RigPage(live, frame_rig(live.rig), PageAddress(), boards=False)
+    try:
+        (node,) = page._cloths._nodes
+        assert node.vertices.shape == (81, 3) and node.faces.shape == (128, 3)
+        live.data.qpos[:] += 0.1
+        mujoco.mj_forward(live.model, live.data)
+        page.update()
+        assert np.abs(node.vertices - live.data.flexvert_xpos).max() < 2e-5
+        # A triangle's sides are those of the grid, not lines across the sheet.
+        sides = np.linalg.norm(node.vertices[node.faces[:, 0]] - node.vertices[node.faces[:, 1]], axis=1)
+        assert 0.02 < sides.min() <= sides.max() < 0.04
+        # Half of its checks are nearly white, half are red.
+        assert np.abs(np.array(node.color) - (201, 138, 128)).max() <= 2
+    finally:
+        page.close()
+
+
+def test_a_player_shows_cloth_as_each_frame_has_it(tmp_path: Path) -> None:
+    live = live_task(session_of(tmp_path, FOLD))
+    lying = live.cloth_points()
+    player = EpisodePlayer("test", live.model, np.array([live.data.qpos, live.data.qpos + 0.1]), 0.064)
+    assert np.abs(player.cloth_points() - lying).max() < 1e-9
+    player.seek(1)
+    assert np.abs(player.cloth_points() - lying - 0.1).max() < 1e-9
 
 
 def test_the_page_shows_what_its_switches_say(live: LiveRig) -> None:

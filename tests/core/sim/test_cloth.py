@@ -10,26 +10,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.programs import STATION, changed, first_attempt, session_of
+from tests.programs import FOLD, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import frame_faults
 from yamsim_cli.core.errors import ConfigError, UsageError
+from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.types import Actions
-
-FOLD: dict[str, Any] = changed(
-    {
-        ("rig",): STATION,
-        ("things",): {"napkin": {"of": "soft_napkin"}},
-        ("starts",): {"napkin": {"x": [0.34, 0.36], "y": [-0.02, 0.02], "yaw_deg": [10, 20]}},
-        ("goal",): {"all": [{"folded": {"thing": "napkin"}}], "for_s": 0.2},
-        ("expert",): [{"fold": {"thing": "napkin"}}],
-        ("timing",): {"timestep": 0.004, "physics_steps_per_tick": 8, "ticks_per_frame": 2},
-    }
-)
 
 
 def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -> None:
@@ -50,6 +40,81 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
         assert np.allclose(T[:3, 0], along / np.linalg.norm(along), atol=1e-3)
         assert np.allclose(T[:3, 3], points.reshape(-1, 3).mean(axis=0), atol=1e-9)
         assert scene.model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
+
+
+def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path) -> None:
+    crumpled = changed({("starts", "napkin", "crumpled"): [0.3, 0.6]}, FOLD)
+    with Simulators(session_of(tmp_path, crumpled)) as simulators:
+        starts = []
+        for number in (0, 1, 0):
+            simulator, attempt = first_attempt(simulators, number)
+            assert attempt.start is not None
+            starts.append(attempt.start)
+            points = simulator.scene.cloths["napkin"].points(attempt.start)
+            # Flat, it is 200 mm wide along its sides, and no higher than a layer.
+            assert np.ptp(points[:, 2]) > 0.015
+            assert points[:, 2].min() > simulator.config.table.top
+        assert np.array_equal(starts[0], starts[2])
+        assert np.abs(starts[0] - starts[1]).max() > 0.01
+
+
+ONTO: dict[str, Any] = changed(
+    {
+        ("things", "cube"): {"of": "cube_red"},
+        ("starts", "cube"): {"x": [0.34, 0.36], "y": [0.20, 0.22], "yaw_deg": [0, 10]},
+        ("goal",): {"all": [{"on": {"thing": "cube", "surface": "napkin"}}], "for_s": 0.2},
+        ("expert",): [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "napkin"}}],
+    },
+    FOLD,
+)
+
+
+def test_what_is_put_onto_cloth_lies_on_it_as_high_as_it_is_thick(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, ONTO)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        done = demonstrate_program(simulator, attempt)
+        assert done.outcome.success, done.outcome
+        ended = done.states[-1].qpos
+        assert attempt.start is not None
+        address = simulator.scene.model.joint("cube").qposadr[0]
+        higher = ended[address + 2] - attempt.start[address + 2]
+        assert higher == pytest.approx(0.005, abs=0.0015)
+        cloth = simulator.scene.cloths["napkin"]
+        assert np.ptp(cloth.points(ended)[:, 2]) < 0.01
+
+
+@pytest.mark.slow
+def test_thirds_lie_on_each_other_and_what_is_folded_in_part_is_folded_on(tmp_path: Path) -> None:
+    thirds = changed(
+        {
+            ("goal",): {"all": [{"folded": {"thing": "napkin", "how": "thirds"}}], "for_s": 0.2},
+            ("expert",): [{"fold": {"thing": "napkin", "how": "thirds"}}],
+        },
+        FOLD,
+    )
+    with Simulators(session_of(tmp_path, thirds)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        done = demonstrate_program(simulator, attempt)
+        assert done.outcome.success, done.outcome
+        assert len(done.states) > 100
+        cloth = simulator.scene.cloths["napkin"]
+        # The first third, two cells of 25 mm, was laid and nothing else: from there, the last one is laid alone.
+        halfway = next(
+            state.qpos
+            for state in done.states[40:]
+            if np.ptp(cloth.points(state.qpos)[:, 2]) < 0.007
+            and not state.actions.magnet.any()
+            and _area(cloth.points(state.qpos)) < 0.8 * _area(cloth.points(attempt.start))
+        )
+        start = attempt.start.copy()
+        start[cloth.qpos] = halfway[cloth.qpos]
+        on = demonstrate_program(simulator, replace(attempt, start=start))
+        assert on.outcome.success, on.outcome
+        assert len(on.states) < 0.7 * len(done.states)
+
+
+def _area(points: np.ndarray) -> float:
+    return outline_area(points[:, :2])
 
 
 @pytest.mark.slow
@@ -88,7 +153,6 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("task", "given", "said"),
     [
-        (FOLD, {"truth": True}, "no ground truth of cloth"),
         (changed({("things", "napkin", "of"): "soft_nakin"}, FOLD), {}, "soft_napkin"),
         (changed({("expert",): [{"pick": {"thing": "napkin"}}]}, FOLD), {}, "it can only be folded"),
         (changed({("things", "napkin", "of"): "cube_red"}, FOLD), {}, "is no cloth"),
@@ -103,8 +167,16 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
             {},
             "as many points along both sides, not 9 x 13",
         ),
+        (
+            changed({("expert",): [{"fold": {"thing": "napkin", "how": "quarters"}}]}, FOLD),
+            {},
+            "'diagonal' or 'thirds'",
+        ),
         (changed({("rig",): "single_linear"}, FOLD), {}, "takes two arms"),
         (changed({("starts", "napkin", "attitudes"): ["lying"]}, FOLD), {}, "starts flat"),
+        (changed({("starts", "cube", "crumpled"): [0.3, 0.6]}, ONTO), {}, "does not crumple"),
+        (changed({("starts", "napkin", "crumpled"): [0.6, 0.3]}, FOLD), {}, "must not be above"),
+        (changed({("starts", "napkin", "crumpled"): [0.0, 0.3]}, FOLD), {}, "greater than or equal to 0.1"),
         (changed({("starts", "napkin", "open"): {"lid": [0, 1]}}, FOLD), {}, "no part"),
     ],
 )

@@ -30,17 +30,25 @@ OWN = {
     "floor": {"floor"},
     "objects": {"looks"},
     "picture": {"noise", "salt_pepper"},
+    "arm_dynamics": {"arm_dynamics"},
+}
+ARMS = {
+    "command_delay_ms": [5, 30],
+    "sensor_delay_ms": [0, 8],
+    "sensor_noise_rad": [0.0001, 0.0005],
+    "encoder_step_rad": [0.0001, 0.0004],
+    "gravity_error": [-0.05, 0.05],
 }
 
 
 @pytest.fixture(scope="module")
 def randomized(make_config: Callable[..., RecordConfig]) -> RecordConfig:
-    return make_config({("randomization",): "default"})
+    return make_config({("randomization",): "default", ("randomization", "arm_dynamics"): ARMS})
 
 
 def sampled(config: RecordConfig, job: EpisodeJob = JOB, **changes: Any) -> Variation:
     ranges = config.randomization.model_copy(update=changes)
-    return sample_variation(ranges, job, len(config.scene.lights), (config.task.object, config.task.target))
+    return sample_variation(ranges, job, len(config.scene.lights), (config.task.object, config.task.target), (6,))
 
 
 def test_nothing_is_drawn_of_what_is_left_out(config: RecordConfig) -> None:
@@ -79,7 +87,7 @@ def test_no_two_parts_share_a_stream(randomized: RecordConfig, monkeypatch: pyte
 
     monkeypatch.setattr(sampled_variation, "generator", noted)
     sampled(randomized)
-    assert len(used) == len(set(used)) == 11
+    assert len(used) == len(set(used)) == 12
 
 
 def test_every_part_is_covered(randomized: RecordConfig) -> None:
@@ -108,6 +116,13 @@ def test_draws_stay_in_their_ranges_and_fill_them(randomized: RecordConfig) -> N
     assert 18 < np.degrees(np.linalg.norm(turns, axis=1).max()) <= 20
     assert {d.table.texture for d in draws if d.table} == set(ranges.table.textures)
     assert all(0 <= part <= 1 for d in draws for look in d.looks.values() for part in look.rgb)
+    delays = np.array([d.arm_dynamics[0].command_delay_ms for d in draws])
+    assert 5 <= delays.min() < 5.5
+    assert 29.5 < delays.max() <= 30
+    errors = np.array([d.arm_dynamics[0].gravity for d in draws])
+    assert errors.shape == (300, 6)
+    assert 0.045 < np.abs(errors).max() <= 0.05
+    assert np.abs(np.corrcoef(errors.T) - np.eye(6)).max() < 0.3
 
 
 def test_textures_come_up_as_often_as_their_weights_say(randomized: RecordConfig) -> None:
@@ -129,7 +144,20 @@ def test_draws_come_back_from_the_ledger_exactly(randomized: RecordConfig) -> No
     record = AttemptRecord(
         attempt=5, seed=3, episode=None, outcome=OutcomeRecord.of(Outcome(False)), layout={}, randomized=what
     )
-    assert from_json(AttemptRecord, to_json(record), "ledger").randomized == what
+    text = to_json(record)
+    assert from_json(AttemptRecord, text, "ledger").randomized == what
+    assert what.arm_dynamics[0].gravity
+
+
+def test_where_arms_do_not_vary_records_are_those_of_before_they_could(randomized: RecordConfig) -> None:
+    what = sampled(randomized, arm_dynamics=None)
+    record = AttemptRecord(
+        attempt=5, seed=3, episode=None, outcome=OutcomeRecord.of(Outcome(False)), layout={}, randomized=what
+    )
+    text = to_json(record)
+    assert b"arm_dynamics" not in text
+    assert from_json(AttemptRecord, text, "ledger").randomized == what
+    assert "arm_dynamics" not in RandomizationConfig().model_dump(mode="json")
 
 
 def test_where_nothing_was_drawn_the_ledger_says_nothing() -> None:

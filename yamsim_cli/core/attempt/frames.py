@@ -15,7 +15,6 @@ from .simulator import Simulator
 
 def frames(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
     """What is recorded of each state, see `dataset.lowdim`; nothing is rendered for it."""
-    simulator.varied(attempt)
     every = simulator.config.task.timing.ticks_per_frame
     return [_frame(simulator, attempt, state, k * every) for k, state in enumerate(states)]
 
@@ -28,7 +27,7 @@ def _joints(simulator: Simulator) -> dict[str, Array]:
 
 
 def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) -> dict[str, Any]:
-    config, scene, replica = simulator.config, simulator.scene, simulator.replica
+    config, scene, replica = simulator.config, simulator.varied(attempt), simulator.replica
     task, acting = config.task, state.actions
     replica.show(state.qpos)
     joints = replica.joints() if state.sensed is None else state.sensed

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..dataset.arrays import dump_arrays
 from ..dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
 from ..dataset.records import to_json
-from ..dataset.truth_files import ARRAYS, dump_depth
+from ..dataset.truth_files import array_forms, dump_depth
 from ..geometry.se3 import Array
 from ..images.label_images import encode_labels
 from ..vision.frame_truth import measure_frame
@@ -44,8 +44,11 @@ class EpisodeTruth:
         """Path inside the episode -> content."""
         files = dict(self._files)
         for camera, rows in self._rows.items():
+            forms = array_forms(self._labels.names, len(rows))
             arrays = {"intrinsics": self._intrinsics[camera]} | {
-                key: np.stack([row[key] for row in rows]).astype(ARRAYS[key][0]) for key in ARRAYS if key in rows[0]
+                key: np.stack([row[key] for row in rows]).astype(dtype)
+                for key, (dtype, _) in forms.items()
+                if key in rows[0]
             }
             files[truth_name(camera)] = dump_arrays(arrays)
         files[TRUTH_LABELS] = to_json(self._labels.names, indent=1)

@@ -69,7 +69,8 @@ def depth_mm(simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -
     renderer = _renderer(simulator, attempt)
     simulator.replica.show(qpos)
     # Of what has a label, as recorded truth is: the sky has none, and is at no distance.
-    return whole_mm(renderer.label(simulator.replica.data, camera, simulator.labels.of_geom)[1])
+    labels = simulator.labels
+    return whole_mm(renderer.label(simulator.replica.data, camera, labels.of_geom, labels.of_flex)[1])
 
 
 def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from ..config.program_task import ProgramTask
 from ..documents.base import ConflictError
 from ..documents.explain import dotted
@@ -13,6 +15,7 @@ from ..geometry.se3 import Array, pose
 from ..goals.cast import Cast
 from ..planning.demonstration import start_stands
 from ..scene.compiled import CompiledScene
+from ..sim.crumple import crumpled
 from ..sim.rollout import path_actions
 from ..sim.watched import See, Watched, WatchedLoop, settle
 from ..sim.world import world_of
@@ -40,14 +43,14 @@ _AWAY = 2.0
 def sample_program(simulator: Simulator, job: EpisodeJob, variation: Variation) -> Attempt:
     """The attempt of a seed and a number, everything at rest; without a layout where there is none, see `no_start`."""
     task, cast = _played(simulator)
-    scene, config = simulator.scene, simulator.config
     attempt = Attempt(job, None, variation, cast=cast, phrasing=draw_phrasing(task, job))
-    simulator.varied(attempt)
+    scene, config = simulator.varied(attempt), simulator.config
     for number in range(_DRAWS):
         places = draw_places(task, cast, _blocks(simulator), config.table, job, number)
         if isinstance(places, str):
             break
         start = settle(scene, _let_down(simulator, places), task.timing.timestep)
+        start = _crumpled(simulator, start, generator(job, Stream.CRUMPLES, number))
         loop = WatchedLoop(scene, start, task, cast, sides(config))
         if not loop.judged().reached:
             poses = {name: loop.world.pose(name) for name in scene.things}
@@ -165,6 +168,18 @@ def _let_down(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
             T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _OVER) + SPAWN_GAP
         scene.put(qpos, name, T)
     return qpos
+
+
+def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
+    """MuJoCo's positions (nq,) with the cloths crumpled that start so; at `start` they lie flat."""
+    task, cast = _played(simulator)
+    scene = simulator.scene
+    for role, how in task.starts.items():
+        for name in cast.of(role):
+            if how.crumpled is not None and name in scene.cloths:
+                share = float(rng.uniform(*how.crumpled))
+                start = crumpled(scene, start, name, rng, share, task.timing.timestep)
+    return start
 
 
 def _opened(scene: CompiledScene, actions: Actions, grips: bool) -> Actions:

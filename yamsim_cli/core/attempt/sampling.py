@@ -29,7 +29,8 @@ def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
 def _variation(config: RecordConfig, job: EpisodeJob) -> Variation:
     if not config.randomization.parts:
         return Variation()
-    return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects)
+    dofs = [config.rig.arms[number].robot.dof for number in config.rig.recorded]
+    return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
 
 
 def _start_stands(simulator: Simulator) -> list[Stand]:

@@ -98,4 +98,5 @@ class Simulator(Closing):
 def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
     config = session.config
     things = (*config.task.objects, *config.randomization.extras)
-    return scene_labels(scene.model, config.rig, [item.name for item in things], boards=config.boards)
+    names = [item.name for item in things]
+    return scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ..config.recording import RecordConfig
 from ..images.image import Image
 from ..scene.compiled import CompiledScene
+from ..scene.varied_arms import VariedArms
 from ..scene.varied_model import VariedModel
 from ..types import Attempt
 from ..variation import Variation
@@ -25,6 +26,7 @@ class VariedScene:
         self._varied: VariedModel | None = None
         if config.randomization.parts:
             self._varied = VariedModel(scene.model, config.randomization, config.scene)
+        self._arms = VariedArms(scene) if config.randomization.arm_dynamics else None
         # What the model has now, and what the renderer was told of.
         self._applied: Variation | None = None
         self._uploaded: Variation | None = None
@@ -34,6 +36,8 @@ class VariedScene:
         """The scene as it is in an attempt, until another one is asked for."""
         if self._varied and attempt.variation is not self._applied:
             self._varied.apply(attempt.variation)
+            if self._arms:
+                self._scene = self._arms.apply(attempt.variation.arm_dynamics)
             self._applied = attempt.variation
         return self._scene
 

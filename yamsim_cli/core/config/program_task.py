@@ -35,6 +35,10 @@ PROGRAM = "program"
 Attitude = Literal["upright", "lying", "upside_down"]
 
 
+# How high a crumpled cloth is lifted, as a share of its half diagonal.
+_Lift = Annotated[FiniteFloat, Field(ge=0.1, le=0.8)]
+
+
 class Role(Config):
     """What plays a role: so many things, each drawn from a list.
 
@@ -83,6 +87,8 @@ class Start(Config):
         attitudes: how it may lie; each is as likely.
         apart: the smallest gap between its outline, seen from above, and that of any thing that stands already, m.
         open: of articulated things, part -> how far it is open, as a range of shares; others are closed.
+        crumpled: of cloth, how high it is lifted at a point before it is dropped, as a range of shares of its half
+            diagonal: 0.3 is light, 0.6 moderate. Without, it lies flat.
     """
 
     on: Name = TABLE
@@ -92,6 +98,14 @@ class Start(Config):
     attitudes: Annotated[tuple[Attitude, ...], Field(min_length=1)] = ("upright",)
     apart: Distance = 0.02
     open: Mapping[Name, tuple[Share, Share]] = Field(default_factory=dict)
+    crumpled: Annotated[tuple[_Lift, _Lift] | None, Field(exclude_if=lambda lifts: lifts is None)] = None
+
+    @model_validator(mode="after")
+    def _crumpled_is_a_range(self) -> Start:
+        if self.crumpled is not None and self.crumpled[0] > self.crumpled[1]:
+            low, high = self.crumpled
+            raise ConflictError(f"a range is [low, high], so {low} must not be above {high}", ("crumpled",))
+        return self
 
 
 class Arrangement(Config):
@@ -239,7 +253,12 @@ class ProgramTask(Config):
         for role, start in self.starts.items():
             if self.of_cloth(role) and set(start.attitudes) != {"upright"}:
                 raise ConflictError(
-                    f"the {role} is cloth, which starts flat; leave this out", ("starts", role, "attitudes")
+                    f"the {role} is cloth, which starts flat or `crumpled`; leave this out",
+                    ("starts", role, "attitudes"),
+                )
+            if start.crumpled is not None and not self.of_cloth(role):
+                raise ConflictError(
+                    f"the {role} is no cloth, so it does not crumple; leave this out", ("starts", role, "crumpled")
                 )
             if self.of_cloth(start.on):
                 raise ConflictError(f"nothing starts on cloth, and the {start.on} is some", ("starts", role, "on"))

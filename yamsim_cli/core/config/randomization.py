@@ -28,6 +28,9 @@ Share = Annotated[Range, AfterValidator(_share)]
 _Brightness = Annotated[FiniteFloat, Within("of 1", -1, 1)]
 _Noise = Annotated[FiniteFloat, Within("of 255", 0, 128)]
 _Lens = Annotated[FiniteFloat, Within("degrees", -60, 60)]
+_Delay = Annotated[FiniteFloat, Within("ms", 0, 500)]
+_Reading = Annotated[FiniteFloat, Within("rad", 0, 0.1)]
+_Gravity = Annotated[FiniteFloat, Within("of 1", -1, 1)]
 Texture = Literal["plain", "checker", "gradient", "noise"]
 
 
@@ -131,6 +134,24 @@ class PictureRanges(Config):
     salt_pepper: Share = (0.0, 0.0)
 
 
+class ArmRanges(Config):
+    """How arms act and are read, drawn for each arm; each draw is added to what the arm's own dynamics say.
+
+    Attributes:
+        command_delay_ms: how much later commands act.
+        sensor_delay_ms: how much older what encoders read is.
+        sensor_noise_rad: standard deviation of what a joint reads.
+        encoder_step_rad: between two values that an encoder can read.
+        gravity_error: by how many times a joint's weight its gravity compensation gives too much; drawn for each joint.
+    """
+
+    command_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(ordered)] = (0.0, 0.0)
+    sensor_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(ordered)] = (0.0, 0.0)
+    sensor_noise_rad: Annotated[tuple[_Reading, _Reading], AfterValidator(ordered)] = (0.0, 0.0)
+    encoder_step_rad: Annotated[tuple[_Reading, _Reading], AfterValidator(ordered)] = (0.0, 0.0)
+    gravity_error: Annotated[tuple[_Gravity, _Gravity], AfterValidator(ordered)] = (0.0, 0.0)
+
+
 class RandomizationConfig(Config):
     """What varies between attempts, and by how much; a part that is left out does not vary.
 
@@ -138,9 +159,11 @@ class RandomizationConfig(Config):
 
     Attributes:
         mass: range of the factor on each object's mass.
-        friction: range of the factor on the friction of each object and of the table. Of all parts only mass and
-            friction act in physics.
+        friction: range of the factor on the friction of each object and of the table. Of all parts only mass, friction
+            and arm_dynamics act in physics.
         lens_deg: range of what is added to the scene camera's field of view, degrees.
+        arm_dynamics: how late arms act, how they are read, and how their gravity compensation errs. Older configs do
+            not say it.
     """
 
     name: Name = "none"
@@ -155,6 +178,7 @@ class RandomizationConfig(Config):
     objects: LookRanges | None = None
     distractors: Distractors | None = None
     picture: PictureRanges | None = None
+    arm_dynamics: Annotated[ArmRanges | None, Field(exclude_if=lambda found: found is None)] = None
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -241,17 +241,6 @@ class RecordConfig(Config):
         return self
 
     @model_validator(mode="after")
-    def _shows_no_cloth_by_label(self) -> RecordConfig:
-        if self.truth and (cloth := next((item.name for item in self.task.objects if item.cloth), None)):
-            raise ConflictError(
-                f"there is no ground truth of cloth, and task {self.task.name!r} has {cloth!r}; leave `truth` out: "
-                "every frame has the cloth's points",
-                ("truth",),
-                ("task",),
-            )
-        return self
-
-    @model_validator(mode="after")
     def _actions_say_all(self) -> RecordConfig:
         if self.action == "joints" and self.grasp == "weld":
             raise ConflictError(

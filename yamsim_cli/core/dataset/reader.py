@@ -10,6 +10,7 @@ from typing import Any, SupportsIndex, overload
 
 from ..config.loader import parse_config
 from ..config.recording import RecordConfig
+from ..config.rig import RigConfig
 from ..errors import ConfigError, DatasetError, UsageError, counted
 from ..files import sha256_bytes
 from ..resources import Locations
@@ -17,7 +18,7 @@ from .checks.context import find_episodes
 from .checks.lowdim import frame_faults
 from .layout import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name
 from .lowdim import load_frame
-from .real import RealRecord, is_real
+from .real import RealRecord, is_real, real_config
 from .records import EpisodeRecord, from_json
 
 # Our own records are written with this; whoever writes one by other means has to keep to JSON's usual spacing.
@@ -256,9 +257,20 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
         ) from error
     if is_real(dataset):
         raise DatasetError(
-            f"{dataset} holds real recordings: they were not simulated, so that cannot be done with them"
+            f"{dataset} holds real recordings: they were not simulated, so nothing can make them again; "
+            f"yamsim summarize {dataset} --strict checks every file by its hash, and yamsim gap {dataset} how far the "
+            "simulation is from them"
         )
     try:
         return parse_config(RecordConfig, text, str(file), locations, as_recorded=True)
     except ConfigError as error:
         raise DatasetError(f"{error}; was it recorded by another version of yamsim?") from error
+
+
+def recorded_rig(dataset: Path, locations: Locations) -> RigConfig:
+    """Whose arms a dataset has, simulated or real.
+
+    Raises:
+        DatasetError: it has no configuration, or one that cannot be used.
+    """
+    return real_config(dataset, locations).rig if is_real(dataset) else dataset_config(dataset, locations).rig

@@ -8,7 +8,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    WrapSerializer,
+)
 
 from ..errors import DatasetError
 from ..files import sha256_bytes
@@ -21,9 +28,17 @@ from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 # Drives of an arm where a record does not say: six joints and a gripper, as all had when format version 1 was made.
 DRIVES_UNSAID = 7
 
-# Left out where nothing varies.
-VariationField = Annotated[Variation, Field(exclude_if=lambda variation: variation == Variation())]
 
+def _without_arms(variation: Variation, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    """A variation as it was written before arms could vary, where they do not."""
+    told: dict[str, Any] = write(variation)
+    return told if variation.arm_dynamics else {key: value for key, value in told.items() if key != "arm_dynamics"}
+
+
+# Left out where nothing varies.
+VariationField = Annotated[
+    Variation, Field(exclude_if=lambda variation: variation == Variation()), WrapSerializer(_without_arms)
+]
 
 _UNLESS_EMPTY = Field(exclude_if=lambda value: not value)
 

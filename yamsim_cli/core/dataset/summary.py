@@ -28,7 +28,7 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
     outcomes = [episode.outcome for episode in episodes if episode.outcome]
     dxy = [outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]
     dz = [outcome.dz_m for outcome in outcomes if outcome.dz_m is not None]
-    if survey.context.judged_by_goal:
+    if survey.context.judged_by_goal or survey.context.real:
         thresholds = ()
     hits = {f"{t:g}": sum(within(episode, t, survey) for episode in episodes) for t in thresholds}
     records = [episode.record for episode in episodes if episode.record]
@@ -53,6 +53,7 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
         "tasks": sorted({record.task for record in records}),
         "grasps": sorted({record.grasp for record in records}),
         "versions": [dict(found) for found in sorted({tuple(sorted(record.versions.items())) for record in records})],
+        "noted_at_import": {episode.name: list(map(printable, episode.noted)) for episode in episodes if episode.noted},
         "errors": n_errors,
         "warnings": len(problems) - n_errors,
         "problems": [problem.plain() for problem in problems],

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from ..errors import DatasetError
 from .arrays import dump_arrays, load_arrays
@@ -46,14 +47,14 @@ class KeypointRecord(Record):
     """A point whose place in the image is known.
 
     Attributes:
-        body: the link or board that it is part of.
+        body: the link, board or cloth that it is part of.
         kind: "joint" is the centre of a joint, inside the arm; "axis" is where a joint's axis leaves the surface;
-            "corner" is a corner of a board's print.
+            "corner" is a corner of a board's print, "cloth" one of a cloth.
     """
 
     name: str
     body: str
-    kind: Literal["joint", "axis", "corner"]
+    kind: Literal["joint", "axis", "corner", "cloth"]
 
 
 class TruthLabels(Record):
@@ -63,6 +64,7 @@ class TruthLabels(Record):
         instances: names of the things that have boxes.
         links, objects: names of the links and objects that have poses.
         keypoints: the keypoints, in the arrays' order.
+        cloths: cloth -> how many points lie along its x axis and along its y axis; left out where there are none.
         depth_tolerance_m: how much the depth image may differ from the depth of a visible point on a surface, m.
         joint_cover_m: how much of its own links may cover the centre of a visible joint, m.
     """
@@ -72,12 +74,15 @@ class TruthLabels(Record):
     links: list[str]
     objects: list[str]
     keypoints: list[KeypointRecord]
+    cloths: Annotated[dict[str, tuple[int, int]], Field(exclude_if=lambda cloths: not cloths)] = Field(
+        default_factory=dict
+    )
     depth_tolerance_m: float = DEPTH_TOLERANCE
     joint_cover_m: float = JOINT_COVER
 
 
 # Key -> dtype and shape, in which a name stands for the number of frames or the length of a list in the labels.
-ARRAYS: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
+_ARRAYS: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
     "intrinsics": (np.float64, (3, 3)),
     "T_cam_in_base": (np.float32, ("frames", 4, 4)),
     "T_link_in_cam": (np.float32, ("frames", "links", 4, 4)),
@@ -95,8 +100,13 @@ _MOST_ARRAYS = 2**28
 _MOST_DEPTH = 2**27
 
 
-def array_shapes(labels: TruthLabels, frames: int) -> dict[str, tuple[int, ...]]:
-    """Key -> shape of the arrays of one camera."""
+def visible_name(cloth: str) -> str:
+    """The key of the array that says which points of a cloth are visible."""
+    return f"{cloth}_visible"
+
+
+def array_forms(labels: TruthLabels, frames: int) -> dict[str, tuple[np.dtype[Any], tuple[int, ...]]]:
+    """Key -> dtype and shape of the arrays of one camera."""
     lengths = {
         "frames": frames,
         "links": len(labels.links),
@@ -104,17 +114,21 @@ def array_shapes(labels: TruthLabels, frames: int) -> dict[str, tuple[int, ...]]
         "keypoints": len(labels.keypoints),
         "instances": len(labels.instances),
     }
-    return {
-        key: tuple(lengths[part] if isinstance(part, str) else part for part in shape)
-        for key, (_, shape) in ARRAYS.items()
+    forms = {
+        key: (np.dtype(dtype), tuple(lengths[part] if isinstance(part, str) else part for part in shape))
+        for key, (dtype, shape) in _ARRAYS.items()
+    }
+    return forms | {
+        visible_name(cloth): (np.dtype(np.bool_), (frames, columns * rows))
+        for cloth, (columns, rows) in labels.cloths.items()
     }
 
 
 def array_faults(arrays: Mapping[str, NDArray[Any]], labels: TruthLabels, frames: int) -> list[str]:
     """The faults of one camera's arrays."""
     faults = []
-    for key, shape in array_shapes(labels, frames).items():
-        array, dtype = arrays.get(key), np.dtype(ARRAYS[key][0])
+    for key, (dtype, shape) in array_forms(labels, frames).items():
+        array = arrays.get(key)
         if array is None:
             faults.append(f"{key} is missing")
         elif array.dtype != dtype or array.shape != shape:
@@ -144,7 +158,7 @@ def load_depth(data: bytes) -> NDArray[np.uint16]:
 
 
 def load_truth(data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays of one camera, by the keys of `ARRAYS`.
+    """The arrays of one camera, by the keys of `array_forms`.
 
     Raises:
         DatasetError: they are damaged.

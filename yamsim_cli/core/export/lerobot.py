@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,20 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.lowdim import ACTION, BETWEEN_BASES, STATE
-from ..dataset.reader import StoredEpisode
+from ..dataset.reader import RecordedEpisode
 from ..dataset.recorded_images import recorded_images
-from ..errors import DatasetError
 from ..images.video import VideoWriter, require_encoder
 from ..images.yuv import BT601
-from ..policies.environment_state import joints_key, state_names, state_row, things_told
 from ..progress import Progress
 from . import lerobot_schema as schema
-from .lerobot_options import WHOLE, LeRobotOptions
+from .lerobot_content import Content, RealContent, SimulatedContent
+from .lerobot_options import RECORDED, WHOLE, LeRobotOptions, RealOptions
 from .lerobot_schema import Place
 from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
 from .lerobot_tables import TableSeries, episode_table, frames_table, require_parquet, write_tasks
-from .source import Exported, Source
+from .real_source import RealSource
+from .source import AnySource, Exported, Source
 from .target import export_directory
 
 
@@ -46,16 +45,39 @@ def export_lerobot(
         ResourceError: pyarrow or PyAV is not installed.
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
     """
+    return _export(source, out, progress, SimulatedContent(source, options), overwrite)
+
+
+def export_real_lerobot(
+    source: RealSource,
+    out: Path,
+    progress: Progress,
+    options: RealOptions = RECORDED,
+    *,
+    overwrite: bool = False,
+) -> Exported:
+    """Write real recordings as LeRobotDataset v3.0; what nobody recorded is not there.
+
+    Raises:
+        DatasetError: a file is missing, altered or damaged; nobody recorded the commands that are asked for; or other
+            things were recorded of one episode than of the first.
+        ResourceError: pyarrow or PyAV is not installed.
+        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+    """
+    return _export(source, out, progress, RealContent(source, options), overwrite)
+
+
+def _export(source: AnySource, out: Path, progress: Progress, content: Content, overwrite: bool) -> Exported:
     require_parquet()
-    if options.pictures:
+    if content.pictures and source.cameras:
         require_encoder()
     with export_directory(out, overwrite=overwrite) as stage:
-        with _Writer(stage.path, source, options) as writer:
+        with _Writer(stage.path, source, content) as writer:
             for number, episode in enumerate(source.episodes()):
                 writer.add(episode)
                 progress(number + 1, len(source))
         writer.write_meta()
-    return Exported(out, len(source), writer.frames, stage.moved_aside)
+    return Exported(out, len(source), writer.frames, stage.moved_aside, tuple(content.notes))
 
 
 @dataclass(frozen=True)
@@ -67,7 +89,7 @@ class _Filmed:
     stats: Stats
 
 
-def _film(root: Path, episode: StoredEpisode, place: Place, camera: str, period: float) -> _Filmed:
+def _film(root: Path, episode: RecordedEpisode, place: Place, camera: str, period: float) -> _Filmed:
     """The video of an episode's images of one camera, in a file of its own.
 
     lerobot's tools delete and split such episodes by copying files. Where several episodes share a file, the tools
@@ -91,17 +113,14 @@ class _Writer:
         frames: how many were written.
     """
 
-    def __init__(self, root: Path, source: Source, options: LeRobotOptions) -> None:
+    def __init__(self, root: Path, source: AnySource, content: Content) -> None:
         self.frames = 0
-        self._root, self._source = root, source
-        self._cameras = source.cameras if options.pictures else {}
-        self._things = tuple(things_told(source.config)) if options.environment_state else ()
-        told = state_names(self._things, source.first.record.joints)
-        self._columns = schema.columns(self._cameras, source.drives, source.welds, told)
+        self._root, self._source, self._content = root, source, content
+        self._cameras = source.cameras if content.pictures else {}
+        self._columns = content.columns() | dict(schema.INDEX_FEATURES)
         self._tasks: dict[str, int] = {}
         self._total = RunningStats()
         self._provenance: list[dict[str, Any]] = []
-        self._bases: dict[str, Any] = {}
         self._open = contextlib.ExitStack()
 
     def __enter__(self) -> _Writer:
@@ -117,27 +136,21 @@ class _Writer:
     ) -> None:
         self._open.__exit__(kind, error, trace)
 
-    def add(self, episode: StoredEpisode) -> None:
+    def add(self, episode: RecordedEpisode) -> None:
         """Write one episode.
 
         Raises:
-            DatasetError: of its things, other parts move than of the first episode's.
+            DatasetError: it holds other things than the first one.
         """
-        mine, others = episode.record.joints, self._source.first.record.joints
-        if self._things and mine != others:
-            first = self._source.first.directory.name
-            raise DatasetError(
-                f"{episode.directory} has things with other joints than {first} ({mine}, not {others}): "
-                "export them apart, see --episodes, or without --environment-state"
-            )
         number, period = len(self._provenance), self._source.frame_period
         filming = {
             camera: self._threads.submit(_film, self._root, episode, Place(number), camera, period)
             for camera in self._cameras
         }
         frames = episode.frames()
-        task = frames[0]["language_prompt"]
-        values = self._values(frames, number, self._tasks.setdefault(task, len(self._tasks)))
+        task = frames[0].get("language_prompt", "")
+        values = self._content.values(episode, frames)
+        values |= self._places(len(frames), number, self._tasks.setdefault(task, len(self._tasks)))
         filmed = {camera: film.result() for camera, film in filming.items()}
         stats = {schema.image_key(camera): film.stats for camera, film in filmed.items()}
         stats |= {key: column_stats(value) for key, value in values.items()}
@@ -162,27 +175,17 @@ class _Writer:
         self._episodes.write(episode_table(row))
         self._total.add(stats)
         self.frames += len(frames)
-        if BETWEEN_BASES in frames[0]:
-            self._bases = {BETWEEN_BASES: frames[0][BETWEEN_BASES].tolist()}
-        record = episode.record
-        origin = {"episode": episode.directory.name, "seed": record.seed, "attempt": record.attempt}
+        origin = {"episode": episode.directory.name, **self._content.origin(episode)}
         self._provenance.append({"episode_index": number} | origin)
 
-    def _values(self, frames: Sequence[Mapping[str, Any]], number: int, task: int) -> dict[str, NDArray[Any]]:
-        n = len(frames)
-        states, commands = zip(*(_state_and_action(frame) for frame in frames), strict=True)
-        values = {schema.STATE: np.array(states), schema.ACTION: np.array(commands)}
-        if self._things:
-            values[schema.ENVIRONMENT_STATE] = np.array([_things_row(frame, self._things) for frame in frames])
-        for camera in self._cameras:
-            for key, name in ((schema.intrinsics_key, "intrinsics"), (schema.extrinsics_key, "extrinsics")):
-                values[key(camera)] = np.array([np.ravel(frame[name][camera]) for frame in frames])
-        return values | {
-            "timestamp": np.arange(n) * self._source.frame_period,
-            "frame_index": np.arange(n),
-            "episode_index": np.full(n, number),
-            "index": np.arange(self.frames, self.frames + n),
-            "task_index": np.full(n, task),
+    def _places(self, frames: int, number: int, task: int) -> dict[str, NDArray[Any]]:
+        """Where an episode's frames are, in time and among all."""
+        return {
+            "timestamp": np.arange(frames) * self._source.frame_period,
+            "frame_index": np.arange(frames),
+            "episode_index": np.full(frames, number),
+            "index": np.arange(self.frames, self.frames + frames),
+            "task_index": np.full(frames, task),
         }
 
     def write_meta(self) -> None:
@@ -192,7 +195,7 @@ class _Writer:
         # A video's width and height are even.
         sizes = {camera: (w + w % 2, h + h % 2) for camera, (w, h) in self._cameras.items()}
         counts = {"episodes": len(self._provenance), "frames": self.frames, "tasks": len(self._tasks)}
-        robots = [source.config.rig.arms[k].model.name for k in source.config.rig.recorded]
+        robots = [source.rig.arms[k].model.name for k in source.rig.recorded]
         _write_json(
             root / schema.INFO, schema.info(sizes, round(1 / source.frame_period, 6), robots, self._columns, **counts)
         )
@@ -203,20 +206,8 @@ class _Writer:
         _write_json(root / schema.STATS, stats)
         _write_json(
             root / schema.PROVENANCE,
-            {"dataset": source.path.absolute().name, **self._bases, "episodes": self._provenance},
+            {"dataset": source.path.absolute().name, **self._content.about(), "episodes": self._provenance},
         )
-
-
-def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
-    """A frame's state, and its action: joints alone where it has those, else what drives and welds are told."""
-    if ACTION in frame:
-        return frame[STATE], frame[ACTION]
-    return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
-
-
-def _things_row(frame: Mapping[str, Any], things: Sequence[str]) -> NDArray[Any]:
-    """Where things are in a frame; see `core.policies.environment_state`."""
-    return state_row([(frame[f"{thing}_pose"], frame.get(joints_key(thing), ())) for thing in things])
 
 
 def _whole(stats: Stats) -> dict[str, NDArray[Any]]:

@@ -1,8 +1,10 @@
-"""The options of an export to LeRobot's format."""
+"""The options of exports to LeRobot's format."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from .real_source import ActionSource
 
 
 @dataclass(frozen=True)
@@ -20,3 +22,20 @@ class LeRobotOptions:
 
 # Pictures and joints, as policies for real arms see them.
 WHOLE = LeRobotOptions()
+
+
+@dataclass(frozen=True)
+class RealOptions:
+    """What an export of real recordings holds.
+
+    Attributes:
+        pictures: videos of all cameras, and the cameras' matrices where they are known.
+        actions: where they are from.
+    """
+
+    pictures: bool = True
+    actions: ActionSource = "recorded"
+
+
+# Pictures, and what was commanded.
+RECORDED = RealOptions()

@@ -5,7 +5,7 @@ Source: lerobot 0.4.4 and 0.6.1, `lerobot.datasets`; the format's version is `CO
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +34,10 @@ STATE = "observation.state"
 # lerobot gives this key to policies as a kind of its own, which stands in for pictures.
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
+# Of real recordings: the joints' velocities as measured, rad/s, and the frames' own times, s. Programs of the format
+# leave both alone: their names begin neither with `observation` nor with `action`.
+VELOCITIES = "joint_velocities"
+RECORDED_TIME = "recorded_time"
 
 # Prefix of a robot's type for two arms, as in lerobot's own names.
 _TWO = "bi_"
@@ -107,26 +111,20 @@ def extrinsics_key(camera: str) -> str:
     return f"camera.extrinsics.{camera}"
 
 
-def columns(
-    cameras: Mapping[str, tuple[int, int]], drives: Sequence[str], welds: Sequence[str], things: Sequence[str] = ()
-) -> dict[str, Feature]:
-    """The features in the Parquet files, which are all except the images. An action has all drives, then all welds.
+def rows(names: Sequence[str]) -> Feature:
+    """The feature of a row of numbers with names."""
+    return Feature("float32", (len(names),), tuple(names))
 
-    Args:
-        drives, welds: names of the arms' drives and welds, in order.
-        things: names of the numbers that say where things are; none for a dataset without that.
-    """
-    commands = (*drives, *welds)
-    features = {
-        STATE: Feature("float32", (len(drives),), tuple(drives)),
-        ACTION: Feature("float32", (len(commands),), commands),
-    }
-    if things:
-        features[ENVIRONMENT_STATE] = Feature("float32", (len(things),), tuple(things))
-    for camera in cameras:
-        features[intrinsics_key(camera)] = _matrix("K", 3)
-        features[extrinsics_key(camera)] = _matrix("T", 4)
-    return features | dict(INDEX_FEATURES)
+
+def matrices(lenses: Collection[str], places: Collection[str]) -> dict[str, Feature]:
+    """The features of what is known of cameras: of some their K, of some their pose."""
+    features = {}
+    for camera in dict.fromkeys((*lenses, *places)):
+        if camera in lenses:
+            features[intrinsics_key(camera)] = _matrix("K", 3)
+        if camera in places:
+            features[extrinsics_key(camera)] = _matrix("T", 4)
+    return features
 
 
 def info(
@@ -144,7 +142,7 @@ def info(
     Args:
         cameras: camera -> width and height (px) of its images in the videos.
         robots: the model of each arm.
-        features: see `columns`.
+        features: those of the Parquet files.
     """
     images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
     return {

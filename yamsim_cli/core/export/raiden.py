@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import functools
-import io
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..config.recording import RecordConfig
-from ..dataset.lowdim import dump_frame
 from ..dataset.reader import StoredEpisode
 from ..errors import DatasetError
 from ..progress import Progress
@@ -25,7 +19,8 @@ from ..workers.processes import WorkerPool
 from . import raiden_schema as schema
 from .raiden_calibration import calibration
 from .raiden_episode import EpisodeMaker, MadeEpisode
-from .raiden_frames import FrameConverter, hand_frame
+from .raiden_files import metadata, write_episode, write_json, write_split
+from .raiden_frames import FrameConverter, camera_names
 from .raiden_options import RaidenOptions
 from .source import Exported, Source, depth_cameras
 from .target import export_directory
@@ -63,7 +58,7 @@ def export_raiden(
         UsageError, PartialJobError, InterruptedJobError: see `export_directory`. UsageError also if two arms are to be
             written as one.
     """
-    converter = FrameConverter(source, locations, options)
+    converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
     config = _as_recorded(source) if options.renders else source.config
     factory = functools.partial(EpisodeMaker, Session(config, locations), converter.names, options)
     frames: dict[str, int] = {}
@@ -72,18 +67,15 @@ def export_raiden(
         jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
         for folder, made in _make(factory, jobs, workers if options.renders else 0):
             data = [converter.frame(frame) for frame in made.frames]
-            metadata = _metadata(episodes[folder.name], converter, made, data, options)
-            _write_episode(folder, made, data, metadata)
+            described = _metadata(episodes[folder.name], converter, made, data, options)
+            write_episode(folder, made.times, data, described)
             frames[folder.name] = len(data)
             if folder == jobs[0][1]:
-                _write_json(stage.path / schema.SHARED_METADATA, metadata)
-                _write_json(stage.path / schema.CALIBRATION, calibration(source, converter, options, data))
+                write_json(stage.path / schema.SHARED_METADATA, described)
+                write_json(stage.path / schema.CALIBRATION, calibration(source, converter, options, data))
             progress(len(frames), len(source))
-        total = sum(frames.values())
-        size = {"n_seqs": len(frames), "n_samples": len(frames), "n_frames": total}
-        split = {"filters": {}, "size": size, "files": dict(sorted(frames.items()))}
-        _write_json(stage.path / schema.SPLIT, split)
-    return Exported(out, len(frames), total, stage.moved_aside)
+        write_split(stage.path, frames)
+    return Exported(out, len(frames), sum(frames.values()), stage.moved_aside)
 
 
 def _as_recorded(source: Source) -> RecordConfig:
@@ -124,56 +116,13 @@ def _metadata(
 ) -> dict[str, Any]:
     """The content of `metadata.json`."""
     record = episode.record
-    sizes = {converter.names[camera]: [height, width] for camera, (width, height) in record.cameras.items()}
-    one_size = len({tuple(size) for size in sizes.values()}) == 1
-    depth = bool(depth_cameras(episode))
-    task = str(data[0]["language_task"])
-    return {
-        "info": {
-            "name": task,
-            "raw_id": f"{episode.dataset.name}/{episode.directory.name}",
-            "tags": ["robotics"],
-        },
-        "labels": ["rgb", *(["depth"] if depth else []), "action", "language"],
-        "cameras": list(sizes),
-        "resolution": next(iter(sizes.values())) if one_size else sizes,
-        "framerate": 1 / record.frame_period_s if options.fps is None else _plain(options.fps),
-        "language": {"task": task, "prompt": [str(data[0]["language_prompt"])]},
-        "num_frames": len(data),
-        "rgb": {"extension": options.images},
-        **({"depth": {"extension": "npz", "sparse": False, "metric": True}} if depth else {}),
-        "intrinsics": {"model": "pinhole"},
-        "extrinsics": {"transform": "cam2world", "metric": True},
-        "action": {"format": "joint_cmd", "dims": len(data[0]["action_joints"])},
-        "control": _CONTROL.get(record.source, record.source),
-        "hand_frame": hand_frame(options.hand_frame),
-        "pictures": dict(made.pictures),
-    }
-
-
-def _plain(number: float) -> float:
-    """The number itself, as an int if it is whole."""
-    return int(number) if number.is_integer() else number
-
-
-def _write_episode(
-    folder: Path, made: MadeEpisode, data: Sequence[Mapping[str, Any]], metadata: Mapping[str, Any]
-) -> None:
-    """Write all of an episode except its pictures: frames, capture times, and metadata."""
-    nanoseconds = _npy(np.array([round(time * 1e9) for time in made.times], dtype=schema.TIMESTAMPS.dtype))
-    for camera in metadata["cameras"]:
-        (folder / "rgb" / camera / schema.TIMESTAMPS_FILE).write_bytes(nanoseconds)
-    (folder / "lowdim").mkdir()
-    for k, frame in enumerate(data):
-        (folder / "lowdim" / schema.frame_name(k, "pkl")).write_bytes(dump_frame(frame))
-    _write_json(folder / schema.METADATA, metadata)
-
-
-def _npy(array: NDArray[np.int64]) -> bytes:
-    stream = io.BytesIO()
-    np.save(stream, array)
-    return stream.getvalue()
-
-
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n")
+    return metadata(
+        episode,
+        converter.names,
+        data,
+        options,
+        framerate=1 / record.frame_period_s if options.fps is None else options.fps,
+        control=_CONTROL.get(record.source, record.source),
+        pictures=made.pictures,
+        depth=bool(depth_cameras(episode)),
+    )

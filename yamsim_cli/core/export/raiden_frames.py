@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..config.rig import ArmConfig
+from ..config.rig import ArmConfig, RigConfig
 from ..dataset.lowdim import BETWEEN_BASES
 from ..errors import ResourceError, UsageError
 from ..geometry.se3 import Array
@@ -18,7 +18,7 @@ from ..planning.arm_kinematics import ArmKinematics
 from ..resources import Locations
 from ..scene.robot import bare_arm
 from . import raiden_schema as schema
-from .raiden_options import HandFrameName, RaidenOptions
+from .raiden_options import HandFrameName
 from .source import Source
 
 # Names of the arms' wrist cameras in raiden's layout, in the arms' order. A lone arm counts as the left one.
@@ -116,27 +116,50 @@ class FrameConverter:
         names: camera -> its name in raiden's layout.
         arms: how many arms the arrays hold.
 
+    Args:
+        rig: whose arms were recorded.
+
     Raises:
-        UsageError: two arms cannot be written as one.
+        UsageError: two arms cannot be written as one, or the layout has no place for an arm.
     """
 
-    def __init__(self, source: Source, locations: Locations, options: RaidenOptions) -> None:
-        config = source.config
-        arms = [config.rig.arms[k] for k in config.rig.recorded]
-        if options.single and len(arms) > 1:
-            raise UsageError(f"--single is for recordings of one arm, and {source.path} has {len(arms)}: leave it out")
-        self.names = camera_names(source)
-        self.arms = 1 if options.single else 2
-        frame = HAND_FRAMES[options.hand_frame]
+    def __init__(
+        self,
+        rig: RigConfig,
+        names: Mapping[str, str],
+        locations: Locations,
+        hand_frame: HandFrameName,
+        *,
+        single: bool = False,
+    ) -> None:
+        arms = [rig.arms[k] for k in rig.recorded]
+        if single and len(arms) > 1:
+            raise UsageError(f"--single is for recordings of one arm, and this dataset has {len(arms)}: leave it out")
+        self.names = names
+        self.arms = 1 if single else 2
+        frame = HAND_FRAMES[hand_frame]
         # A lone arm's model stands for the other arm, too.
         self._arms = [_Arm(arm, locations, frame) for arm in (arms[0], arms[-1])[: self.arms]]
 
     def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
-        """A frame's dictionary in the form of `raiden_schema.lowdim`."""
-        joints, command = self._shared(frame["joints"]), self._shared(frame["action_joints"])
-        data = {
-            "intrinsics": {self.names[camera]: frame["intrinsics"][camera] for camera in self.names},
-            "extrinsics": {self.names[camera]: frame["extrinsics"][camera] for camera in self.names},
+        """A recorded frame of a simulation in the form of `raiden_schema.lowdim`."""
+        data = self.converted(frame, self._shared(frame["joints"]), self._shared(frame["action_joints"]))
+        if BETWEEN_BASES in frame:
+            data[schema.BETWEEN_ARMS] = np.asarray(frame[BETWEEN_BASES], dtype=np.float32)
+        return data
+
+    def converted(self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]) -> dict[str, Any]:
+        """A frame in that form, except where the right base stands.
+
+        Args:
+            frame: its words, and the matrices of those cameras that have any.
+            joints, command: each arm's, six in rad and the gripper's share (7,).
+        """
+        return {
+            **{
+                key: {name: frame[key][camera] for camera, name in self.names.items() if camera in frame[key]}
+                for key in ("intrinsics", "extrinsics")
+            },
             "joints": _f32(joints),
             "action": _f32(self._hands(command)),
             "actual_poses": _f32(self._hands(joints)),
@@ -144,9 +167,6 @@ class FrameConverter:
             "language_task": _text(frame["language_task"]),
             "language_prompt": _text(frame["language_prompt"]),
         }
-        if BETWEEN_BASES in frame:
-            data[schema.BETWEEN_ARMS] = np.asarray(frame[BETWEEN_BASES], dtype=np.float32)
-        return data
 
     def T_hand_in_base(self, arm: int, joints: ArrayLike) -> Array:
         """The pose (4, 4) of an arm's hand in its own base, from all joints of a converted frame."""

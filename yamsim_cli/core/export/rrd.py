@@ -6,7 +6,7 @@ No other module knows rerun.
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,12 @@ import numpy as np
 
 from ..dataset.layout import depth_name
 from ..dataset.lowdim import BETWEEN_BASES
-from ..dataset.reader import StoredEpisode
+from ..dataset.reader import RecordedEpisode, StoredEpisode
+from ..dataset.real import RealRecord
 from ..errors import ResourceError
 from ..geometry.se3 import Array
 from ..progress import Progress
-from .source import Exported, Source, depth_cameras
+from .source import AnySource, Exported, depth_cameras
 from .target import export_directory
 
 # Distance of a picture in front of its camera, and length of a pose's axes, m.
@@ -27,8 +28,10 @@ _AXIS = 0.05
 _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
-def export_rerun(source: Source, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
+def export_rerun(source: AnySource, out: Path, progress: Progress, *, overwrite: bool = False) -> Exported:
     """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot's base; with two arms, in the left one's.
+
+    Of real recordings there is what was recorded, at the times at which it was.
 
     Raises:
         DatasetError: a file is missing, altered or damaged.
@@ -53,7 +56,7 @@ def _require_rerun() -> None:
         raise ResourceError("an .rrd file needs rerun, which is not here: pip install 'yamsim[rerun]'") from error
 
 
-def _write(path: Path, source: Source, episode: StoredEpisode) -> int:
+def _write(path: Path, source: AnySource, episode: RecordedEpisode) -> int:
     import rerun
 
     dataset = source.path.absolute().name
@@ -62,21 +65,14 @@ def _write(path: Path, source: Source, episode: StoredEpisode) -> int:
     stream.save(path)
     stream.send_recording_name(f"{dataset}/{episode.directory.name}")
     frames = episode.frames()
-    _log_static(stream, source, episode, frames)
-    with_depth = depth_cameras(episode)
+    things = episode.record.objects if isinstance(episode, StoredEpisode) else ()
+    _log_static(stream, source, episode, frames, things)
+    with_depth = depth_cameras(episode) if isinstance(episode, StoredEpisode) else ()
     for k, frame in enumerate(frames):
         stream.set_time("frame", sequence=k)
         stream.set_time("time", duration=frame["timestamp"])
         for camera in source.cameras:
-            place = f"base/{camera}"
-            width, height = source.cameras[camera]
-            stream.log(place, _transform(frame["extrinsics"][camera]))
-            pinhole = rerun.Pinhole(
-                image_from_camera=frame["intrinsics"][camera],
-                resolution=[width, height],
-                image_plane_distance=_PICTURE_DISTANCE,
-            )
-            stream.log(place, pinhole)
+            place = _log_camera(stream, source, camera, frame)
             picture = rerun.EncodedImage(contents=episode.image(camera, k), media_type="image/jpeg")
             stream.log(f"{place}/rgb", picture)
             if camera in with_depth:
@@ -84,20 +80,40 @@ def _write(path: Path, source: Source, episode: StoredEpisode) -> int:
                     stream.log(f"{place}/depth", rerun.DepthImage(archive["depth"], meter=1000.0))
         for hand, T in _hands(source, frame).items():
             stream.log(f"base/{hand}", _transform(T))
-        for item in episode.record.objects:
+        for item in things:
             stream.log(f"base/{item}", _transform(frame[f"{item}_pose"]))
         _log_numbers(stream, source, frame)
     stream.disconnect()
     return len(frames)
 
 
-def _log_static(stream: Any, source: Source, episode: StoredEpisode, frames: list[dict[str, Any]]) -> None:
+def _log_camera(stream: Any, source: AnySource, camera: str, frame: Mapping[str, Any]) -> str:
+    """The place of a camera's pictures: in the base where its pose is known, else beside it."""
+    import rerun
+
+    if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):
+        return f"cameras/{camera}"
+    place = f"base/{camera}"
+    width, height = source.cameras[camera]
+    stream.log(place, _transform(frame["extrinsics"][camera]))
+    pinhole = rerun.Pinhole(
+        image_from_camera=frame["intrinsics"][camera],
+        resolution=[width, height],
+        image_plane_distance=_PICTURE_DISTANCE,
+    )
+    stream.log(place, pinhole)
+    return place
+
+
+def _log_static(
+    stream: Any, source: AnySource, episode: RecordedEpisode, frames: list[dict[str, Any]], things: Iterable[str]
+) -> None:
     import rerun
 
     stream.log("base", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     axes = rerun.Arrows3D(vectors=np.eye(3) * _AXIS, colors=_AXIS_COLOURS)
     hands = [_hands(source, frame) for frame in frames]
-    for item in (*hands[0], *episode.record.objects):
+    for item in (*hands[0], *things):
         stream.log(f"base/{item}/axes", axes, static=True)
     for hand in hands[0]:
         path = np.array([each[hand][:3, 3] for each in hands])
@@ -105,30 +121,39 @@ def _log_static(stream: Any, source: Source, episode: StoredEpisode, frames: lis
     if BETWEEN_BASES in frames[0]:
         stream.log("base/right_base", _transform(frames[0][BETWEEN_BASES]), static=True)
         stream.log("base/right_base/axes", axes, static=True)
-    record = episode.record
     lines = [
         f"{source.path.absolute().name}/{episode.directory.name}",
-        str(frames[0]["language_prompt"]),
-        f"seed {record.seed}, attempt {record.attempt}",
-        f"success: {record.outcome.success}",
+        str(frames[0].get("language_prompt", "")),
+        *_told(episode),
     ]
     stream.log("episode", rerun.TextDocument("\n".join(lines)), static=True)
 
 
-def _hands(source: Source, frame: Mapping[str, Any]) -> dict[str, Array]:
-    """Name -> pose (4, 4) of each hand."""
+def _told(episode: RecordedEpisode) -> list[str]:
+    """Lines on where an episode is from."""
+    record = episode.record
+    if isinstance(record, RealRecord):
+        return [f"real, from {record.imported.name}", *record.problems]
+    return [f"seed {record.seed}, attempt {record.attempt}", f"success: {record.outcome.success}"]
+
+
+def _hands(source: AnySource, frame: Mapping[str, Any]) -> dict[str, Array]:
+    """Name -> pose (4, 4) of each hand; none where nobody recorded them."""
+    if "ee_pose" not in frame:
+        return {}
     poses = np.reshape(frame["ee_pose"], (-1, 4, 4))
     return {f"{prefix}hand": T for prefix, T in zip(source.prefixes, poses, strict=True)}
 
 
-def _log_numbers(stream: Any, source: Source, frame: Mapping[str, Any]) -> None:
+def _log_numbers(stream: Any, source: AnySource, frame: Mapping[str, Any]) -> None:
     import rerun
 
     for key in ("joints", "ctrl"):
-        for name, value in zip(source.drives, frame[key], strict=True):
+        for name, value in zip(source.drives, frame[key], strict=True) if key in frame else ():
             stream.log(f"{key}/{name}", rerun.Scalars(float(value)))
-    for prefix, holds in zip(source.prefixes, np.atleast_1d(frame["magnet"]), strict=True):
-        stream.log(f"{prefix}weld", rerun.Scalars(float(holds)))
+    if "magnet" in frame:
+        for prefix, holds in zip(source.prefixes, np.atleast_1d(frame["magnet"]), strict=True):
+            stream.log(f"{prefix}weld", rerun.Scalars(float(holds)))
 
 
 def _transform(T: Array) -> Any:

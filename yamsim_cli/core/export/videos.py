@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..dataset.reader import StoredEpisode
+from ..dataset.reader import RecordedEpisode
 from ..dataset.recorded_images import recorded_images
 from ..errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest
 from ..files import move_aside, write_file
@@ -16,7 +16,8 @@ from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.video import VideoWriter, require_encoder
 from ..progress import Progress
 from ..vision.views import label, resized
-from .source import Exported, Source
+from .real_source import RealSource
+from .source import AnySource, Exported
 from .target import export_directory
 
 _SHEET_QUALITY = 90
@@ -26,7 +27,7 @@ _LARGEST_SIDE = 16_000
 
 
 def export_mp4(
-    source: Source,
+    source: AnySource,
     out: Path,
     cameras: Sequence[str],
     progress: Progress,
@@ -42,24 +43,28 @@ def export_mp4(
 
     Raises:
         UsageError: a camera was not recorded; and see `export_directory`.
-        DatasetError: an image is missing, altered or damaged.
+        DatasetError: an image is missing, altered or damaged, or there is none.
         ResourceError: PyAV is not installed.
     """
     chosen = _cameras(source, cameras)
     require_encoder()
     frames = 0
+    notes: list[str] = []
     with export_directory(out, overwrite=overwrite) as stage:
         for number, episode in enumerate(source.episodes()):
+            if isinstance(source, RealSource):
+                note = source.unevenness(episode, episode.frames())
+                notes += [note] if note else []
             with VideoWriter(stage.path / f"{episode.directory.name}.mp4", source.frame_period / speed) as video:
                 for image in recorded_images(episode, chosen):
                     video.write(image)
             frames += video.frames
             progress(number + 1, len(source))
-    return Exported(out, len(source), frames, stage.moved_aside)
+    return Exported(out, len(source), frames, stage.moved_aside, tuple(notes))
 
 
 def export_sheet(
-    source: Source,
+    source: AnySource,
     out: Path,
     cameras: Sequence[str],
     progress: Progress,
@@ -80,7 +85,7 @@ def export_sheet(
         DatasetError: an image is missing, altered or damaged.
         PartialJobError, InterruptedJobError: it could not be written, or the user stopped it; nothing was written.
     """
-    chosen = _cameras(source, cameras) if cameras else tuple(source.cameras)[:1]
+    chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
     _require_sheet(out, overwrite)
     heights = {camera: round(width * source.cameras[camera][1] / source.cameras[camera][0]) for camera in chosen}
     size = (columns * width, len(source) * sum(heights.values()))
@@ -115,7 +120,7 @@ def _require_sheet(out: Path, overwrite: bool) -> None:
         raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
 
 
-def _row(episode: StoredEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
+def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
     """Images of one episode side by side, from its first to its last, each of width and height `size`."""
     images = []
     for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
@@ -126,7 +131,9 @@ def _row(episode: StoredEpisode, camera: str, columns: int, size: tuple[int, int
     return label(np.concatenate(images, axis=1), {}, episode.directory.name)
 
 
-def _cameras(source: Source, wanted: Sequence[str]) -> tuple[str, ...]:
+def _cameras(source: AnySource, wanted: Sequence[str]) -> tuple[str, ...]:
+    if not source.cameras:
+        raise DatasetError(f"{source.path} has no pictures: nobody recorded any, so there is no film of it")
     for name in wanted:
         if name not in source.cameras:
             raise UsageError(f"--camera {name!r} is not valid; {suggest(name, source.cameras)}")

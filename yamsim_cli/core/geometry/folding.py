@@ -1,7 +1,10 @@
-"""Which points of a folded sheet lie on each other."""
+"""Ways to fold a sheet: which points are laid onto which, and which lie on each other then."""
 
 from __future__ import annotations
 
+import itertools
+import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -9,34 +12,116 @@ from numpy.typing import NDArray
 
 from .se3 import Array
 
-Fold = Literal["half", "diagonal"]
+Fold = Literal["half", "diagonal", "thirds"]
 
-# The share of a flat sheet that it covers once it is folded.
-COVERED = 0.5
-
-# Of the two layers of a folded sheet, row and column of their points (n, 2): the k-th of each lie on each other.
+# Of two layers of a folded sheet, row and column of their points (n, 2): the k-th of each lie on each other.
 Layers = tuple[NDArray[np.int_], NDArray[np.int_]]
 
+# Points, by row and column, that are taken at once, each with the point onto which it is laid.
+Move = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
 
-def ways_to_fold(how: Fold, rows: int, columns: int) -> list[Layers]:
-    """The layers of each way in which a grid of points can be folded once, points on the crease left out: in half along
-    either side, or along either diagonal, which takes as many points along both sides.
+
+@dataclass(frozen=True, eq=False)
+class FoldWay:
+    """A way to fold a grid of points.
+
+    Attributes:
+        moves: what is laid onto what, one after the other.
+        layers: which lie on each other then, each time the upper one first, points on a crease left out.
+        covered: the share of the flat sheet that it covers then.
     """
-    if how == "diagonal":
-        if rows != columns:
-            return []
-        above = np.argwhere(np.triu(np.ones((rows, rows), bool), 1))
-        below = above[:, ::-1]
-        return [(above, below), (above * (1, -1) + (0, rows - 1), below * (1, -1) + (0, rows - 1))]
-    upper, left = np.mgrid[: rows // 2, :columns], np.mgrid[:rows, : columns // 2]
-    return [
-        (_pairs(*upper), _pairs(rows - 1 - upper[0], upper[1])),
-        (_pairs(*left), _pairs(left[0], columns - 1 - left[1])),
-    ]
+
+    moves: tuple[Move, ...]
+    layers: tuple[Layers, ...]
+    covered: float
 
 
-def _pairs(rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[np.int_]:
-    return np.column_stack([rows.ravel(), columns.ravel()])
+def ways_to_fold(how: Fold, rows: int, columns: int) -> list[FoldWay]:
+    """The ways to fold a grid of points: from each side, or from each corner; none if the grid does not allow it.
+
+    `diagonal` takes as many points along both sides. `thirds` takes a side of 3 n + 2 cells: the first third, which
+    comes inside, is one cell shorter than the others.
+    """
+    # From a side, rows are as good as columns; from a corner, both ends of either are.
+    aside = how == "diagonal"
+    found = []
+    for across in (False,) if aside else (False, True):
+        size = (columns, rows) if across else (rows, columns)
+        if (way := _WAYS[how](*size)) is None:
+            continue
+        ends = itertools.product((False, True), (False, True) if aside else (False,))
+        found += [_seen(way, size, low, left, across) for low, left in ends]
+    return found
+
+
+def _seen(way: FoldWay, size: tuple[int, int], low: bool, left: bool, across: bool) -> FoldWay:
+    """The same way from the other end of the rows, or of the columns, or with rows for columns."""
+
+    def points(given: NDArray[np.int_]) -> NDArray[np.int_]:
+        rows = size[0] - 1 - given[:, 0] if low else given[:, 0]
+        columns = size[1] - 1 - given[:, 1] if left else given[:, 1]
+        return np.column_stack([columns, rows] if across else [rows, columns])
+
+    def point(given: tuple[int, int]) -> tuple[int, int]:
+        row, column = points(np.array([given]))[0]
+        return int(row), int(column)
+
+    moves = tuple(tuple((point(one), point(other)) for one, other in move) for move in way.moves)
+    return FoldWay(moves, tuple((points(upper), points(lower)) for upper, lower in way.layers), way.covered)
+
+
+def _half(rows: int, columns: int) -> FoldWay:
+    upper = _grid(range(rows // 2), range(columns))
+    return FoldWay((_side_over(rows, columns),), ((upper, _mirrored(upper, rows - 1)),), 1 / 2)
+
+
+def _diagonal(rows: int, columns: int) -> FoldWay | None:
+    if rows != columns:
+        return None
+    upper = _grid(range(rows), range(rows))
+    upper = upper[upper.sum(axis=1) < rows - 1]
+    return FoldWay(((((0, 0), (rows - 1, rows - 1)),),), ((upper, rows - 1 - upper[:, ::-1]),), 1 / 2)
+
+
+def _thirds(rows: int, columns: int) -> FoldWay | None:
+    cells = rows - 1
+    if cells % 3 != 2:
+        return None
+    third = math.ceil(cells / 3)
+    first = cells - 2 * third
+    last = columns - 1
+    inside = tuple(((0, column), (2 * first, column)) for column in (0, last))
+    over = tuple(((cells, column), (first, column)) for column in (0, last))
+    lowest = _grid(range(first), range(columns))
+    highest = _grid(range(first + third + 1, rows), range(columns))
+    # What the first third lies on has the last one over it.
+    under = _mirrored(lowest, 2 * first)
+    return FoldWay(
+        (inside, over),
+        (
+            (lowest, under),
+            (highest, _mirrored(highest, 2 * (first + third))),
+            (_mirrored(under, 2 * (first + third)), lowest),
+        ),
+        third / cells,
+    )
+
+
+_WAYS = {"half": _half, "diagonal": _diagonal, "thirds": _thirds}
+
+
+def _side_over(rows: int, columns: int) -> Move:
+    """The first row onto the last one."""
+    return tuple(((0, column), (rows - 1, column)) for column in (0, columns - 1))
+
+
+def _grid(rows: range, columns: range) -> NDArray[np.int_]:
+    return np.array([(row, column) for row in rows for column in columns])
+
+
+def _mirrored(points: NDArray[np.int_], both: int) -> NDArray[np.int_]:
+    """Points (n, 2) by rows that are `both` less theirs."""
+    return np.column_stack([both - points[:, 0], points[:, 1]])
 
 
 def sheet_area(points: Array) -> float:

@@ -115,14 +115,23 @@ def check_told(plant: ArmPlant, found: list[Estimate], name: str) -> None:
                 )
 
 
-def cannot_tell(found: list[Estimate]) -> list[str]:
-    """What the logs do not say, and what no such log can, a sentence each."""
+def cannot_tell(found: list[Estimate], gripper: bool) -> list[str]:
+    """What the logs do not say, and what no such log can, a sentence each.
+
+    Args:
+        gripper: whether they say how far it was open, where the arm has one.
+    """
     said = [
         f"{each.joint or 'the arm'}: {each.name} stays near the model's {each.before:.3g}: the log holds it to "
         f"{each.low:.3g}..{each.high:.3g} only"
         for each in found
         if not each.told
     ]
+    if not gripper:
+        said.append(
+            "nobody recorded the gripper, and it counts as closed: if it was open, its fingers' inertia shows in the "
+            "last joint's armature"
+        )
     return [
         *said,
         "damping_nms is what the joint has beside the model's kv, which is held: the log tells only their sum",

@@ -14,7 +14,7 @@ from ..motion import ArmMotion, Motion
 from ..recordings.faults import Fault, find_faults
 from ..robots.dynamics import Dynamics, JointDynamics
 from .estimates import Estimate, cannot_tell, check_told, estimates, rms
-from .fit import Fitted, compared, fit, parameters
+from .fit import compared, fit, parameters
 from .plant import ArmPlant, Log, Run, Values
 from .usable import check_usable
 
@@ -125,9 +125,12 @@ def identify(
         told = estimates(plant, fitted)
         check_told(plant, told, ", ".join(log.name for log in logs))
         source = f"{counted(len(motions), 'recording')}: {', '.join(motion.name for motion in motions)}"
-        dynamics = _dynamics(plant, fitted, told, revision, arm.model.name, source)
+        was = arm.dynamics or Dynamics(revision=revision, base=arm.model.name)
+        dynamics = revised(plant, was.model_copy(update={"revision": revision, "source": source}), told)
         gap = _gap(plant, fitted.values, others)
-        found.append(Identified(arm.name, called, dynamics, told, cannot_tell(told), rms(fitted.errors), gap))
+        gripper = not plant.fingers or all(log.openings is not None for log in logs)
+        unsaid = cannot_tell(told, gripper)
+        found.append(Identified(arm.name, called, dynamics, told, unsaid, rms(fitted.errors), gap))
     return found
 
 
@@ -173,10 +176,8 @@ def _gap(plant: ArmPlant, values: Values, logs: Sequence[Log]) -> Gap:
     return Gap(", ".join(log.name for log in logs), seconds, rms(before), rms(after), joints)
 
 
-def _dynamics(
-    plant: ArmPlant, fitted: Fitted, told: Sequence[Estimate], revision: str, base: str, source: str
-) -> Dynamics:
-    """The revision: what the logs do not tell stays as the model has it."""
+def revised(plant: ArmPlant, was: Dynamics, told: Sequence[Estimate]) -> Dynamics:
+    """The revision that estimates make of what an arm `was`; what the logs do not tell stays so."""
     known = {(each.joint, each.name): each.value if each.told else each.before for each in told}
     joints = {}
     for k, name in enumerate(plant.robot.joint_names):
@@ -185,12 +186,14 @@ def _dynamics(
             armature=_round(known[name, "armature"]),
             damping=_round(max(damping, 0.0)),
             frictionloss=_round(known[name, "friction_nm"]),
-            kv=_round(float(plant.kv[k]) + damping) if damping < 0 else None,
+            kp=was.joint(name).kp,
+            kv=_round(float(plant.kv[k]) + damping) if damping < 0 else was.joint(name).kv,
             offset_rad=_round(known[name, "offset_rad"]),
             gravity_factor=_round(known[name, "gravity_factor"]),
         )
-    delay = _round(1000 * known["", "delay_s"])
-    return Dynamics(revision=revision, base=base, source=source, joints=joints, command_delay_ms=delay)
+    # The log has only the sum of the delays.
+    delays = {"command_delay_ms": _round(1000 * known["", "delay_s"]), "sensor_delay_ms": 0.0}
+    return was.model_copy(update={"joints": joints, **delays})
 
 
 def _round(number: float) -> float:

@@ -8,11 +8,15 @@ import io
 import numpy as np
 
 from ..config.rig import RigConfig
+from ..config.scene import SceneConfig
 from ..geometry.se3 import Array
+from ..motion import ArmMotion, Motion
 from ..recordings.columns import TIME, header
 from ..recordings.csv_file import csv_bytes
+from ..resources import Locations
+from ..scene.build import build_rig_scene
+from ..sim.follow import follow
 from .excitation import Excitation
-from .plant import ArmPlant, Log, Run
 
 
 def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
@@ -26,16 +30,23 @@ def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
     return stream.getvalue().encode()
 
 
-def log_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
-    """What would be logged of the rig's arm in simulation: commands, and the joints that it reads."""
-    arm, told = rig.arms[number], _told(rig, number, found)
-    plant = ArmPlant(arm)
-    opened = np.full(len(found.times), arm.robot.fingers.opened if arm.robot.fingers else 0.0)
-    log = Log("excite", found.times, found.commands, found.commands, opened)
-    read = told.copy()
-    first = sum(len(rig.arms[k].robot.drives) for k in rig.recorded[: rig.recorded.index(number)])
-    read[:, first : first + arm.robot.dof] = Run(plant, log).follow(plant.values, plain=True)
-    return csv_bytes(rig, found.times, np.column_stack([told, read]))
+def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneConfig, locations: Locations) -> bytes:
+    """What would be logged of the rig in simulation: commands, and what its encoders read, without noise and steps."""
+    told, first, arms = _told(rig, number, found), 0, []
+    for k in rig.recorded:
+        arm = rig.arms[k]
+        dof, drives = arm.robot.dof, len(arm.robot.drives)
+        commands, openings = told[:, first : first + dof], told[:, first + dof] if drives > dof else None
+        arms.append(ArmMotion(arm.side if len(rig.arms) > 1 else "", commands, commands, openings, openings))
+        first += drives
+    scene = build_rig_scene(rig, surroundings, locations)
+    followed = follow(scene, Motion("excite", found.times, tuple(arms)))
+    read = [
+        part
+        for arm in followed.arms
+        for part in (arm.joints, *([] if arm.openings is None else [arm.openings[:, None]]))
+    ]
+    return csv_bytes(rig, found.times, np.column_stack([told, *read]))
 
 
 def _told(rig: RigConfig, number: int, found: Excitation) -> Array:

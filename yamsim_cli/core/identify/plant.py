@@ -51,7 +51,7 @@ class Log:
         name: where it was read from.
         times: of the samples (n,), s.
         commands, joints: (n, dof), rad; joints are NaN where they were not measured.
-        openings: what the gripper was told (n,), m; None where nobody knows.
+        openings: what the gripper was told, or did (n,), m; None where nobody recorded either.
     """
 
     name: str
@@ -64,8 +64,10 @@ class Log:
     def of(cls, motion: Motion, arm: ArmMotion) -> Log:
         """An arm's part of a motion, whose commands are known."""
         assert arm.commands is not None, "motions without commands are refused before"
-        told = arm.openings if arm.commanded_openings is None else arm.commanded_openings
-        return cls(motion.name, motion.times, _filled(arm.commands), arm.joints, told)
+        known = (one for one in (arm.commanded_openings, arm.openings) if one is not None and np.isfinite(one).any())
+        told = next(known, None)
+        openings = None if told is None else _filled(told[:, None])[:, 0]
+        return cls(motion.name, motion.times, _filled(arm.commands), arm.joints, openings)
 
     def between(self, start: float, end: float) -> Log:
         """The part of it from one time to another, beginning at 0 again."""
@@ -209,8 +211,9 @@ class Run:
         robot, openings = self.plant.robot, self.log.openings
         if robot.fingers is None:
             return
-        told = np.full(self._steps, robot.fingers.opened)
-        if openings is not None and np.isfinite(openings).all():
+        if openings is None:
+            told = np.full(self._steps, robot.fingers.range[0])
+        else:
             told = np.interp(self._grid[:-1], self.log.times, openings)
         controls[0, :, self.plant.model.actuator(robot.fingers.drive).id] = told
         data.qpos[self.plant.fingers] = told[0] * np.array(robot.finger_signs)
@@ -239,7 +242,7 @@ def _filled(commands: Array) -> Array:
 def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynamics: Dynamics | None) -> Values:
     joints = [dynamics.joint(name) if dynamics else None for name in names]
     return Values(
-        delay=dynamics.command_delay_ms / 1000 if dynamics else 0.0,
+        delay=(dynamics.command_delay_ms + dynamics.sensor_delay_ms) / 1000 if dynamics else 0.0,
         friction=model.dof_frictionloss[dof].copy(),
         damping=model.dof_damping[dof].copy(),
         armature=model.dof_armature[dof].copy(),

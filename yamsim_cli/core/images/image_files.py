@@ -33,15 +33,21 @@ def read_image(path: Path) -> Image:
         data = path.read_bytes()
     except OSError as error:
         raise ResourceError(f"{path} cannot be read: {error.strerror or error}") from error
-    image = None
-    if _whole(data):
-        try:
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        except cv2.error:
-            image = None
+    image = decode_image(data)
     if image is None:
         raise ResourceError(f"{path} is no whole PNG or JPEG; export it again")
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return image
+
+
+def decode_image(data: bytes) -> Image | None:
+    """The RGB image (height, width, 3) of a PNG or a JPEG, turned upright by its EXIF data; None if it is not whole."""
+    if not _whole(data):
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 def read_mask(path: Path) -> Mask:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from ..geometry.se3 import Array
 from ..images.jpeg import jpeg_header
 from ..motion import Motion
 from ..progress import Progress
-from ..recordings.faults import find_faults
+from ..recordings.faults import Problem, find_faults, find_gaps
 from ..recordings.formats import format_of, reader_of
 from ..recordings.recording import Recording, Samples
 from ..resources import Locations
@@ -128,7 +128,7 @@ def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Ite
     """The format and the recordings of a file or a folder, as the user says that they are, found to be right."""
     name = request.format or format_of(path)
     for recording in reader_of(name)(path, request.rig, request.mapping, locations):
-        made = corrected(recording, request.corrections)
+        made = corrected(recording, request.corrections, request.rig)
         require_right(recording.motion.name, find_faults(made.in_metres(request.rig), request.rig))
         yield name, made
 
@@ -160,7 +160,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
     motion = recording.in_metres(request.rig)
     samples = _frames_of(motion, recording)
     frames = [_frame(motion, recording, int(sample), k) for k, sample in enumerate(samples)]
-    problems = [problem.text for problem in find_faults(motion, request.rig)]
+    problems = [*recording.problems, *(problem.text for problem in _problems(motion, recording, request.rig))]
     files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(frames)}
     sizes: dict[str, tuple[int, int]] = {}
     for camera in recording.pictures:
@@ -193,6 +193,16 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
     report.frames += len(frames)
     if problems:
         report.problems[episode_name(number)] = problems
+
+
+def _problems(motion: Motion, recording: Recording, rig: RigConfig) -> Iterator[Problem]:
+    """What is wrong with the motion, and where a camera saw nothing while it went on."""
+    yield from find_faults(motion, rig)
+    if any(find_gaps(motion.times)):
+        # They are told already.
+        return
+    for camera, pictures in recording.pictures.items():
+        yield from find_gaps(motion.times[pictures.samples], f"{camera} saw nothing")
 
 
 def _frames_of(motion: Motion, recording: Recording) -> Samples:
@@ -229,10 +239,12 @@ def _frame(motion: Motion, recording: Recording, sample: int, number: int) -> di
             frame["ctrl"] = _row(told, sample)
     if all(arm.velocities is not None for arm in motion.arms):
         frame["joint_velocities"] = _row([(arm.velocities, None) for arm in motion.arms], sample)
-    known: Mapping[str, Mapping[str, Array]] = {"intrinsics": recording.intrinsics, "extrinsics": recording.extrinsics}
-    if all(set(recording.pictures) <= set(held) for held in known.values()) and recording.pictures:
-        frame["intrinsics"] = {camera: _f32(recording.intrinsics[camera]) for camera in recording.pictures}
-        frame["extrinsics"] = {camera: _f32(recording.extrinsics[camera][sample]) for camera in recording.pictures}
+    if lenses := {camera: _f32(K) for camera, K in recording.intrinsics.items() if camera in recording.pictures}:
+        frame["intrinsics"] = lenses
+    if places := {
+        camera: _f32(T[sample]) for camera, T in recording.extrinsics.items() if camera in recording.pictures
+    }:
+        frame["extrinsics"] = places
     if recording.prompt:
         frame["language_prompt"] = recording.prompt
     return frame

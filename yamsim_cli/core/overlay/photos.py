@@ -109,6 +109,8 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
         DatasetError: it is no episode, or a frame of it is damaged.
         UsageError: it has no such camera.
     """
+    if (episode / "lowdim").is_dir() and not (episode / "rgb").is_dir():
+        raise DatasetError(f"{episode} has no pictures: nobody recorded any")
     if not (episode / "rgb").is_dir() or not (episode / "lowdim").is_dir():
         raise DatasetError(f"{episode} is no episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN")
     cameras = sorted(path.name for path in (episode / "rgb").iterdir() if path.is_dir())
@@ -136,7 +138,10 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
         except OSError as error:
             raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
         except KeyError as error:
-            raise DatasetError(f"{lowdim}: has no {error} of camera {camera}; check the dataset") from error
+            raise DatasetError(
+                f"{lowdim}: has no {error} of camera {camera}: without them, give its pictures with --img "
+                f"{episode}/rgb/{camera}"
+            ) from error
         except (TypeError, ValueError, DatasetError) as error:
             raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
         height, width = read_image(path).shape[:2]

@@ -33,6 +33,10 @@ _FROZEN_S, _FROZEN_COMMAND = 1.0, 0.1
 _UPSIDE_DOWN = -0.5
 # Fingers that open by less say nothing, as a share of how far they open.
 _SOME_OPENING = 0.2
+# Fingers stall that stand still for so long, s, by so much of their way from where they are told to be.
+_STALL_S, _STALL = 0.5, 0.2
+# They stand still while they are slower, in their way a second: noise of an encoder is half of it.
+_SLOW = 0.2
 
 
 class Fault(StrEnum):
@@ -46,6 +50,7 @@ class Fault(StrEnum):
     FROZEN = "frozen"
     GRIPPER_SHARE = "gripper_share"
     GRIPPER_UPSIDE_DOWN = "gripper_upside_down"
+    GRIPPER_STALLS_OPENING = "gripper_stalls_opening"
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ class Problem:
 
 def find_faults(motion: Motion, rig: RigConfig) -> list[Problem]:
     """What is wrong with a motion of a rig; empty of a good one."""
-    found = list(_gaps(motion))
+    found = list(find_gaps(motion.times))
     for arm, k in zip(motion.arms, rig.recorded, strict=True):
         robot = rig.arms[k].robot
         degrees = list(_degrees(arm, robot))
@@ -78,20 +83,27 @@ def find_faults(motion: Motion, rig: RigConfig) -> list[Problem]:
             *_too_fast(motion.times, arm, robot),
             *_frozen(motion.times, arm, robot),
         ]
-        found += _gripper(arm, robot)
+        found += _gripper(motion.times, arm, robot)
     return found + list(_swapped(motion))
 
 
-def _gaps(motion: Motion) -> Iterator[Problem]:
-    pauses = np.diff(motion.times)
+def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[Problem]:
+    """The gaps in times (n,) at which something was recorded.
+
+    Args:
+        what: is told of a gap, before how long it is.
+    """
+    if len(times) < 2:
+        return
+    pauses = np.diff(times)
     usual = float(np.median(pauses))
     for k in np.flatnonzero((pauses > _GAP_TIMES * usual) & (pauses > _GAP_S)):
         yield Problem(
             Fault.GAP,
             "",
             "",
-            float(motion.times[k]),
-            f"nothing was recorded for {pauses[k]:.2f} s from {motion.times[k]:.2f} s on, and elsewhere samples are "
+            float(times[k]),
+            f"{what} for {pauses[k]:.2f} s from {times[k]:.2f} s on, and elsewhere samples are "
             f"{usual * 1000:.1f} ms apart; split it there",
         )
 
@@ -169,7 +181,7 @@ def _frozen(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
                 break
 
 
-def _gripper(arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
+def _gripper(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
     if arm.openings is None or robot.fingers is None:
         return
     widest = robot.fingers.range[1]
@@ -200,6 +212,33 @@ def _gripper(arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
             f"{_called(arm, 'gripper')} closes as it is told to open (correlation {r:.2f}): is one of them upside "
             "down?",
         )
+    elif (stall := _stalled(times[known], measured / widest, told / widest)) is not None:
+        yield Problem(
+            Fault.GRIPPER_STALLS_OPENING,
+            arm.side,
+            "gripper",
+            stall,
+            f"{_called(arm, 'gripper')} stops short as it is told to open, from {stall:.2f} s on, and never as it is "
+            "told to close, which is where things are in its way: is it upside down? If so, import it with "
+            "--mirror-gripper both",
+        )
+
+
+def _stalled(times: Array, measured: Array, told: Array) -> float | None:
+    """When fingers first stall as they are told to open; None if they never do, or also as they are told to close.
+
+    Args:
+        measured, told: openings (n,), as shares of the widest.
+    """
+    ahead = measured - told
+    still = np.abs(np.gradient(measured, times)) < _SLOW
+    stands = np.where(still & (np.abs(ahead) > _STALL), np.sign(ahead), 0)
+    first_of: dict[float, float] = {}
+    edges = np.flatnonzero(np.r_[True, np.diff(stands) != 0, True])
+    for first, end in itertools.pairwise(edges):
+        if stands[first] and times[end - 1] - times[first] >= _STALL_S:
+            first_of.setdefault(float(stands[first]), float(times[first]))
+    return first_of.get(-1.0) if 1.0 not in first_of else None
 
 
 def _swapped(motion: Motion) -> Iterator[Problem]:

@@ -43,7 +43,9 @@ def format_of(path: Path) -> str:
         return "raiden_raw"
     elif is_lerobot(path):
         return "lerobot"
-    elif not is_ours(path) and ((path / "lowdim").is_dir() or any(path.glob("*/lowdim"))):
+    elif is_ours(path):
+        raise DatasetError(f"{path}: is an episode or a dataset of yamsim's already, which needs no import")
+    elif (path / "lowdim").is_dir() or any(path.glob("*/lowdim")):
         return "lowdim"
     raise DatasetError(
         f"{path}: is no recording that is known; valid: a .csv or .mcap, a robot_data.npz or its folder, a folder "

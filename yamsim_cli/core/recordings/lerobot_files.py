@@ -1,4 +1,4 @@
-"""LeRobot datasets of YAM arms, versions 2.0 to 3.0: rows in Parquet, pictures in MP4.
+"""LeRobot datasets of YAM arms, versions 2.0 to 3.0: rows in Parquet, pictures in MP4 or in the rows.
 
 Source: lerobot 0.4.4 and 0.6.1: `meta/info.json` with `codebase_version`, `video_path`, `features`; of v2, a Parquet
 file and an MP4 an episode; of v3, several episodes in each, found by `meta/episodes/`.
@@ -9,17 +9,19 @@ from __future__ import annotations
 import functools
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
+from ..config.real import GripperUnit
 from ..config.rig import RigConfig
 from ..errors import DatasetError, ResourceError
 from ..geometry.se3 import Array
 from ..images.films import film_frames
+from ..images.image_files import decode_image
 from ..images.jpeg import encode_jpeg
 from ..motion import Motion
 from ..resources import Locations
@@ -29,7 +31,10 @@ from .times import from_seconds
 
 INFO = "meta/info.json"
 _STATE, _ACTION, _PICTURE = "observation.state", "action", "observation.images."
+# What yamsim's own export of real recordings adds: the times at which frames were recorded, and the grippers' unit.
+_OWN_TIME, _OWN_FILE, _OWN_UNIT = "recorded_time", "meta/yamsim.json", "gripper"
 _QUALITY = 95
+_JPEG_START = b"\xff\xd8"
 _MOST_BYTES = 1 << 26
 
 
@@ -56,10 +61,19 @@ class _Source:
         return names
 
     @property
-    def cameras(self) -> list[str]:
-        """The cameras that have films."""
+    def gripper(self) -> GripperUnit | None:
+        """The unit of grippers where yamsim wrote the dataset and said it."""
+        try:
+            said = json.loads((self.path / _OWN_FILE).read_bytes())
+        except (OSError, ValueError):
+            return None
+        unit = said.get(_OWN_UNIT) if isinstance(said, dict) else None
+        return unit if unit in get_args(GripperUnit) else None
+
+    def cameras(self, kind: str) -> list[str]:
+        """The cameras that have a `video`, or an `image` in each row."""
         features = self.info["features"]
-        return [key for key, value in features.items() if key.startswith(_PICTURE) and value.get("dtype") == "video"]
+        return [key for key, value in features.items() if key.startswith(_PICTURE) and value.get("dtype") == kind]
 
 
 def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
@@ -84,8 +98,11 @@ def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Loc
     source = _Source(path, info, rig, mapping, locations)
     tasks = _tasks(path)
     rows = _episode_rows(path) if version.startswith("v3") else {}
+    lengths = {number: row.get("length") for number, row in rows.items()} or _lengths(path)
     recordings = []
     for number, table in _episodes(path):
+        if (said := lengths.get(number)) is not None and said != (held := len(table["episode_index"])):
+            raise DatasetError(f"{path} episode {number}: has {held} rows, and meta/ says {said}: was it cut off?")
         recordings.append(_recording(source, number, table, tasks, rows.get(number)))
     if not recordings:
         raise DatasetError(f"{path}/data: holds no episode")
@@ -107,17 +124,19 @@ def _recording(
         needed = [one for arm in names.arms.values() for one in (*arm.joints, *([arm.gripper] if arm.gripper else []))]
         # An action of something else, such as poses of hands, is none that drives were told.
         commanded = dict(zip(others, told.T, strict=True)) if set(needed) <= set(others) else None
-    times = from_seconds(np.asarray(table["timestamp"], dtype=np.float64).ravel(), name)
+    stamps = table.get(_OWN_TIME, table["timestamp"])
+    times = from_seconds(np.asarray(stamps, dtype=np.float64).ravel(), name)
     arms = arms_of(names, source.rig, dict(zip(columns, measured.T, strict=True)), commanded)
     samples = np.arange(len(times), dtype=np.int64)
-    pictures = {
-        key.removeprefix(_PICTURE).replace(".", "_"): Pictures(
-            samples, functools.partial(_jpegs, source, key, number, row, len(times))
-        )
-        for key in source.cameras
+    made: dict[str, Callable[[], Iterator[bytes]]] = {
+        key: functools.partial(_jpegs, source, key, number, row, len(times)) for key in source.cameras("video")
     }
+    made |= {
+        key: functools.partial(_stored, table[key], f"{name}: {key}") for key in source.cameras("image") if key in table
+    }
+    pictures = {key.removeprefix(_PICTURE).replace(".", "_"): Pictures(samples, read) for key, read in made.items()}
     task = int(np.asarray(table["task_index"]).ravel()[0]) if "task_index" in table else -1
-    return Recording(Motion(name, times, arms), names.gripper, pictures, tasks.get(task, ""))
+    return Recording(Motion(name, times, arms), source.gripper or names.gripper, pictures, tasks.get(task, ""))
 
 
 def _rows(table: Mapping[str, Any], key: str, name: str) -> Array:
@@ -181,6 +200,13 @@ def _tasks(path: Path) -> dict[int, str]:
     return found
 
 
+def _lengths(path: Path) -> dict[int, Any]:
+    """Episode -> how many rows version 2 says that it has."""
+    lines = path / "meta/episodes.jsonl"
+    rows = _json_lines(lines) if lines.is_file() else []
+    return {row["episode_index"]: row.get("length") for row in rows if isinstance(row.get("episode_index"), int)}
+
+
 def _json_lines(file: Path) -> list[dict[str, Any]]:
     try:
         if file.stat().st_size > _MOST_BYTES:
@@ -197,7 +223,9 @@ def _episode_rows(path: Path) -> dict[int, dict[str, Any]]:
     for file in sorted((path / "meta/episodes").glob("chunk-*/*.parquet")):
         table = _table(file)
         for k, number in enumerate(table["episode_index"]):
-            found[int(number)] = {key: values[k] for key, values in table.items() if key.startswith("videos/")}
+            found[int(number)] = {
+                key: values[k] for key, values in table.items() if key.startswith(("videos/", "length"))
+            }
     return found
 
 
@@ -222,6 +250,16 @@ def _jpegs(source: _Source, key: str, number: int, row: Mapping[str, Any] | None
         raise DatasetError(
             f"{file}: has {count} pictures of episode {number} from {begin:.3f} s on, and it {frames} rows"
         )
+
+
+def _stored(rows: Sequence[Any], source: str) -> Iterator[bytes]:
+    """The pictures that rows hold as PNG or JPEG."""
+    for k, row in enumerate(rows):
+        data = row.get("bytes") if isinstance(row, dict) else None
+        image = decode_image(data) if isinstance(data, bytes) else None
+        if image is None or not isinstance(data, bytes):
+            raise DatasetError(f"{source}: row {k} holds no whole picture; was it copied whole?")
+        yield data if data.startswith(_JPEG_START) else encode_jpeg(image, _QUALITY)
 
 
 def is_lerobot(path: Path) -> bool:

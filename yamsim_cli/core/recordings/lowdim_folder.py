@@ -25,7 +25,7 @@ from ..images.image_files import read_image
 from ..images.jpeg import encode_jpeg
 from ..motion import ArmMotion, Motion
 from .columns import sides
-from .metadata import prompt_of
+from .metadata import METADATA, problems_of, prompt_of
 from .recording import Pictures, Recording
 from .times import from_nanoseconds, from_seconds
 
@@ -74,6 +74,7 @@ def _recording(folder: Path, rig: RigConfig) -> Recording:
         said or prompt_of(folder),
         {name: K for name in cameras if (K := _matrix(frames[0], "intrinsics", name, 3)) is not None},
         {name: T for name in cameras if (T := _poses(frames, name)) is not None},
+        problems_of(folder, len(files)),
     )
 
 
@@ -148,7 +149,7 @@ def _unit(folder: Path, joints: Array, rig: RigConfig) -> GripperUnit:
     """Shares where raiden's converter was at work, and where openings are wider than fingers go."""
     fingers = [rig.arms[k].robot.fingers for k in rig.recorded]
     widest = max((one.range[1] for one in fingers if one), default=0.0)
-    return "share" if (folder / "metadata.json").exists() or joints[..., -1].max() > 1.5 * widest else "metres"
+    return "share" if (folder / METADATA).exists() or joints[..., -1].max() > 1.5 * widest else "metres"
 
 
 def _cameras(folder: Path, frames: int) -> dict[str, list[Path]]:
@@ -191,9 +192,10 @@ def _matrix(frame: dict[str, Any], key: str, camera: str, side: int) -> Array | 
 
 
 def _poses(frames: Sequence[dict[str, Any]], camera: str) -> Array | None:
+    """A camera's poses (n, 4, 4); None where they are not known, for which raiden's converter writes the identity."""
     poses = [_matrix(frame, "extrinsics", camera, 4) for frame in frames]
-    known = [T for T in poses if T is not None]
-    return np.array(known) if len(known) == len(frames) else None
+    known = np.array([T for T in poses if T is not None])
+    return known if len(known) == len(frames) and np.any(known != np.eye(4)) else None
 
 
 def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:

@@ -27,8 +27,9 @@ from .times import from_nanoseconds
 _ONLY = "only"
 _QUALITY = 95
 _MOST_MESSAGES = 5_000_000
-# What was told last holds; a topic that begins later than this after the motion's own is not the same recording, s.
-_LATEST_BEGIN = 1.0
+# What was told last holds. A topic that begins later than this after the motion's own is not the same recording; one
+# that ends earlier before its end is worth a word, s.
+_LATEST_BEGIN = _EARLIEST_END = 1.0
 
 
 def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
@@ -85,7 +86,15 @@ def _recording(
             )
         )
     pictures = {camera: _pictures(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics}
-    return Recording(Motion(str(path), times, tuple(arms)), names.gripper, pictures, prompt)
+    motion = Motion(str(path), times, tuple(arms))
+    return Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_ends(rows, stamps)))
+
+
+def _early_ends(rows: Mapping[str, list[tuple[int, Array]]], stamps: Samples) -> Iterator[str]:
+    """Lines on the topics that end long before the motion does."""
+    for topic, said in sorted(rows.items()):
+        if said and (early := (stamps[-1] - said[-1][0]) * 1e-9) > _EARLIEST_END:
+            yield f"{topic} ends {early:.1f} s before the arm's state, and is held as it was then: was it cut off?"
 
 
 def _key(side: str) -> Any:

@@ -17,7 +17,7 @@ from ..errors import DatasetError
 from ..geometry.se3 import Array
 from ..motion import ArmMotion, Motion
 from .columns import sides
-from .metadata import prompt_of
+from .metadata import problems_of, prompt_of
 from .recording import Recording
 from .times import from_nanoseconds
 
@@ -67,7 +67,8 @@ def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
                 None if velocities is None else np.asarray(velocities, dtype=np.float64)[:, :dof],
             )
         )
-    return [Recording(Motion(str(file), times, tuple(arms)), "share", prompt=prompt_of(file.parent))]
+    motion = Motion(str(file), times, tuple(arms))
+    return [Recording(motion, "share", prompt=prompt_of(file.parent), problems=problems_of(file.parent))]
 
 
 def _follower(side: str, arrays: dict[str, NDArray[np.generic]], file: Path) -> str:

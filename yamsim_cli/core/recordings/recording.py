@@ -41,6 +41,7 @@ class Recording:
         prompt: the task in words; empty where nobody said.
         intrinsics: camera -> K (3, 3), where it is known.
         extrinsics: camera -> its poses (n, 4, 4) in the base, where they are known.
+        problems: what the recording itself says is wrong with it, for a person.
     """
 
     motion: Motion
@@ -49,6 +50,7 @@ class Recording:
     prompt: str = ""
     intrinsics: Mapping[str, Array] = field(default_factory=dict)
     extrinsics: Mapping[str, Array] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
 
     def in_metres(self, rig: RigConfig) -> Motion:
         """The motion with openings of one finger, m."""

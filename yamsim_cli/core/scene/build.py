@@ -116,18 +116,25 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
 
 
 def _otherwise(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
-    """What of an arm's dynamics no MJCF says, as `SceneArm` has it."""
+    """What of an arm's dynamics no MJCF says, and where it is read late, as `SceneArm` has it."""
+    found: dict[str, Any] = {}
+    fingers = arm.robot.fingers
+    read = [arm.prefix + name + READING for name in (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))]
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, read[0]) >= 0:
+        found["sensors"] = np.array([model.sensor(name).id for name in read])
     if arm.dynamics is None:
-        return {}
+        return found
     joints = [arm.dynamics.joint(name) for name in arm.robot.joint_names]
     gravity = np.array([joint.gravity_factor - 1 for joint in joints])
     offset = np.array([joint.offset_rad for joint in joints])
-    found = {"gravity": gravity if gravity.any() else None, "offset": offset, "dynamics": arm.dynamics}
-    if not arm.dynamics.sensor_delay_ms:
-        return found
-    fingers = arm.robot.fingers
-    read = (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))
-    return found | {"sensors": np.array([model.sensor(arm.prefix + name + READING).id for name in read])}
+    return found | {
+        "gravity": gravity if gravity.any() else None,
+        "offset": offset,
+        "command_delay": arm.dynamics.command_delay_ms / 1000,
+        "sensor_delay": arm.dynamics.sensor_delay_ms / 1000,
+        "sensor_noise": arm.dynamics.sensor_noise_rad,
+        "encoder_step": arm.dynamics.encoder_step_rad,
+    }
 
 
 def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectConfig) -> SceneCloth:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -10,8 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.se3 import Array, quat_from_rotation
-from ..robots.dynamics import Dynamics
+from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ..shown_meshes import ShownMeshes
 from ..types import Layout, Stand
 
@@ -83,7 +83,8 @@ class SceneArm:
             exact.
         offset: what is read of each joint where it is at 0 (dof,), rad, or 0 of all of them.
         sensors: ids of what reads the joints and the left finger late (drives,); None where they are read at once.
-        dynamics: as it was named, of an arm that moves otherwise than its model.
+        command_delay, sensor_delay: how late commands act, and how old readings are, s.
+        sensor_noise, encoder_step: standard deviation of what a joint reads, and the step in which it is read, rad.
     """
 
     number: int
@@ -103,8 +104,16 @@ class SceneArm:
     fingers: SceneFingers | None
     gravity: Array | None = None
     offset: Array | float = 0.0
-    dynamics: Dynamics | None = None
     sensors: Ids | None = None
+    command_delay: float = 0.0
+    sensor_delay: float = 0.0
+    sensor_noise: float = 0.0
+    encoder_step: float = 0.0
+
+    @property
+    def reads_exactly(self) -> bool:
+        """Whether what is read of it is where it is, or was."""
+        return not (self.sensor_noise or self.encoder_step or np.any(self.offset))
 
     @property
     def dof(self) -> int:
@@ -158,6 +167,14 @@ class SceneCloth:
         """Where its points (n, 3) are in `world` at MuJoCo's positions (nq,), m."""
         found: Array = self.rest + qpos[self.qpos]
         return found
+
+    def pose(self, qpos: Array) -> Array:
+        """An upright frame (4, 4) in `world`: in the middle of its points, turned as these are on the whole."""
+        points = self.points(qpos)
+        middle = points.mean(axis=0)
+        shared = self.rest[:, :2].T @ (points - middle)[:, :2]
+        turn = math.atan2(shared[0, 1] - shared[1, 0], shared[0, 0] + shared[1, 1])
+        return pose(middle, rotation_z(turn))
 
 
 @dataclass(frozen=True)

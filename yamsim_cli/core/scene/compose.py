@@ -9,11 +9,13 @@ import mujoco
 import numpy as np
 
 from ..assets import AssetStore, resolve_own
+from ..config.randomization import ArmRanges
 from ..config.recording import SHADOW_REACH
 from ..config.rig import ArmConfig, RigCamera, RigConfig
 from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations, Meshes
+from ..robots.dynamics import Dynamics
 from .blueprint import Blueprint, TaskPhysics
 from .breakdown import keep_warnings_quiet
 from .cameras import add_camera
@@ -85,7 +87,7 @@ def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
     if blueprint.pictures is not None:
         apply_quality(spec, blueprint.pictures.quality, blueprint.pictures.size)
     if blueprint.physics is not None:
-        _add_physics(spec, blueprint.physics, rig)
+        _add_physics(spec, blueprint.physics, rig, blueprint.randomization.arm_dynamics)
     for camera in blueprint.cameras:
         add_camera(spec, camera)
     return spec
@@ -124,16 +126,22 @@ def hold_by_friction(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
     spec.option.impratio = impratio
 
 
-def _delay(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float) -> None:
-    """Let an arm's drives follow what they were told, and its encoders read where it was, as long ago as it takes."""
-    dynamics, robot = arm.dynamics, arm.robot
-    assert dynamics is not None, "asked of arms with dynamics"
-    if delay := dynamics.command_delay_ms / 1000:
+def _delay(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRanges | None) -> None:
+    """Let an arm's drives follow what they were told, and its encoders read where it was, as long ago as it takes.
+
+    Where that varies it is as long as it may be at most, see `varied_arms`: there has to be room for it.
+    """
+    own, most, robot = (
+        arm.dynamics or Dynamics(revision=arm.name, base=arm.model.name),
+        ranges or ArmRanges(),
+        arm.robot,
+    )
+    if delay := (own.command_delay_ms + most.command_delay_ms[1]) / 1000:
         for name in robot.drives:
             drive = spec.actuator(arm.prefix + name)
             # Between two steps, since a delay need not be a whole number of them.
             drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR
-    if delay := dynamics.sensor_delay_ms / 1000:
+    if delay := (own.sensor_delay_ms + most.sensor_delay_ms[1]) / 1000:
         for name in (*robot.joint_names, *(robot.fingers.joints[:1] if robot.fingers else ())):
             spec.add_sensor(
                 name=arm.prefix + name + READING,
@@ -146,14 +154,13 @@ def _delay(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float) -> None:
             )
 
 
-def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig) -> None:
+def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, ranges: ArmRanges | None) -> None:
     """The time step, contacts that hold where nothing else does, and the welds, which start inactive."""
     spec.option.timestep = physics.timestep
     if physics.impratio is not None:
         hold_by_friction(spec, physics.impratio)
     for arm in rig.arms:
-        if arm.dynamics is not None:
-            _delay(spec, arm, physics.timestep)
+        _delay(spec, arm, physics.timestep, ranges)
     for arm in rig.arms if physics.carried is not None else ():
         spec.add_equality(
             name=arm.prefix + WELD,

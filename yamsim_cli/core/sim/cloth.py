@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.se3 import Array, pose, rotation_z
+from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, Kind, SceneArm, SceneCloth
 
 # A hand takes cloth only with fingers that are closed so far, each, and that press at least so hard; it lets go once
@@ -49,11 +47,7 @@ class ClothState:
     @property
     def pose(self) -> Array:
         """An upright frame (4, 4) in `world`: in the middle of its points, turned as these are on the whole."""
-        points, rest = self.points, self._cloth.rest
-        middle = points.mean(axis=0)
-        shared = rest[:, :2].T @ (points - middle)[:, :2]
-        turn = math.atan2(shared[0, 1] - shared[1, 0], shared[0, 0] + shared[1, 1])
-        return pose(middle, rotation_z(turn))
+        return self._cloth.pose(self._data.qpos)
 
     @property
     def bounds(self) -> tuple[Array, Array]:

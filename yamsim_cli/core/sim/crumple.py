@@ -15,6 +15,9 @@ _SPEED = 0.3
 _LOWEST = 0.08
 _ASIDE = 0.5
 
+# Crumpled cloth goes on sinking for so many times as long as other things take to come to rest, at most.
+_SETTLINGS = 3
+
 
 def crumpled(
     scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
@@ -48,4 +51,6 @@ def crumpled(
             mujoco.mj_step(scene.model, data)
     dropped = start.copy()
     dropped[lying.qpos] = data.qpos[lying.qpos]
-    return settle(scene, dropped, timestep)
+    for _ in range(_SETTLINGS):
+        dropped = settle(scene, dropped, timestep)
+    return dropped

@@ -210,8 +210,7 @@ def _misfit(scene: CompiledScene, motion: Motion, run: _Run, first: int) -> floa
 
 def _read(arm: SceneArm, run: _Run, rows: Array, times: Array) -> Array:
     """Rows (n, k) of a run as an arm's encoders read them at other times (m,), (m, k): late, where they are."""
-    late = 0.0 if arm.dynamics is None else arm.dynamics.sensor_delay_ms / 1000
-    return np.column_stack([np.interp(times - late, run.times, column) for column in rows.T])
+    return np.column_stack([np.interp(times - arm.sensor_delay, run.times, column) for column in rows.T])
 
 
 def _sampled(arm: SceneArm, told: ArmMotion, run: _Run, times: Array) -> ArmMotion:

@@ -28,8 +28,9 @@ class Skill(Config):
     # Whether its thing has to be in a hand before, and whether it is in one afterwards; None leaves that as it is.
     NEEDS: ClassVar[bool | None] = None
     LEAVES: ClassVar[bool | None] = None
-    # Whether it is done with cloth alone; others are with stiff things alone.
+    # Whether it is done with cloth alone; others are with stiff things alone, but for the roles that may be either.
     OF_CLOTH: ClassVar[bool] = False
+    EITHER: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:

@@ -147,7 +147,11 @@ class Bench:
         low, high = self._block(thing)
         T_over = T.copy()
         T_over[2, 3] = top + float(np.abs(T[2, :3]) @ (high - low))
-        return self.obstacles.rest_height(self.qpos, thing, T_over, float(self.world.bounds(TABLE)[0][2]))
+        table_low, table_high = self.world.bounds(TABLE)
+        rest = self.obstacles.rest_height(self.qpos, thing, T_over, float(table_low[2]))
+        # What comes down goes through cloth there, since nothing is in the way of a hand that is to press on it.
+        on_cloth = onto in self.items and self.items[onto].cloth is not None
+        return rest + (top - float(table_high[2]) if on_cloth else 0.0)
 
     def _block(self, thing: str) -> Array:
         return self.once(("block", thing), lambda: self.world.block(thing))

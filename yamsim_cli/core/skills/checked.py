@@ -19,6 +19,9 @@ from .hang import Hang
 from .operate import Operate
 from .program import read_steps
 
+# What grids of points a fold takes, where it does not take all.
+_GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or so on points along a side"}
+
 
 def check_config(config: Config) -> None:
     """Make sure that a config's task can be, if it is a task or a recording of one that is data.
@@ -61,9 +64,11 @@ def check_program(task: ProgramTask, arms: int = 2) -> None:
         if isinstance(skill, Hang):
             _check_hung(task, cast, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
-            if task.of_cloth(role) != skill.OF_CLOTH:
+            if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.EITHER:
                 said = (
-                    "is no cloth; give a role that cloth plays" if skill.OF_CLOTH else "is cloth; it can only be folded"
+                    "is no cloth; give a role that cloth plays"
+                    if skill.OF_CLOTH
+                    else "is cloth; it can only be folded, or have things placed onto it"
                 )
                 raise ConflictError(f"the {role} {said}", (*path, argument))
         if isinstance(skill, Fold):
@@ -80,7 +85,7 @@ def _check_fold(task: ProgramTask, cast: Cast, skill: Fold, arms: int, path: tup
     for item in next(one.of for role, one in task.things.items() if thing in cast.of(role)):
         if item.cloth is not None and not ways_to_fold(skill.how, *reversed(item.cloth.grid)):
             raise ConflictError(
-                f"the {item.name} cannot be folded {skill.said}: that takes as many points along both sides, not "
+                f"the {item.name} cannot be folded {skill.said}: that takes {_GRIDS[skill.how]}, not "
                 f"{' x '.join(map(str, item.cloth.grid))}",
                 (*path, "how"),
             )

@@ -143,6 +143,7 @@ class Place(Placing):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
+    EITHER: ClassVar[tuple[str, ...]] = ("on",)
     on: str
     at: tuple[FiniteFloat, FiniteFloat] | None = None
     start_of: str | None = None

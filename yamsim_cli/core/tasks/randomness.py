@@ -32,6 +32,7 @@ class Stream(IntEnum):
     PHRASING = 31
     PLACES = 32
     SEARCH = 33
+    CRUMPLES = 34
 
 
 def generator(job: EpisodeJob, stream: Stream, *of: int) -> np.random.Generator:

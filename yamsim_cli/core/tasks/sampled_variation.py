@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..config.randomization import LightRanges, LookRanges, RandomizationConfig, SurfaceRanges, Texture
+from ..config.randomization import ArmRanges, LightRanges, LookRanges, RandomizationConfig, SurfaceRanges, Texture
 from ..config.things import ObjectConfig
 from ..types import EpisodeJob
-from ..variation import LightVariation, LookVariation, SurfaceVariation, Variation
+from ..variation import ArmVariation, LightVariation, LookVariation, SurfaceVariation, Variation
 from .randomness import Stream, generator
 
 # How often a pattern repeats along each edge of a surface.
@@ -23,13 +23,14 @@ TABLE = "table"
 
 
 def sample_variation(
-    config: RandomizationConfig, job: EpisodeJob, lights: int, objects: Sequence[ObjectConfig]
+    config: RandomizationConfig, job: EpisodeJob, lights: int, objects: Sequence[ObjectConfig], dofs: Sequence[int]
 ) -> Variation:
     """An attempt's variation but for its distractors: where those stand depends on what happens, see `sim.placement`.
 
     Args:
         lights: how many the scene has.
         objects: of the task.
+        dofs: how many joints each arm of the scene has, in its order.
     """
 
     def rng(stream: Stream) -> np.random.Generator:
@@ -53,6 +54,7 @@ def sample_variation(
         looks=_looks(config.objects, (*objects, *config.extras), rng(Stream.LOOKS)) if config.objects else {},
         noise=uniform(Stream.NOISE, *picture.noise) if picture else None,
         salt_pepper=uniform(Stream.SALT_PEPPER, *picture.salt_pepper) if picture else None,
+        arm_dynamics=_arms(config.arm_dynamics, dofs, rng(Stream.ARMS)) if config.arm_dynamics else (),
     )
 
 
@@ -78,6 +80,16 @@ def _lights(ranges: LightRanges, count: int, rng: np.random.Generator) -> tuple[
         x, y, z = (float(part) for part in angle * axis / np.linalg.norm(axis))
         sampled.append(LightVariation((r, g, b), (x, y, z)))
     return tuple(sampled)
+
+
+def _arms(ranges: ArmRanges, dofs: Sequence[int], rng: np.random.Generator) -> tuple[ArmVariation, ...]:
+    drawn = []
+    for dof in dofs:
+        delays = float(rng.uniform(*ranges.command_delay_ms)), float(rng.uniform(*ranges.sensor_delay_ms))
+        reads = float(rng.uniform(*ranges.sensor_noise_rad)), float(rng.uniform(*ranges.encoder_step_rad))
+        gravity = tuple(float(part) for part in rng.uniform(*ranges.gravity_error, dof))
+        drawn.append(ArmVariation(*delays, *reads, gravity))
+    return tuple(drawn)
 
 
 def _moved(shift: float, turn: float, rng: np.random.Generator) -> tuple[float, float, float, float, float, float]:

@@ -282,6 +282,12 @@ class DrivenScene:
         with self.lock:
             return self.data.xpos.copy(), self.data.xquat.copy()
 
+    def cloth_points(self) -> Array:
+        """Every point of all cloths (nflexvert, 3) in `world`, m."""
+        with self.lock:
+            points: Array = self.data.flexvert_xpos.copy()
+        return points
+
     def _begin(self) -> None:
         """Put the scene into its attempt's layout, at rest, with open fingers."""
         self._put(self._stage.begin(EpisodeJob(self._config.seed, self._inbox.next_attempt)))

@@ -14,6 +14,7 @@ import viser
 
 from ..errors import UsageError
 from .address import PageAddress
+from .cloths import ClothNodes
 from .shapes import add_bodies
 from .shown import Shown
 from .viewpoint import FOV_DEG, Viewpoint
@@ -60,14 +61,17 @@ class BodiesPage:
         if self._model is not self._shown.model:
             for node in self._bodies.frames.values():
                 node.remove()
+            self._cloths.remove()
             self._show_bodies()
         positions, quaternions = (np.round(poses, _DECIMALS) for poses in self._shown.body_poses())
+        points = np.round(self._shown.cloth_points(), _DECIMALS)
         with self._server.atomic():
-            if len(positions) != self._model.nbody:
+            if len(positions) != self._model.nbody or len(points) != self._model.nflexvert:
                 return  # Another scene has come up in between, and is shown by the next call.
             for body, frame in self._bodies.frames.items():
                 # viser does not send a pose that has not changed.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
+            self._cloths.show(points)
         if self._pause_button.label != (label := "Play" if self._shown.paused else "Pause"):
             self._pause_button.label = label
             self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._shown.paused else viser.Icon.PLAYER_PAUSE
@@ -82,6 +86,7 @@ class BodiesPage:
     def _show_bodies(self) -> None:
         self._model = self._shown.model
         self._bodies = add_bodies(self._server.scene, self._model)
+        self._cloths = ClothNodes(self._server.scene, self._model)
 
     def _place_camera(self, viewpoint: Viewpoint) -> None:
         camera = self._server.initial_camera

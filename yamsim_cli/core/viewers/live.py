@@ -115,6 +115,12 @@ class LiveRig:
         with self.lock:
             return self.data.xpos.copy(), self.data.xquat.copy()
 
+    def cloth_points(self) -> Array:
+        """Every point of all cloths (nflexvert, 3) in `world`, m."""
+        with self.lock:
+            points: Array = self.data.flexvert_xpos.copy()
+        return points
+
 
 def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> Drive:
     actuator = model.actuator(arm.prefix + name).id

@@ -76,8 +76,15 @@ class EpisodePlayer:
         with self.lock:
             return self.data.xpos.copy(), self.data.xquat.copy()
 
+    def cloth_points(self) -> Array:
+        """Every point of all cloths (nflexvert, 3) in `world`, m."""
+        with self.lock:
+            points: Array = self.data.flexvert_xpos.copy()
+            return points
+
     def _show(self) -> None:
         self.data.qpos[:] = self._positions[self.frame]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
+        mujoco.mj_flex(self.model, self.data)

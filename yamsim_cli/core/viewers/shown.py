@@ -40,3 +40,7 @@ class Shown(Protocol):
     def body_poses(self) -> tuple[Array, Array]:
         """Every body's position (nbody, 3), m, and orientation (nbody, 4), wxyz, in `world`."""
         ...
+
+    def cloth_points(self) -> Array:
+        """Every point of all cloths (nflexvert, 3) in `world`, m."""
+        ...

@@ -10,17 +10,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility
+from ..dataset.truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility, visible_name
 from ..geometry.camera import opencv_from_mujoco, project
 from ..geometry.se3 import Array, inverse, pose
 from ..images.image import Image
+from .cloth_truth import NEAREST, see_cloth
 from .labels import Keypoint, SceneLabels
 from .renderer import SceneRenderer
 
 Depth = NDArray[np.uint16]
 
-# A point closer than this to the camera's plane has no useful place in the image, m.
-_NEAREST = 0.01
 # Largest distance that a uint16 of millimetres holds; what is farther counts as nothing.
 _FARTHEST_MM = 65535
 
@@ -32,7 +31,7 @@ class FrameTruth:
     Attributes:
         depth_mm: distance z along the camera's axis (height, width), mm; 0 for nothing, or beyond 65 m.
         labels: the label seen at each pixel (height, width), see `SceneLabels`.
-        arrays: everything else by key, see `dataset.truth_files.ARRAYS`, without the axis of frames.
+        arrays: everything else by key, see `dataset.truth_files.array_forms`, without the axis of frames.
     """
 
     depth_mm: Depth
@@ -44,24 +43,31 @@ def measure_frame(
     data: mujoco.MjData, camera: str, renderer: SceneRenderer, scene: SceneLabels, T_base_in_world: Array
 ) -> FrameTruth:
     """The ground truth of a camera's picture; `data` holds all positions, as for rendering it."""
-    labels, distance = renderer.label(data, camera, scene.of_geom)
+    labels, distance = renderer.label(data, camera, scene.of_geom, scene.of_flex)
     depth = whole_mm(distance)
     K = renderer.intrinsics(camera).K
     view = data.cam(camera)
     T_cam_in_world = pose(view.xpos, opencv_from_mujoco(view.xmat))
     T_world_in_cam = inverse(T_cam_in_world)
     boxes, pixels = instance_boxes(labels, scene.instance_of, len(scene.names.instances))
-    places, depths, visibility = _keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth)
+    sheets = [see_cloth(cloth, data.qpos, T_world_in_cam, K, labels, depth) for cloth in scene.cloths]
+    corners = [(sheet.places, sheet.depths, sheet.visibility) for sheet in sheets]
+    points = (_keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth), *corners)
+    places, depths, visibility = (np.concatenate(parts) for parts in zip(*points, strict=True))
+    T_object_in_cam = _poses(data, scene.objects, T_world_in_cam)
+    for cloth in scene.cloths:
+        T_object_in_cam[cloth.row] = T_world_in_cam @ cloth.scene.pose(data.qpos)
     arrays: dict[str, NDArray[Any]] = {
         "T_cam_in_base": inverse(T_base_in_world) @ T_cam_in_world,
         "T_link_in_cam": _poses(data, scene.links, T_world_in_cam),
-        "T_object_in_cam": _poses(data, scene.objects, T_world_in_cam),
+        "T_object_in_cam": T_object_in_cam,
         "keypoints": places,
         "keypoint_depth": depths,
         "visibility": visibility,
         "boxes": boxes,
         "pixels": pixels,
     }
+    arrays |= {visible_name(cloth.name): sheet.visible for cloth, sheet in zip(scene.cloths, sheets, strict=True)}
     return FrameTruth(depth, labels, arrays)
 
 
@@ -111,7 +117,7 @@ def _keypoints(
     for k, point in enumerate(points):
         T = T_world_in_cam @ pose(data.xpos[point.body], data.xmat[point.body].reshape(3, 3))
         p = T[:3, :3] @ point.position + T[:3, 3]
-        if p[2] < _NEAREST:
+        if p[2] < NEAREST:
             continue
         places[k], depths[k] = project(K, p)[0], p[2]
         u, v = np.rint(places[k])

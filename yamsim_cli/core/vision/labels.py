@@ -1,8 +1,8 @@
-"""What a scene's ground truth names: a label for every visible body, and keypoints on the arms and their boards."""
+"""What a scene's ground truth names: a label for every visible body, and keypoints on arms, boards and cloths."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from ..config.rig import ArmConfig, RigConfig
 from ..dataset.truth_files import BACKGROUND, KeypointRecord, LabelRecord, TruthLabels
 from ..geometry.se3 import Array
+from ..scene.compiled import SceneCloth
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
+from .cloth_truth import LabelledCloth
 
 TABLE, POSTS = "table", "posts"
 
@@ -50,25 +52,37 @@ class SceneLabels:
 
     Attributes:
         names: the names of everything below.
-        of_geom: geom -> its label in segmentation images (ngeom,).
+        of_geom, of_flex: geom (ngeom,) and number of a cloth in MuJoCo (nflex,) -> its label in segmentation images.
         instance_of: label -> index of its instance, -1 for the background.
         links, objects: ids of the bodies whose poses are recorded.
+        keypoints: those that are fixed to a body; the corners of cloths come after them.
+        cloths: they are bodies that never move, see `scene.cloth.add_cloth`; their points do.
     """
 
     names: TruthLabels
     of_geom: NDArray[np.uint8]
+    of_flex: NDArray[np.uint8]
     instance_of: NDArray[np.int64]
     links: NDArray[np.int64]
     objects: NDArray[np.int64]
     keypoints: tuple[Keypoint, ...]
+    cloths: tuple[LabelledCloth, ...]
 
 
-def scene_labels(model: mujoco.MjModel, rig: RigConfig, objects: Sequence[str], *, boards: bool) -> SceneLabels:
+def scene_labels(
+    model: mujoco.MjModel,
+    rig: RigConfig,
+    objects: Sequence[str],
+    *,
+    boards: bool,
+    cloths: Mapping[str, SceneCloth] | None = None,
+) -> SceneLabels:
     """The labels of a scene: one for each link, object, board and mount, for the table, and for all posts together.
 
     Args:
         objects: names of the bodies that stand on the table.
         boards: whether the scene has its rig's boards and mounts.
+        cloths: which of the objects are cloths, and where their points are.
     """
     links = {body: arm.name for arm in rig.arms for body in _subtree(model, model.body(arm.prefix + arm.robot.base).id)}
     others = {model.body(name).id: name for name in objects}
@@ -87,6 +101,14 @@ def scene_labels(model: mujoco.MjModel, rig: RigConfig, objects: Sequence[str], 
             # What moves on a thing is part of it.
             body = int(model.body_rootid[body])
         of_geom[geom] = number.get(body, {"table": 1}.get(name, 2 if name.startswith("post_") else BACKGROUND))
+    sheets = [
+        LabelledCloth(name, number[body], list(others).index(body), cloths[name])
+        for body, name in others.items()
+        if cloths and name in cloths
+    ]
+    of_flex = np.zeros(model.nflex, np.uint8)
+    for sheet in sheets:
+        of_flex[sheet.scene.flex] = sheet.label
     instances = list(dict.fromkeys(label.instance for label in names[1:]))
     keypoints = (*_joints(model, rig, number), *(_corners(model, rig, number) if boards else ()))
     return SceneLabels(
@@ -95,13 +117,16 @@ def scene_labels(model: mujoco.MjModel, rig: RigConfig, objects: Sequence[str], 
             instances=instances,
             links=[model.body(body).name for body in links],
             objects=[model.body(body).name for body in others | printed],
-            keypoints=[point.record for point in keypoints],
+            keypoints=[*(point.record for point in keypoints), *(point for one in sheets for point in one.keypoints)],
+            cloths={sheet.name: sheet.scene.grid for sheet in sheets},
         ),
         of_geom=of_geom,
+        of_flex=of_flex,
         instance_of=np.array([-1, *(instances.index(label.instance) for label in names[1:])]),
         links=np.array(list(links)),
         objects=np.array(list(others | printed), dtype=np.int64),
         keypoints=keypoints,
+        cloths=tuple(sheets),
     )
 
 

@@ -24,7 +24,7 @@ GeomIds = NDArray[np.int32]
 _MAX_GEOMS = 10_000
 _FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
 # As plain numbers, since numpy takes no enum for an index.
-_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+_GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
 _BY_NUMBER = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 
 
@@ -144,19 +144,23 @@ class SceneRenderer(Closing):
         self._render_ids(None, buffer)
         return self._distance(buffer)
 
-    def label(self, data: mujoco.MjData, camera: str, label_of_geom: Image) -> tuple[Image, NDArray[np.float32]]:
-        """The label and the distance z of the geom at each pixel, both (height, width), from one rendering.
+    def label(
+        self, data: mujoco.MjData, camera: str, label_of_geom: Image, label_of_flex: Image
+    ) -> tuple[Image, NDArray[np.float32]]:
+        """The label and the distance z of the geom or cloth at each pixel, both (height, width), from one rendering.
 
         Args:
             label_of_geom: geom -> label (ngeom,), 0 to 254.
+            label_of_flex: number of a cloth in MuJoCo -> label (nflex,), 0 to 254.
 
         Returns:
             Labels, 0 where there is nothing; and z in m, 0 where there is nothing.
         """
         self._update(data, camera)
+        label_of = {_GEOM: label_of_geom, _FLEX: label_of_flex}
         for geom in self._scene.geoms[: self._scene.ngeom]:
-            # Anything but a geom gets 0 and is not rendered, and so hides nothing.
-            geom.segid = label_of_geom[geom.objid] if geom.objtype == _GEOM else 0
+            # Anything else gets 0 and is not rendered, and so hides nothing.
+            geom.segid = label_of[geom.objtype][geom.objid] if geom.objtype in label_of else 0
         colours = np.empty((self._height, self._width, 3), np.uint8)
         buffer = np.empty((self._height, self._width), np.float32)
         self._render_ids(colours, buffer)

@@ -412,6 +412,7 @@ ELSEWHERE = {
     "segmentation.size",
     "segmentation.label",
     "truth.missing",
+    "truth.cloth",
     "truth.damaged",
     "truth.shape",
 }

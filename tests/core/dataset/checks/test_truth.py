@@ -16,11 +16,10 @@ from yamsim_cli.core.dataset.arrays import dump_arrays
 from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
 from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.dataset.truth_files import (
-    ARRAYS,
     KeypointRecord,
     LabelRecord,
     TruthLabels,
-    array_shapes,
+    array_forms,
     dump_depth,
     load_truth,
 )
@@ -44,7 +43,7 @@ def truth_files() -> dict[str, bytes]:
         image[10:30, 5 + k : 40] = 1
         files[depth_name(CAMERA, k)] = dump_depth(image.astype(np.uint16) * 1000)
         files[segmentation_name(CAMERA, k)] = encode_labels(image)
-    arrays = {key: np.zeros(shape, ARRAYS[key][0]) for key, shape in array_shapes(LABELS, FRAMES).items()}
+    arrays = {key: np.zeros(shape, dtype) for key, (dtype, shape) in array_forms(LABELS, FRAMES).items()}
     return files | {truth_name(CAMERA): dump_arrays(arrays)}
 
 
@@ -124,6 +123,13 @@ def test_what_was_lost_or_changed_is_told(
 
 def test_whole_truth_has_no_problems(truthful: Sample, path: Path, found: Any) -> None:
     assert found(truthful.write(path)) == []
+
+
+def test_cloth_that_labels_do_not_name_is_told(truthful: Sample, path: Path, survey_of: Any) -> None:
+    truthful.episodes[1].over["cloths"] = {"napkin": (9, 8)}
+    problems = [p for p in survey_of(truthful.write(path)).problems if p.code.startswith("truth")]
+    assert [(p.code, p.episode, p.file) for p in problems] == [("truth.cloth", EP, TRUTH_LABELS)]
+    assert "no cloth; valid: napkin of 9 x 8 points" in problems[0].text
 
 
 def test_truth_that_was_never_written_is_missing(truthful: Sample, path: Path, found: Any) -> None:

@@ -72,6 +72,7 @@ _ERRORS = {
     "segmentation.label": ("a segmentation image has numbers that truth/labels.json does not name", _RECORDER),
     "truth.missing": ("ground truth is missing that episode.json speaks of", _REMAKE),
     "truth.damaged": ("ground truth cannot be read", _TRANSFER),
+    "truth.cloth": ("truth/labels.json and episode.json name other cloths", _RECORDER),
     "truth.shape": ("arrays of ground truth are not as truth/labels.json says", _RECORDER),
     "lowdim.damaged": ("not a whole frame", _TRANSFER),
     "lowdim.forbidden": (

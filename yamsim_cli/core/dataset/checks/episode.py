@@ -84,6 +84,7 @@ class _EpisodeCheck:
             outcome=self._record.outcome if self._record else outcome,
             content=self._content,
             problems=self._problems.list(),
+            noted=self._imported.problems if self._imported else (),
         )
 
     def _read(self, name: str) -> bytes | None:
@@ -172,7 +173,8 @@ class _EpisodeCheck:
         record = self._record
         if record is None or not record.truth:
             return
-        checks = TruthChecks(record.cameras, record.frames, self._reader, self._read, self._hash_fits, self._problems)
+        sizes, cloths = record.cameras, record.cloths
+        checks = TruthChecks(sizes, record.frames, cloths, self._reader, self._read, self._hash_fits, self._problems)
         checks.check_missing(record.files, self._files.sizes)
         for camera in record.cameras:
             checks.check_arrays(camera)

@@ -40,6 +40,7 @@ class EpisodeFacts:
         outcome: as recorded, or else read from the last frame; None if there is neither.
         content: hash of its lowdim values; "" if one could not be read.
         problems: its faults.
+        noted: what was found wrong with a real recording when it was imported.
     """
 
     name: str
@@ -57,6 +58,7 @@ class EpisodeFacts:
     outcome: OutcomeRecord | None = None
     content: str = ""
     problems: Sequence[Problem] = ()
+    noted: Sequence[str] = ()
 
 
 def numbered(values: Values, key: str) -> dict[int, Array]:

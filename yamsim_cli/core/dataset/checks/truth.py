@@ -26,6 +26,7 @@ class TruthChecks:
     Args:
         cameras: camera -> width and height of its images.
         frames: how many frames the episode has.
+        cloths: cloth -> how many points lie along its x axis and along its y axis.
         reader: decodes images.
         read: gives a file's content by its path; None where it is not there.
         hash_fits: called for each file that is whole.
@@ -35,6 +36,7 @@ class TruthChecks:
         self,
         cameras: Mapping[str, tuple[int, int]],
         frames: int,
+        cloths: Mapping[str, tuple[int, int]],
         reader: ImageReader,
         read: Read,
         hash_fits: HashCheck,
@@ -42,6 +44,7 @@ class TruthChecks:
     ) -> None:
         self._cameras = cameras
         self._frames = frames
+        self._cloths = dict(cloths)
         self._reader = reader
         self._read = read
         self._hash_fits = hash_fits
@@ -53,10 +56,13 @@ class TruthChecks:
         if data is None:
             return None
         try:
-            return from_json(TruthLabels, data, TRUTH_LABELS)
+            labels = from_json(TruthLabels, data, TRUTH_LABELS)
         except DatasetError as error:
             self._problems.add("truth.damaged", TRUTH_LABELS, str(error).removeprefix(f"{TRUTH_LABELS}: "))
             return None
+        if labels.cloths != self._cloths:
+            self._problems.add("truth.cloth", TRUTH_LABELS, _grids(labels.cloths), _grids(self._cloths))
+        return labels
 
     def check_missing(self, recorded: Mapping[str, str], present: Mapping[str, int]) -> None:
         """Note files that are neither there nor in the record. Recorded ones that are gone are noted elsewhere."""
@@ -115,3 +121,7 @@ class TruthChecks:
         wanted = self._cameras[camera]
         if (width, height) != wanted:
             self._problems.add(code, name, f"{width}x{height}", f"{wanted[0]}x{wanted[1]}", about=(code, camera))
+
+
+def _grids(cloths: Mapping[str, tuple[int, int]]) -> str:
+    return ", ".join(f"{name} of {x} x {y} points" for name, (x, y) in sorted(cloths.items())) or "no cloth"

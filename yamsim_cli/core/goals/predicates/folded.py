@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ...documents.units import Distance, Share
-from ...geometry.folding import COVERED, Fold, Layers, outline_area, sheet_area, ways_to_fold
+from ...geometry.folding import Fold, FoldWay, outline_area, sheet_area, ways_to_fold
 from ...geometry.se3 import Array
 from ..cast import Cast
 from ..measure import Measure, either
@@ -18,11 +18,12 @@ from .base import Predicate
 
 
 class Folded(Predicate):
-    """Each cloth is folded once, lies flat, and no hand holds it.
+    """Each cloth is folded, lies flat, and no hand holds it.
 
     Attributes:
         thing: a role, which cloth plays.
-        how: `half`, along either side, or `diagonal`, along either one.
+        how: `half`, along either side; `diagonal`, along either one; or `thirds`, from either side, the last over the
+            first.
         error: how far apart two points may be, seen from above, that lie on each other when it is folded exactly, m.
         area: by how much the share of its area that its outline covers may differ from that of an exact fold.
         height: how high any point may be over the lowest, m.
@@ -48,10 +49,10 @@ class Folded(Predicate):
         ways = ways_to_fold(self.how, *points.shape[:2])
         if not ways:
             return [either(what, False, "its grid of points does not allow it")]
-        folded = min(ways, key=lambda layers: _error(points, layers))
+        folded = min(ways, key=lambda way: _error(points, way))
         error, covered = _error(points, folded), outline_area(points[..., :2].reshape(-1, 2)) / sheet_area(points)
         high, order = float(np.ptp(points[..., 2])), _order(points, folded)
-        off = abs(covered - COVERED)
+        off = abs(covered - folded.covered)
         return [
             Measure(what, self.error - error, "m", f"what lies on each other is {error * 1000:.1f} mm apart at most"),
             Measure(f"{what}: area", self.area - off, "share", f"it covers {covered:.1%} of its area"),
@@ -65,13 +66,14 @@ def _at(points: Array, layer: NDArray[np.int_]) -> Array:
     return there
 
 
-def _error(points: Array, layers: Layers) -> float:
+def _error(points: Array, way: FoldWay) -> float:
     """How far apart what lies on each other is at most, seen from above, m."""
-    one, other = (_at(points, layer)[:, :2] for layer in layers)
-    return float(np.linalg.norm(one - other, axis=1).max())
+    apart = [np.linalg.norm((_at(points, one) - _at(points, other))[:, :2], axis=1).max() for one, other in way.layers]
+    return float(max(apart))
 
 
-def _order(points: Array, layers: Layers) -> float:
-    """How much higher one layer is than the other at least, m; negative where they go through each other."""
-    one, other = (_at(points, layer)[:, 2] for layer in layers)
-    return max(float((one - other).min()), float((other - one).min()))
+def _order(points: Array, way: FoldWay) -> float:
+    """How much higher each layer is than the one below it at least, m; negative where they go through each other."""
+    higher = np.concatenate([_at(points, one)[:, 2] - _at(points, other)[:, 2] for one, other in way.layers])
+    # What was folded under lies the other way round.
+    return float(max(higher.min(), -higher.max()))
