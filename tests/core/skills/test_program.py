@@ -71,6 +71,49 @@ def test_a_third_failure_ends_it() -> None:
     assert caught.value.cause is Cause.SLIPPED
 
 
+class Taking(Pick):
+    """Takes without a hand."""
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        yield Segment(())
+
+
+class Stuck(Place):
+    """Fails as often as it is told to, its thing in a hand."""
+
+    tried: ClassVar[list[str]] = []
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        Stuck.tried.append(self.thing)
+        if len(Stuck.tried) <= self.number:
+            raise SkillFailedError(Cause.UNREACHABLE, "not there with it")
+        yield Segment(())
+
+
+def _put_back(monkeypatch: pytest.MonkeyPatch, taken: str, times: int) -> list[str]:
+    """What is put down to be taken another way where putting the plate down fails so often."""
+    put: list[str] = []
+
+    def put_back(bench: Bench, cast: Cast, role: str) -> Iterator[Segment]:
+        put.append(role)
+        yield Segment(())
+
+    monkeypatch.setattr(Stuck, "tried", [])
+    monkeypatch.setattr(program, "put_back", put_back)
+    steps = [Taking(thing=taken), Stuck(thing="plate", on="table", at=(0.0, 0.0), number=times)]
+    list(run_program(steps, cast(Bench, NoHands()), CAST, Diary()))
+    return put
+
+
+def test_what_cannot_be_put_down_twice_is_taken_another_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _put_back(monkeypatch, "plate", 1) == []
+    assert _put_back(monkeypatch, "plate", 2) == ["plate"]
+
+
+def test_what_was_not_picked_is_not_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _put_back(monkeypatch, "cube_1", 2) == []
+
+
 def test_each_goes_through_the_things_of_a_role() -> None:
     steps: list[dict[str, Any]] = [
         {

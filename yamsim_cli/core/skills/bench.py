@@ -29,7 +29,6 @@ _ROOM = 0.02
 _AHEAD = (0.34, 0.42, 0.28)
 _ASIDE = (0.0, 0.10, -0.10, 0.20, -0.20)
 
-
 V = TypeVar("V")
 
 
@@ -133,7 +132,7 @@ class Bench:
 
     def half_outline(self, thing: str, heading: float) -> Array:
         """Half the room (2,) that a thing takes along x and y when it stands upright, turned by `heading`, m."""
-        low, high = self.world.block(thing)
+        low, high = self._block(thing)
         corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
         half: Array = np.abs(corners @ rotation_z(heading)[:2, :2].T).max(axis=0)
         return half
@@ -144,8 +143,8 @@ class Bench:
 
     def height_of(self, thing: str, T: Array, onto: str) -> float:
         """Height in `world` at which the origin of a thing, turned as in a pose (4, 4), comes to rest below it, m."""
-        top = float(self.world.bounds(onto)[1][2])
-        low, high = self.world.block(thing)
+        top = float(self.once(("bounds", onto), lambda: self.world.bounds(onto))[1][2])
+        low, high = self._block(thing)
         T_over = T.copy()
         T_over[2, 3] = top + float(np.abs(T[2, :3]) @ (high - low))
         table_low, table_high = self.world.bounds(TABLE)
@@ -153,6 +152,9 @@ class Bench:
         # What comes down goes through cloth there, since nothing is in the way of a hand that is to press on it.
         on_cloth = onto in self.items and self.items[onto].cloth is not None
         return rest + (top - float(table_high[2]) if on_cloth else 0.0)
+
+    def _block(self, thing: str) -> Array:
+        return self.once(("block", thing), lambda: self.world.block(thing))
 
     def is_free(self, thing: str, place: Array) -> bool:
         """Whether a thing that stands upright would have room at a place (2,) on the table, m."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.se3 import Array
+from ..geometry.se3 import Array, inverse
 from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolution, IkSolver
 from ..planning.quick_reach import QuickReach
@@ -31,6 +31,9 @@ class Tolerance:
 EXACT = Tolerance(1.5e-3, math.radians(2.0))
 PASSING = Tolerance(4e-3, math.radians(6.0))
 
+# Ways to hold a thing that differ by less, in where the hand is and from where it comes, reach the same, m and rad.
+_SAME_PLACE, _SAME_SIDE = 0.01, math.radians(20.0)
+
 
 @dataclass(frozen=True)
 class Held:
@@ -51,6 +54,7 @@ class Hand:
         opening: of one finger, as told last, m.
         grip: how hard each finger is to press, N.
         held: what it holds.
+        in_vain: how it held things that it then could not put where they were to go.
     """
 
     def __init__(
@@ -69,6 +73,18 @@ class Hand:
         self.ready = ready
         self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
         self.held: Held | None = None
+        self.in_vain: list[Held] = []
+
+    def held_in_vain(self, thing: str, T_pinch_in_thing: Array) -> bool:
+        """Whether it held a thing about so before, its pinch frame (4, 4) in the thing's, and could not put it where it
+        was to go.
+        """
+        before = [inverse(one.T_thing_in_pinch) for one in self.in_vain if one.thing == thing]
+        return any(
+            float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SAME_PLACE
+            and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SAME_SIDE)
+            for T in before
+        )
 
     @property
     def widest(self) -> float:

@@ -16,6 +16,10 @@ from .place import Placing
 _GRID = 0.03
 _LOWER = 0.01
 
+# What fell aside has come into the container all the same with so large a share of its volume inside: what is tall does
+# not go deep.
+_INSIDE = 0.3
+
 # Headings that are tried, as turns from along the container.
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
@@ -54,6 +58,10 @@ class Insert(Placing):
                     off = float(np.hypot(x - middles[0], y - middles[1]))
                     found.append((round(height / _LOWER), off, pose((*place, height), rotation_z(heading))))
         return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
+
+    def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:
+        if bench.world.share_inside(thing, onto) < _INSIDE:
+            super()._check(bench, thing, onto, T_goal)
 
 
 def _spread(first: float, last: float) -> Array:

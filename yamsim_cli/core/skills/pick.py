@@ -109,6 +109,8 @@ class Pick(Skill):
         """The grips that a hand can take now, and with which what follows can go on."""
         T_thing = bench.world.pose(thing)
         for grip in bench.grips(thing, hand.widest):
+            if hand.held_in_vain(thing, grip.T_pinch_in_thing):
+                continue
             wide = min(grip.opening + grip.clearance, hand.widest)
             T_at = T_thing @ grip.T_pinch_in_thing
             if not points_well(T_at, hand.arm.T_base_in_world):

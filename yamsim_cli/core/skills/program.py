@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,9 +23,10 @@ from .lift import Lift
 from .moves import park, recover
 from .operate import Operate
 from .pick import Pick
-from .place import Place
+from .place import Place, Placing
 from .push import Push
 from .put_aside import PutAside
+from .put_back import put_back
 from .regrasp import Regrasp
 from .set_upright import SetUpright
 from .turn import Turn
@@ -49,8 +51,9 @@ SKILLS: Mapping[str, type[Skill]] = {
 # What goes through the things of a role: `each: {of: cup, do: [...]}`.
 _EACH = "each"
 
-# How often a skill is tried before the program gives up.
-_TRIES = 3
+# How often a skill is tried before the program gives up; and after how many tries what cannot be put where it is to go,
+# as it is held, is put aside first, and taken anew.
+_TRIES, _HELD_TRIES = 3, 2
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,12 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, diary: Diary
             if tries[number] >= _TRIES:
                 raise
             diary.recoveries.append(Recovery(number, _name(skill), str(error)))
-            yield from recover(bench)
+            # Arms that find no way out of the way stay where they are.
+            with suppress(SkillFailedError):
+                yield from recover(bench)
+            if tries[number] == _HELD_TRIES and isinstance(skill, Placing) and _taken(program[:number]) == skill.thing:
+                with suppress(SkillFailedError):
+                    yield from put_back(bench, cast, skill.thing)
             number = _again_from(program, number, bench)
         else:
             number += 1
@@ -187,6 +195,11 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, diary: Diary
 
 def _name(skill: Skill) -> str:
     return next((name for name, known in SKILLS.items() if type(skill) is known), type(skill).__name__.lower())
+
+
+def _taken(program: Sequence[Skill]) -> str | None:
+    """What the last `pick` of some steps takes."""
+    return next((step.thing for step in reversed(program) if isinstance(step, Pick)), None)
 
 
 def _again_from(program: Sequence[Skill], number: int, bench: Bench) -> int:

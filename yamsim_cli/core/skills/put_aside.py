@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,9 +16,13 @@ from .place import Placing
 # Headings that are tried, as turns from the present one.
 _TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 
+# Where there is no room between the arms: how far from where it is held it may be put, m, in so many directions.
+_RINGS, _DIRECTIONS = (0.0, 0.06, 0.12, 0.18), 8
+
 
 class PutAside(Placing):
-    """Put a thing down on the table where there is room, near both arms, and where nothing started.
+    """Put a thing down on the table where there is room and where nothing started: near both arms, and where they have
+    no such place, near where it is held.
 
     Attributes:
         thing: a role; it is in a hand.
@@ -25,17 +30,18 @@ class PutAside(Placing):
 
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""
-        places = [
-            place
-            for place in bench.middle_places()
-            if bench.is_free(thing, place) and not self._is_wanted(bench, thing, place)
-        ]
+        places = self._roomy(bench, thing, bench.middle_places())
+        if not places:
+            places = self._roomy(bench, thing, _around(bench.world.pose(thing)[:2, 3]))
         heading = yaw(bench.world.pose(thing))
         return [
             pose((*place, bench.height_on(thing, place, TABLE, heading + turn)), rotation_z(heading + turn))
             for place in places
             for turn in _TURNS
         ]
+
+    def _roomy(self, bench: Bench, thing: str, places: Sequence[Array]) -> list[Array]:
+        return [place for place in places if bench.is_free(thing, place) and not self._is_wanted(bench, thing, place)]
 
     @staticmethod
     def _is_wanted(bench: Bench, thing: str, place: Array) -> bool:
@@ -46,3 +52,13 @@ class PutAside(Placing):
             < wide + float(np.hypot(*bench.half_outline(other, 0.0)))
             for other in bench.world.things
         )
+
+
+def _around(place: Array) -> list[Array]:
+    """Places (2,) in rings around one, the nearest first, m."""
+    angles = [2 * math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS)]
+    return [
+        place + ring * np.array((math.cos(angle), math.sin(angle)))
+        for ring in _RINGS
+        for angle in (angles if ring else angles[:1])
+    ]
