@@ -17,7 +17,7 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.serve.arms import Served, serve_arms
+from yamsim_cli.core.serve.arms import Served, serve_arms, served_cameras
 from yamsim_cli.core.serve.pictures import PictureProcess, Shot
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Attempt, EpisodeJob
@@ -80,3 +80,18 @@ def test_its_death_is_told(source: PictureProcess) -> None:
     os.kill(source._process.pid, signal.SIGKILL)
     with pytest.raises(SimulationError, match="the process that draws pictures has ended"):
         next_shot(source, after=10**6)
+
+
+def test_wrists_are_drawn_that_a_recording_leaves_out(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    config = make_config({("wrist",): False, ("image", "size_px"): [48, 36]})
+    session = Session(config, locations).without_meshes()
+    cameras = served_cameras(config)
+    assert config.recorded_cameras == cameras[:1]
+    source = PictureProcess(session, cameras, 50.0, serve_arms(session).moment, itertools.count(1).__next__)
+    try:
+        scene, wrist = next_shot(source).pictures.values()
+        assert np.ptp(wrist) > 0 and not np.array_equal(scene, wrist)
+    finally:
+        source.close()

@@ -97,7 +97,13 @@ class PictureProcess:
         self._pictures = np.ndarray(self._shape, np.uint8, self._memory.buf)
         try:
             self._process, self._pipe = start_beside(
-                "yamsim-pictures", _draw, session, self.cameras, self._shape, self._memory.name
+                "yamsim-pictures",
+                _draw,
+                # A scene has the cameras that are recorded, and these may be others.
+                session.with_values(cameras=self.cameras),
+                self.cameras,
+                self._shape,
+                self._memory.name,
             )
         except BaseException:
             self._free()
