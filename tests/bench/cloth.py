@@ -112,7 +112,8 @@ def fold(task: str, count: int, first: int, spoilt: int) -> None:
                 let_go = repeat_program(
                     simulator, done.attempt, _let_go_half_way(simulator, done.states), planned=False
                 ).outcome
-                print(f"   fingers open: {open_fingers.cause}; let go half-way: {let_go.cause}", flush=True)
+                said = "; ".join(measure.detail for measure in let_go.measures if measure.detail)
+                print(f"   fingers open: {open_fingers.cause}; let go half-way: {let_go.cause}, {said}", flush=True)
 
 
 def _let_go_half_way(simulator: Any, states: Any) -> Actions:
