@@ -197,3 +197,14 @@ def test_it_records_the_expert_and_plays_it_again(open_lerobot: Callable[[str], 
 
     told = lerobot.run("lerobot-replay", tmp_path, *robot, "--dataset.repo_id=local/two", "--dataset.episode=0")
     assert "trial 0: " in told
+
+
+def test_its_programs_know_the_cameras_of_a_served_arm(open_lerobot: Callable[[str], LeRobot], tmp_path: Path) -> None:
+    lerobot = open_lerobot("lerobot-record")
+    asks = (
+        "from lerobot.cameras.configs import CameraConfig; "
+        "from lerobot.utils.import_utils import register_third_party_plugins as find; "
+        "find(); print(sorted(CameraConfig.get_known_choices()))"
+    )
+    done = lerobot.interpreter.call(["-c", asks], cwd=tmp_path)
+    assert done.returncode == 0 and "'yamsim'" in done.stdout, done.stderr
