@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.se3 import Array
+from ....geometry.se3 import Array
 from .print_view import Drawing, PrintView, draw_print
 from .smear import Smear, slopes_of
 

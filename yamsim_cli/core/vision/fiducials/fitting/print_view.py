@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...boards.board_image import board_image, marker_cells
-from ...geometry.board import Board
-from ...geometry.camera import CameraModel
-from ...geometry.se3 import Array
-from ..lens import project_points, ray_field
+from ....boards.board_image import board_image, marker_cells
+from ....geometry.board import Board
+from ....geometry.camera import CameraModel
+from ....geometry.se3 import Array
+from ...lens import project_points, ray_field
 from .smear import Smear
 
 Grey = NDArray[np.float32]

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.se3 import Array
+from ....geometry.se3 import Array
 
 Grey = NDArray[np.uint8]
 

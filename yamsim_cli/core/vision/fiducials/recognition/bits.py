@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...boards.board_image import marker_cells
-from ...geometry.board import Board
-from ...geometry.se3 import Array
-from .print_view import Drawing, PrintView, draw_print, fine_places
-from .smear import Smear
+from ....boards.board_image import marker_cells
+from ....geometry.board import Board
+from ....geometry.se3 import Array
+from ..fitting.print_view import Drawing, PrintView, draw_print, fine_places
+from ..fitting.smear import Smear
 
 # A marker of fewer pixels says nothing.
 _LEAST_PIXELS = 12

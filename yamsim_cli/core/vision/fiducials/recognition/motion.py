@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.se3 import Array
-from .print_view import PrintView, draw_print
-from .smear import Smear
+from ....geometry.se3 import Array
+from ..fitting.print_view import PrintView, draw_print
+from ..fitting.smear import Smear
 
 # Blurs (sigma, px) and straight motions (px, with a blur beside them) that are tried.
 _BLURS = (0.9, 2.0, 3.5)

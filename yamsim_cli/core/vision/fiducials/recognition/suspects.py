@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...boards.board_image import marker_cells
-from ...geometry.board import Board
-from ...geometry.se3 import Array
+from ....boards.board_image import marker_cells
+from ....geometry.board import Board
+from ....geometry.se3 import Array
 from .bits import bits_of
 
 Grey = NDArray[np.uint8]
@@ -91,12 +91,6 @@ def _moves() -> Array:
                 move[places] = along
                 moves.append(move)
     return np.array(moves)
-
-
-def outer_corners(board: Board) -> Array:
-    """A board's corners (4, 3) in its frame, m, clockwise from the top left."""
-    x, y = board.width / 2, board.height / 2
-    return np.array([[-x, y, 0.0], [x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0]])
 
 
 _UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)

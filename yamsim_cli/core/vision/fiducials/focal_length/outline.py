@@ -16,17 +16,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.board import Board
-from ...geometry.camera import CameraModel
-from ...geometry.se3 import Array
-from ..lens import rays
-from .align import BLUR_RANGE, INFLATION
-from .descent import PrintProblem, System, weighed
-from .fits import SAME_PRINT
-from .linearize import Pixels, linearized
-from .markers import Group
-from .print_view import Piece, PrintView, view_print
-from .smear import Smear
+from ....geometry.board import Board
+from ....geometry.camera import CameraModel
+from ....geometry.se3 import Array
+from ...lens import rays
+from ..fitting.align import BLUR_RANGE, INFLATION
+from ..fitting.descent import PrintProblem, System, weighed
+from ..fitting.fits import SAME_PRINT
+from ..fitting.linearize import Pixels, linearized
+from ..fitting.print_view import Piece, PrintView, view_print
+from ..fitting.smear import Smear
+from ..markers import Group
 
 # How far each point is off in a photo without noise, in the pixels that are compared: these stand for an area, and
 # drawing it by a few points errs. Source: 350 outlines of random views; with it and the noise alone, 95 % of squared

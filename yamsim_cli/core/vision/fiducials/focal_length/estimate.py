@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.board import Board
-from ...geometry.camera import CameraModel
-from .markers import find_markers, groups
+from ....geometry.board import Board
+from ....geometry.camera import CameraModel
+from ..markers import find_markers, groups
 from .outline import Outline, outline_of
 from .perspective import Profile, profile
 

@@ -10,8 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from ...geometry.least_squares import LeastSquares, descend
-from ...geometry.se3 import Array
+from ....geometry.least_squares import LeastSquares, descend
+from ....geometry.se3 import Array
 from .linearize import Tile
 
 # Residuals beyond this many standard deviations count less and less (Huber's 95 % efficiency).

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.board import Board
-from ...geometry.camera import CameraModel
-from ...geometry.se3 import Array, pose, rotation_vector
-from ..lens import project_points, rays
+from ....geometry.board import Board
+from ....geometry.camera import CameraModel
+from ....geometry.se3 import Array, pose, rotation_vector
+from ...lens import project_points, rays
+from ..markers import Group
 from .align import Alignment, agreement, align
 from .linearize import Tile
-from .markers import Group
 from .print_view import Piece
 
 # A marker whose print and photo correlate less than this is hidden, moved or something else.

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.camera import CameraModel
-from ...geometry.se3 import Array, pose, rotation_from_vector
+from ....geometry.camera import CameraModel
+from ....geometry.se3 import Array, pose, rotation_from_vector
 from .descent import PrintProblem, System, weighed
 from .linearize import Pixels, Tile, linearized
 from .print_view import Piece, PrintView, plane_of, view_print

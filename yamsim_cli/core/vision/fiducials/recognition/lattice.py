@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.board import Board
-from ...geometry.se3 import Array
+from ....geometry.board import Board
+from ....geometry.se3 import Array
 
 # A neighbour's middle lies within this share of a step of where it is expected, and has a size within this ratio.
 _NEAR, _ALIKE = 0.3, 1.6

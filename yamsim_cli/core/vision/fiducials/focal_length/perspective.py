@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.least_squares import LeastSquares, descend
-from ...geometry.se3 import Array
+from ....geometry.least_squares import LeastSquares, descend
+from ....geometry.se3 import Array
 from .board_poses import BoardPoses, Poses, poses_of
 from .outline import Outline
 

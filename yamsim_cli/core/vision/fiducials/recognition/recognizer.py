@@ -16,22 +16,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.board import Board
-from ...geometry.camera import CameraModel
-from ...geometry.se3 import Array, pose
-from ..lens import project_points, rays
-from .advice import advice_on, advice_on_photo, looks_of
-from .align import USUAL_SMEAR, Alignment, align
+from ....geometry.board import Board
+from ....geometry.camera import CameraModel
+from ....geometry.se3 import Array, pose
+from ...lens import project_points, rays
+from ..advice import advice_on, advice_on_photo, looks_of
+from ..fitting.align import USUAL_SMEAR, Alignment, align
+from ..fitting.fits import EXPLAINED, PoseFit, faces_camera
+from ..fitting.print_view import Piece, draw_print, plane_of, view_print
+from ..fitting.smear import Smear
+from ..judge import judge
+from ..sighting import Sighting, Status
 from .bits import Evidence, evidence
-from .fits import EXPLAINED, PoseFit, faces_camera
-from .judge import judge
 from .lattice import board_quads
 from .motion import likely_smear
-from .print_view import Piece, draw_print, plane_of, view_print
 from .quads import dark_quads, restless_quads
-from .sighting import Sighting, Status
-from .smear import Smear
-from .suspects import Suspect, moved_suspects, outer_corners, suspects
+from .suspects import Suspect, moved_suspects, suspects
 
 Grey = NDArray[np.uint8]
 
@@ -129,7 +129,7 @@ class Recognizer:
     def _starts(self, board: Board, suspect: Suspect) -> list[Array]:
         """The poses (4, 4) that a patch's corners allow, the likelier one first."""
         count, turns, shifts, _ = cv2.solvePnPGeneric(
-            outer_corners(board), rays(self._camera, suspect.corners), np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+            board.outer_corners(), rays(self._camera, suspect.corners), np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
         )
         poses = [pose(shifts[k].ravel(), cv2.Rodrigues(turns[k])[0]) for k in range(count)]
         return [T for T in poses if np.isfinite(T).all() and faces_camera(T)]
@@ -196,7 +196,7 @@ class Recognizer:
         piece = Piece(board, np.eye(4), tuple(range(len(board.ids))))
         if not faces_camera(T):
             return None
-        corners = project_points(self._camera, outer_corners(board) @ T[:3, :3].T + T[:3, 3])
+        corners = project_points(self._camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
         middle = project_points(self._camera, T[None, :3, 3])[0]
         half = np.abs(corners - middle).max(axis=0)
         height, width = self._grey.shape

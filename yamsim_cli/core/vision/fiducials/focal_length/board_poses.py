@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.least_squares import LeastSquares, descend
-from ...geometry.se3 import Array
+from ....geometry.least_squares import LeastSquares, descend
+from ....geometry.se3 import Array
 from .outline import Outline
 
 # A pose's steps at most, and a gain (of chi squared, beside its own size) that is none.
