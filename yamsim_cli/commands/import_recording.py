@@ -59,7 +59,7 @@ def import_recording(
     opener.skip_gl()
     settings = opener.rig(rig, where)
 
-    from yamsim_cli.core.dataset.opening import OpenMode
+    from yamsim_cli.core.dataset.writing.opening import OpenMode
     from yamsim_cli.core.import_recording.corrections import Corrections
     from yamsim_cli.core.import_recording.importing import ImportRequest, import_recordings
 

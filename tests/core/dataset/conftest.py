@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG, Made, made, publish
-from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter, OpenMode
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from ..config.rig import RigConfig
 from ..dataset.disk_faults import reason
 from ..dataset.layout import CONFIG, EPISODE, STAGING, episode_directories, episode_name, image_name, lowdim_name
 from ..dataset.lowdim import content_hash, dump_frame
-from ..dataset.opening import OpenMode, claim
 from ..dataset.real import ImportedFrom, RealRecord, real_config
 from ..dataset.records import to_json
+from ..dataset.writing.opening import OpenMode, claim
 from ..documents.document import dump_yaml
 from ..errors import ConfigError, DatasetError, ResourceError
 from ..files import publish_directory, sha256_bytes, write_file

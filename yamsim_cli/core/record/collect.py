@@ -19,8 +19,8 @@ from typing import Protocol
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
 from ..dataset.layout import FORMAT_VERSION, PROGRAM_FORMAT_VERSION, episode_name
-from ..dataset.ledger import vacant_episode
 from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file_hashes
+from ..dataset.writing.ledger import vacant_episode
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
 from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 from ..workers.executor import Executor, LostJobError

@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..closing import Closing
-from ..documents.document import dump_yaml, parse_yaml
-from ..errors import DatasetError, ResourceError, ranges
-from ..files import append_line, publish_directory, sha256_bytes, write_file
-from .disk_faults import reason
+from ...closing import Closing
+from ...documents.document import dump_yaml, parse_yaml
+from ...errors import DatasetError, ResourceError, ranges
+from ...files import append_line, publish_directory, sha256_bytes, write_file
+from ..disk_faults import reason
+from ..layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
+from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
 from .integrity import Found, find_episodes, set_aside
-from .layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
 from .ledger import Ledger, lost_line
 from .opening import OpenMode, claim
-from .records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
 from .same_config import MESHES, require_same, unsaid_meshes
 
 __all__ = ["DatasetWriter", "OpenMode"]

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..errors import DatasetError
-from ..files import write_file
+from ...errors import DatasetError
+from ...files import write_file
+from ..layout import ATTEMPTS, episode_name
+from ..records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
 from .integrity import place_for_damaged
-from .layout import ATTEMPTS, episode_name
-from .records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
 
 # The outcome of an attempt whose line is lost and that is not made again.
 LINE_LOST = OutcomeRecord(

@@ -8,9 +8,9 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..config.recording import ImageConfig
-from ..errors import ResourceError, counted
-from .records import ManifestEntry
+from ...config.recording import ImageConfig
+from ...errors import ResourceError, counted
+from ..records import ManifestEntry
 
 # Bytes of a JPEG, per pixel and besides: at least (plain scenes at low quality) and at most (noisy scenes at high
 # quality). Source: measured at 640x480 from quality 50 (0.042 per pixel) to 100 (0.26); noise doubles it.

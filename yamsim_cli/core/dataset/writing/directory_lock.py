@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import Path
 
-from ..errors import ResourceError
-from .layout import LOCK
+from ...errors import ResourceError
+from ..layout import LOCK
 
 # flock's errors on a filesystem without such locks.
 _UNSUPPORTED = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)

@@ -21,14 +21,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..documents.document import dump_yaml
-from ..errors import DatasetError, ResourceError
-from ..files import append_line, move_aside, publish_directory, sha256_bytes, write_file
+from ...documents.document import dump_yaml
+from ...errors import DatasetError, ResourceError
+from ...files import append_line, move_aside, publish_directory, sha256_bytes, write_file
+from ..disk_faults import reason
+from ..layout import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
+from ..records import AttemptRecord, EpisodeRecord, from_json, to_json
 from .directory_lock import DirectoryLock
-from .disk_faults import reason
 from .integrity import inspect_episode
-from .layout import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
-from .records import AttemptRecord, EpisodeRecord, from_json, to_json
 from .writer import DatasetWriter
 
 # How many attempts may be on their way. It bounds the space on the local disk if the target is too slow.

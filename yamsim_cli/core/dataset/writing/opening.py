@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from ..errors import UsageError
-from ..files import move_aside, obstacle
+from ...errors import UsageError
+from ...files import move_aside, obstacle
+from ..layout import LOCK, STAGING, is_litter
 from .directory_lock import DirectoryLock
-from .layout import LOCK, STAGING, is_litter
 
 
 class OpenMode(Enum):

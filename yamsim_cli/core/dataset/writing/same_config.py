@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..errors import ConfigError
-from ..shown_meshes import ShownMeshes, differences, remedy, shown
-from .layout import CONFIG
+from ...errors import ConfigError
+from ...shown_meshes import ShownMeshes, differences, remedy, shown
+from ..layout import CONFIG
 
 # What a configuration says and nobody sets: which meshes are shown, see `core.shown_meshes`.
 MESHES = "meshes"

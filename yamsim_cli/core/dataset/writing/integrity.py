@@ -6,10 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import DatasetError
-from ..files import sha256_bytes
-from .layout import DAMAGED, EPISODE, episode_directories
-from .records import EpisodeRecord, from_json
+from ...errors import DatasetError
+from ...files import sha256_bytes
+from ..layout import DAMAGED, EPISODE, episode_directories
+from ..records import EpisodeRecord, from_json
 
 # Threads that read: each waits for the disk or the network, and hashing leaves the interpreter free.
 _READERS = 32
