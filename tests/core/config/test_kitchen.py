@@ -17,7 +17,7 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.solid import filling, open_edges
 from yamsim_cli.core.geometry.stl import read_stl
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.things import add_object
+from yamsim_cli.core.scene.things.thing import add_object
 
 # Width, depth and height, cm. Source: KitchenBench 0.6, nominal sizes of its asset classes.
 NOMINAL = {

@@ -18,7 +18,7 @@ from yamsim_cli.core.geometry.closed import columns, enclosed, is_closed
 from yamsim_cli.core.images.png import decode_png
 from yamsim_cli.core.import_thing.from_file import ImportedFile, import_directly, import_file, name_of
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.things import add_object
+from yamsim_cli.core.scene.things.thing import add_object
 from yamsim_cli.core.thing_files.child import _read
 from yamsim_cli.core.thing_files.parts import Material, Part, ReadThing, Surface
 from yamsim_cli.core.thing_files.read import Told

@@ -17,7 +17,7 @@ from ..geometry.se3 import Array, pose_from_quat
 from ..resources import Locations
 from ..scene.breakdown import keep_warnings_quiet
 from ..scene.cameras import add_camera, fixed_camera
-from ..scene.things import add_object
+from ..scene.things.thing import add_object
 
 # Points on a round geom, around and from end to end.
 _AROUND, _RISE = 24, 7

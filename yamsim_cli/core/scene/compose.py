@@ -24,7 +24,7 @@ from .fiducials import add_base_board
 from .quality import apply_quality
 from .robot import arm_spec, with_looks
 from .surroundings import add_background, add_lights, add_table
-from .things import add_object
+from .things.thing import add_object
 from .varied_model import add_variable_parts
 
 # How MuJoCo reads what was told between two steps.

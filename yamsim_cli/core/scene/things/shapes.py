@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
-from ..config.thing_parts import Contact
-from ..errors import ResourceError
-from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
-from ..geometry.stl import stl_bytes
-from .thing_looks import HIDDEN_GROUP, SEEN_GROUP, MeshFiles, set_file
+from ...config.primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
+from ...config.thing_parts import Contact
+from ...errors import ResourceError
+from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_z
+from ...geometry.stl import stl_bytes
+from .looks import HIDDEN_GROUP, SEEN_GROUP, MeshFiles, set_file
 
 # How finely the distance to a mesh is tabled: each level halves the cells.
 _SDF_LEVELS = 6

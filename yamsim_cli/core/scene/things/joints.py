@@ -9,9 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..config.articulation import Detent, Handle, Link, LinkJoint
-from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
-from .thing_looks import HIDDEN_GROUP
+from ...config.articulation import Detent, Handle, Link, LinkJoint
+from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
+from .looks import HIDDEN_GROUP
 
 # A hinge's ridge is felt so far from its axis, m; any radius gives the same torque.
 _RADIUS = 0.05

@@ -8,15 +8,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..config.made import MADE, made_files
-from ..config.primitives import CollisionPart, Primitive, Ring
-from ..config.thing_parts import Contact, Inertia, ObjectMesh
-from ..config.things import ObjectConfig
-from ..geometry.se3 import quat_from_rotation
-from .cloth import add_cloth
-from .thing_joints import add_handles, add_link_joint, start_pose
-from .thing_looks import MeshFiles, add_look, add_material
-from .thing_shapes import add_collision, add_primitive, add_seen_ring
+from ...config.made import MADE, made_files
+from ...config.primitives import CollisionPart, Primitive, Ring
+from ...config.thing_parts import Contact, Inertia, ObjectMesh
+from ...config.things import ObjectConfig
+from ...geometry.se3 import quat_from_rotation
+from ..cloth import add_cloth
+from .joints import add_handles, add_link_joint, start_pose
+from .looks import MeshFiles, add_look, add_material
+from .shapes import add_collision, add_primitive, add_seen_ring
 
 # A fixed base is held by so much inertia and damping of its free joint that no hand moves it by 0.1 mm in a minute; so
 # it can be put anywhere in each attempt, as everything else can. kg and N s/m, and the same where it turns.
