@@ -151,9 +151,9 @@ def _gaps(
     gaps = []
     with progress_bar("gap", "recordings") as advance:
         for k, motion in enumerate(motions):
-            advance(k, len(motions), "")
+            advance(k, len(motions))
             gaps.append(gap_of(scene, motion, *part))
-        advance(len(motions), len(motions), "")
+        advance(len(motions), len(motions))
     return gaps
 
 
@@ -169,7 +169,7 @@ def _photos(
     quality = load_config(RenderConfig, "quality", "fast", where)
     where = opener.find_meshes(where, rig_mesh_sets(rig))
     with progress_bar("photos", "photos") as advance:
-        return compare_photos(gaps, rig, request, surroundings, quality, where, lambda k, n: advance(k, n, ""))
+        return compare_photos(gaps, rig, request, surroundings, quality, where, advance)
 
 
 def _tell(

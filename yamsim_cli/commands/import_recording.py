@@ -67,7 +67,7 @@ def import_recording(
     said = Corrections(degrees, swap_arms, gripper, mirror_gripper)
     request = ImportRequest(source, settings, kind, mapping, said, out, mode)
     with progress_bar("import", "episodes") as advance:
-        report = import_recordings(request, where, lambda done, total: advance(done, total, ""))
+        report = import_recordings(request, where, advance)
     if json:
         print_json(report.plain())
         return

@@ -115,7 +115,7 @@ def overlay(
     )
     where = opener.find_meshes(where, mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
-        report = run_overlays(settings, request, scene, quality, where, lambda done, total: advance(done, total, ""))
+        report = run_overlays(settings, request, scene, quality, where, advance)
     if json:
         print_json(report.plain())
     else:
