@@ -17,7 +17,8 @@ from ..session import Session
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import grip_name, rest_points
 from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFingers
-from .compose import READING, WELD, compile_spec, compose
+from .compiling import compile_spec
+from .compose import READING, WELD, compose
 from .composed_meshes import composed_meshes
 
 # Of physics of a rig alone, s: that of the tasks, unless they say otherwise.
