@@ -162,7 +162,7 @@ def _photos(
 ) -> tuple[dict[str, Any], list[Shown]]:
     """What the recordings' photos say, as plain data, and pictures for the page."""
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.recording import RenderConfig
+    from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.gap_photos.compare import compare_photos
     from yamsim_cli.core.scene.compose import rig_mesh_sets
 

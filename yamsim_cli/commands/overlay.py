@@ -79,7 +79,7 @@ def overlay(
 
     from yamsim_cli.core.config.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.recording import RenderConfig
+    from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     model = load_config(CameraConfig, "cameras", camera, where).model if camera else None

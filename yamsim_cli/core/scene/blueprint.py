@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from ..config.pictures import RenderConfig
 from ..config.randomization import RandomizationConfig
-from ..config.recording import SCENE_CAMERA, RecordConfig, RenderConfig
+from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..config.things import ObjectConfig

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from ..assets import AssetStore, resolve_own
+from ..config.pictures import SHADOW_REACH
 from ..config.randomization import ArmRanges
-from ..config.recording import SHADOW_REACH
 from ..config.rig import ArmConfig, RigCamera, RigConfig
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations, Meshes

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from ..config.recording import RenderConfig
+from ..config.pictures import RenderConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..errors import ResourceError
 from ..files import refusal, write_file

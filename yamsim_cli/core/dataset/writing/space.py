@@ -8,7 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...config.recording import ImageConfig
+from ...config.pictures import ImageConfig
 from ...errors import ResourceError, counted
 from ..records import ManifestEntry
 

@@ -1,4 +1,4 @@
-"""Whether fingers with pads can hold what a task moves."""
+"""Whether the hands that do a task can take hold of what it moves, and hold it by friction."""
 
 from __future__ import annotations
 
@@ -11,6 +11,34 @@ from .task import TaskConfig
 
 # Rigs whose grippers have pads, to name where a rig's have none: of one arm, and of two.
 _WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")
+
+
+def check_fingers(rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig) -> None:
+    """Make sure that the arms that do a task have fingers, and that its object fits between them.
+
+    Raises:
+        ConflictError: they cannot take hold of it; its paths are where, from a recording's config.
+    """
+    item = task.object
+    assert item.grasp is not None  # checked by the task
+    for arm in arms:
+        fingers = arm.gripper.fingers
+        if fingers is None:
+            raise ConflictError(
+                f"{arm.name} of rig {rig.name!r} has the gripper {arm.gripper.name}, which has no fingers to "
+                "pick anything up with; use another gripper, or another arm",
+                ("rig",),
+                ("arm",),
+            )
+        if item.grasp.opening > fingers.full_opening:
+            raise ConflictError(
+                f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
+                f"gripper {arm.gripper.name} of rig {rig.name!r} opens {2000 * fingers.full_opening:.0f} mm; "
+                "it can still be a target or a distractor",
+                ("task", "object"),
+                ("rig",),
+                ("task",),
+            )
 
 
 def check_friction(kind: str, rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig | ProgramTask) -> None:
