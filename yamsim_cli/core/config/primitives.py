@@ -120,5 +120,4 @@ def _around(low: tuple[float, float, float], high: tuple[float, float, float]) -
 
 
 Primitive = Annotated[Sphere | Capsule | Cylinder | Box | Ring, Field(discriminator="type")]
-MeshPart = HullPart | SdfPart
 CollisionPart = Annotated[Sphere | Capsule | Cylinder | Box | Ring | HullPart | SdfPart, Field(discriminator="type")]

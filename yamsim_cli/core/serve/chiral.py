@@ -12,8 +12,6 @@ from .chiral_wire import ChiralError
 from .connections import Program, Server, listen_at
 from .policy_robot import PolicyRobot
 
-# raiden's.
-PORT = 8765
 _READ_BYTES = 65_536
 # How long a program may take until it speaks WebSocket, s.
 _GREETING_S = 5.0

@@ -10,8 +10,6 @@ from .connections import Program, Server, listen_at
 from .follower import Follower
 from .portal_wire import PortalError
 
-# Of the maker's; a second arm has the next one.
-PORT = 11333
 _READ_BYTES = 65_536
 # Bytes of answers that wait for a program which does not read them, before it is hung up on.
 _BACKLOG_BYTES = 1_000_000
