@@ -81,7 +81,7 @@ def gap(
     where = opener.locations()
     settings = _rig(rig, revision, robot, margin, recordings[0], where)
 
-    from yamsim_cli.core.config.camera import CameraConfig
+    from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
 

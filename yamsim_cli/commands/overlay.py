@@ -77,7 +77,7 @@ def overlay(
     where = opener.locations()
     settings = _rig(rig, revision, episode or [], margin, where)
 
-    from yamsim_cli.core.config.camera import CameraConfig
+    from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.scene.classic import classic_xml
 from yamsim_cli.core.scene.things.joints import motion
 from yamsim_cli.core.scene.things.thing import add_object

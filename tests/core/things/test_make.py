@@ -12,7 +12,7 @@ import pytest
 from tests.drawers import MJCF, URDF, cabinet_sdf
 from tests.mugs import HEIGHT, RADIUS, WALL, has_import_extra, mug, mug_mesh, write_mugs
 from yamsim_cli.core.assets import AssetStore, resolve_own
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.closed import columns, enclosed, is_closed
 from yamsim_cli.core.images.png import decode_png

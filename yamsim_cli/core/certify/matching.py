@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..config.primitives import CollisionPart, HullPart, SdfPart
+from ..config.things.primitives import CollisionPart, HullPart, SdfPart
 from ..geometry.deviation import points_on
 from ..geometry.hull import depth_in_hull, spread_points
 from ..geometry.se3 import Array

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from ..config.scene import FixedCamera, Light
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..errors import ResourceError, UsageError
 from ..geometry.loft import Surface, joined, welded
 from ..geometry.se3 import Array, pose_from_quat

@@ -10,7 +10,7 @@ import numpy as np
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..config.scene import SceneConfig
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..resources import Locations
 from ..robots.models import Fingers
 from ..session import Session

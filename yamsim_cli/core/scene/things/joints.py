@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...config.articulation import Detent, Handle, Link, LinkJoint
+from ...config.things.articulation import Detent, Handle, Link, LinkJoint
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
 from .looks import HIDDEN_GROUP
 

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 
 from ...assets.own_sets import is_own
-from ...config.thing_parts import ObjectMesh
+from ...config.things.parts import ObjectMesh
 from ..robot import mesh_bytes
 
 # Asset set -> folder of its files, or the files themselves: name -> content; None where they are not here.

@@ -9,8 +9,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...config.primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
-from ...config.thing_parts import Contact
+from ...config.things.parts import Contact
+from ...config.things.primitives import (
+    Box,
+    Capsule,
+    CollisionPart,
+    Cylinder,
+    HullPart,
+    Primitive,
+    Ring,
+    SdfPart,
+    Sphere,
+)
 from ...errors import ResourceError
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 from ...geometry.stl import stl_bytes

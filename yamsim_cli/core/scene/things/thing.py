@@ -8,10 +8,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...config.made import MADE, made_files
-from ...config.primitives import CollisionPart, Primitive, Ring
-from ...config.thing_parts import Contact, Inertia, ObjectMesh
-from ...config.things import ObjectConfig
+from ...config.things.made import MADE, made_files
+from ...config.things.parts import Contact, Inertia, ObjectMesh
+from ...config.things.primitives import CollisionPart, Primitive, Ring
+from ...config.things.thing import ObjectConfig
 from ...geometry.se3 import quat_from_rotation
 from ..cloth import add_cloth
 from .joints import add_handles, add_link_joint, start_pose

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from ..documents.base import Config, Name, Quaternion, ordered
-from ..documents.units import OffsetPoint, Within
-from ..geometry.se3 import Array, pose, pose_from_quat
+from ...documents.base import Config, Name, Quaternion, ordered
+from ...documents.units import OffsetPoint, Within
+from ...geometry.se3 import Array, pose, pose_from_quat
+from .parts import Inertia, ObjectMesh
 from .primitives import CollisionPart, Primitive
-from .thing_parts import Inertia, ObjectMesh
 
 _Opening = Annotated[FiniteFloat, Within("m", 0, 1)]
 # A place on a joint's way: m, or degrees where it turns.

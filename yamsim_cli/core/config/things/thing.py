@@ -8,18 +8,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
-from ..documents.base import Config, ConflictError, Name
-from ..documents.document import Document
-from ..documents.units import Distance, Heading, OffsetPoint, Within
-from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ...documents.base import Config, ConflictError, Name
+from ...documents.document import Document
+from ...documents.units import Distance, Heading, OffsetPoint, Within
+from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .articulation import Handle, Link
 from .cloth import Cloth, cloth_object
 from .made import MADE, made_from
+from .parts import Contact as Contact
+from .parts import Inertia as Inertia
+from .parts import ObjectMesh as ObjectMesh
 from .primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Primitive, Ring, SdfPart, Sphere
 from .shapes import Shape
-from .thing_parts import Contact as Contact
-from .thing_parts import Inertia as Inertia
-from .thing_parts import ObjectMesh as ObjectMesh
 
 # Of its parts; fits, which look for them, try larger ones on their way.
 _PART = Within("m", -1, 1)

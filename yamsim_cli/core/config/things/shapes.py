@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from ..documents.base import Config, ConflictError, Rgba
-from ..documents.units import Within
-from ..geometry.forms import boxes, cutlery, pasta, vessels
-from ..geometry.forms.form import Form
+from ...documents.base import Config, ConflictError, Rgba
+from ...documents.units import Within
+from ...geometry.forms import boxes, cutlery, pasta, vessels
+from ...geometry.forms.form import Form
 
 _Size = Annotated[FiniteFloat, Within("mm", 1, 1000)]
 # A tine ends above the rack's floor and rail.

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from ..geometry.forms.form import Form, Hold
-from ..geometry.loft import joined
-from ..geometry.se3 import Array, quat_from_rotation
-from ..geometry.solid import filling
-from ..geometry.stl import stl_bytes
+from ...geometry.forms.form import Form, Hold
+from ...geometry.loft import joined
+from ...geometry.se3 import Array, quat_from_rotation
+from ...geometry.solid import filling
+from ...geometry.stl import stl_bytes
 from .shapes import DENSITY, Shape
 
 #: Stands for the set of meshes that are made from sizes whenever a scene is composed: no folder holds them.

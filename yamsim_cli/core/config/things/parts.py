@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ..documents.base import Config, NonNegative, Quaternion, Rgba
-from ..documents.units import OffsetPoint, PlacePoint, Within
+from ...documents.base import Config, NonNegative, Quaternion, Rgba
+from ...documents.units import OffsetPoint, PlacePoint, Within
 
 _Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
 _Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 100)]

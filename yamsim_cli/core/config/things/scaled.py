@@ -8,7 +8,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from .made import made_object
 from .shapes import Shape
-from .things import ObjectConfig
+from .thing import ObjectConfig
 
 _SHAPE: TypeAdapter[Shape] = TypeAdapter(Shape)
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, FiniteFloat, ValidationError
 
-from ..documents.base import Config, NonNegative, Rgb
-from ..documents.units import Within
+from ...documents.base import Config, NonNegative, Rgb
+from ...documents.units import Within
 from .made import MADE
 
 _Side = Annotated[FiniteFloat, Within("mm", 50, 1500)]
