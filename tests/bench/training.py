@@ -113,6 +113,7 @@ def main() -> None:
     runs = [(kind, int(episodes), int(steps)) for kind, episodes, steps in texts]
     most = {kind: max(episodes for other, episodes, _ in runs if other == kind) for kind, _, _ in runs}
     bench = Bench(given.python.absolute(), given.out.absolute(), most, given.trials, given.nice, given.remember)
+    bench.out.mkdir(parents=True, exist_ok=True)
     done = []
     for kind, episodes, steps in runs:
         done.append(one := bench.run(recipe.KINDS[kind], episodes, steps))
