@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -34,7 +35,7 @@ class Joint:
     """A joint: links by name, parent None for the world.
 
     Attributes:
-        moves: as `config.articulation.LinkJoint` takes it, in the child's frame; None where it is fixed.
+        moves: as `config.things.articulation.LinkJoint` takes it, in the child's frame; None where it is fixed.
     """
 
     name: str
@@ -195,3 +196,16 @@ def checked_weight(mass: float, centre: Array, tensor: Array) -> Weight | None:
     if not 0 < mass <= 1e4:
         raise RefusedError("impossible", f"it says a mass of {mass:g} kg")
     return Weight(mass, np.asarray(centre, np.float64), np.asarray(tensor, np.float64))
+
+
+def bounded(low: float, high: float, *, turns: bool, name: str) -> list[float]:
+    """Stops of a joint in a config's units, m or degrees, of a file's in m or rad; endless hinges get some turns."""
+    if not turns:
+        if not (abs(low) <= 2 and abs(high) <= 2):
+            raise RefusedError("impossible", f"joint {name!r} slides from {low:g} to {high:g} m")
+        ends = [low, high]
+    else:
+        ends = [max(math.degrees(low), -ENDLESS_DEG), min(math.degrees(high), ENDLESS_DEG)]
+    if not ends[0] < ends[1]:
+        raise RefusedError("impossible", f"joint {name!r} has no way to go: {low:g} to {high:g}")
+    return ends
