@@ -9,7 +9,8 @@ import pytest
 from tests.core.dataset.making import CONFIG, failed_attempt, made, publish
 from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json, to_json
 from yamsim_cli.core.dataset.writing.ledger import LINE_LOST, Ledger
-from yamsim_cli.core.dataset.writing.writer import DatasetWriter, OpenMode
+from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.documents.document import load_yaml
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 

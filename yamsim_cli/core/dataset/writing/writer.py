@@ -19,8 +19,6 @@ from .ledger import Ledger, lost_line
 from .opening import OpenMode, claim
 from .same_config import MESHES, require_same, unsaid_meshes
 
-__all__ = ["DatasetWriter", "OpenMode"]
-
 
 class DatasetWriter(Closing):
     """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
