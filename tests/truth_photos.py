@@ -17,7 +17,7 @@ from yamsim_cli.core.geometry.camera import CameraModel, opencv_from_mujoco
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, quat_from_rotation
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.scene.compose import compile_spec
+from yamsim_cli.core.scene.compiling import compile_spec
 from yamsim_cli.core.show.compose import at_home
 from yamsim_cli.core.vision.lens import LensWarp, project_points
 from yamsim_cli.core.vision.renderer import SceneRenderer

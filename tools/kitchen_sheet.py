@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.images.png import encode_png
 from yamsim_cli.core.opener import Opener
 

@@ -95,7 +95,7 @@ def configs_page() -> str:
     for kind, model in KINDS.items():
         schema = model.model_json_schema(by_alias=False)
         parts.append(f"\n## {kind}\n\n")
-        parts.append(_model(model.__name__, schema, inspect.cleandoc(model.__doc__ or "")))
+        parts.append(_model(schema, inspect.cleandoc(model.__doc__ or "")))
     shared: dict[str, Mapping[str, Any]] = {}
     top = {model.__name__ for model in KINDS.values()}
     for model in KINDS.values():
@@ -104,11 +104,11 @@ def configs_page() -> str:
                 shared.setdefault(name, schema)
     parts.append("\n## Parts of configs\n")
     for name in sorted(shared):
-        parts.append(f"\n### {name}\n\n{_model(name, shared[name], shared[name].get('description', ''))}")
+        parts.append(f"\n### {name}\n\n{_model(shared[name], shared[name].get('description', ''))}")
     return "".join(parts)
 
 
-def _model(name: str, schema: Mapping[str, Any], text: str) -> str:
+def _model(schema: Mapping[str, Any], text: str) -> str:
     summary, said = _attributes(inspect.cleandoc(text))
     required = set(schema.get("required", ()))
     rows = [

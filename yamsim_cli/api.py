@@ -73,7 +73,7 @@ def record(
         grasp=grasp,
     )
 
-    from .core.dataset.opening import OpenMode
+    from .core.dataset.writing.opening import OpenMode
     from .core.record.collect import Notifier
     from .core.record.destination import Output
     from .core.record.executors import LocalProcesses, ThisProcess

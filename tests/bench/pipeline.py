@@ -22,7 +22,7 @@ from tests.core.attempts import planned
 from yamsim_cli.core.attempt.pictures import render
 from yamsim_cli.core.attempt.simulated import Simulated
 from yamsim_cli.core.attempt.simulator import Simulator
-from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.executors import LocalProcesses

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tests.bench.setting import setting
 from tests.core.attempts import all_actions
 from yamsim_cli.core.attempt.simulated import Simulated
-from yamsim_cli.core.config.recording import RenderConfig
+from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.robot import bare_arm
 from yamsim_cli.core.session import Session

@@ -37,7 +37,7 @@ def scene(config: Any, meshes: Any, *, peg: bool = False, ball: bool = False) ->
     """A mug on a floor, or on a peg, and a ball that falls into it."""
     import mujoco
 
-    from yamsim_cli.core.scene.things import add_object
+    from yamsim_cli.core.scene.things.thing import add_object
 
     spec = mujoco.MjSpec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

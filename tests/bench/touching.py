@@ -19,7 +19,7 @@ from tests.mugs import mug_mesh
 from yamsim_cli.core.certify.hollow import hollow_of
 from yamsim_cli.core.certify.subject import Subject, compiled, grounded_spec, subject
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import YamsimError
 from yamsim_cli.core.geometry.stl import stl_bytes
 from yamsim_cli.core.import_thing.from_file import import_file

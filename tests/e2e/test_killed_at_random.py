@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.recorder import digest, is_alive, run, start, wait_until, workers_of
-from yamsim_cli.core.dataset.integrity import find_episodes
+from yamsim_cli.core.dataset.writing.integrity import find_episodes
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 

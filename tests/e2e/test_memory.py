@@ -11,7 +11,7 @@ import pytest
 from tests.core.workers.toy_runners import Toy
 from tests.e2e.recorder import workers_of
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.executors import LocalProcesses

@@ -11,7 +11,7 @@ import pytest
 from tests.e2e.recorder import digest, episodes, run, start, wait_until
 from tests.programs import ONTO_PLATE, written
 from yamsim_cli.core.config.program_task import PROGRAM
-from yamsim_cli.core.dataset.opening import OpenMode
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output

@@ -17,8 +17,8 @@ import pytest
 import yaml
 
 from tests.cli.run_cli import yamsim
-from yamsim_cli.core.config.recording import ImageConfig
-from yamsim_cli.core.dataset.space import EpisodeSize
+from yamsim_cli.core.config.pictures import ImageConfig
+from yamsim_cli.core.dataset.writing.space import EpisodeSize
 from yamsim_cli.core.gl import GlBackend
 
 pytestmark = pytest.mark.render

@@ -19,7 +19,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.e2e.browser import Browser, wait_until
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.opening import OpenMode
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.recording import RenderConfig
+from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.resources import Locations

@@ -105,7 +105,7 @@ def test_a_margin_2_cm_off_is_seen_in_the_centres_alone(shots: Shots) -> None:
 
 @pytest.mark.parametrize("name", RIGS)
 def test_every_marker_is_found_from_above(name: str, locations: Locations) -> None:
-    from yamsim_cli.core.config.recording import RenderConfig
+    from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     rig, size = _rig(name, locations), (1280, 960)

@@ -23,8 +23,8 @@ from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.programs import demonstrate_program
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulators import Simulators
-from yamsim_cli.core.dataset.opening import OpenMode
 from yamsim_cli.core.dataset.reader import dataset_config
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.record.collect import Notifier

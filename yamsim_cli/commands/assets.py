@@ -112,7 +112,7 @@ def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]
 def _things(lock: AssetLock) -> list[dict[str, Any]]:
     """Every object there is a config of, and how it stands with its certificate."""
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.things import ObjectConfig
+    from yamsim_cli.core.config.things.thing import ObjectConfig
     from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.things.certificates import find_certificate
 

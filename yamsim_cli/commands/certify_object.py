@@ -63,7 +63,7 @@ def certify_named(thing: str) -> Certified:
     from yamsim_cli.core.assets import load_lock
     from yamsim_cli.core.certify.run import certify
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.things import ObjectConfig
+    from yamsim_cli.core.config.things.thing import ObjectConfig
     from yamsim_cli.core.things.certificates import store_certificate
 
     where = opener.locations()

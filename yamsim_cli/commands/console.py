@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.console import Console
 
@@ -20,8 +20,12 @@ console = Console(stderr=True)
 # Seconds between two lines of progress in a log. A short job stays silent, and one of a whole night can be followed.
 _LOG_SECONDS = 30.0
 
-# Called with the number done, the total and a remark.
-Advance = Callable[[int, int, str], None]
+
+class Advance(Protocol):
+    """Tells how far a job is."""
+
+    def __call__(self, done: int, total: int, remark: str = "", /) -> None:
+        """So many are done, of a total; and what else there is to say."""
 
 
 def print_json(data: Mapping[str, Any]) -> None:

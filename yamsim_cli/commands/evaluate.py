@@ -165,7 +165,7 @@ def evaluate(
 
     def run(choice: PolicyChoice) -> evaluation.Evaluation:
         with progress_bar("trials", "trials") as advance:
-            return evaluation.evaluate(session, choice, lambda done, total: advance(done, total, ""), trial_timeout)
+            return evaluation.evaluate(session, choice, advance, trial_timeout)
 
     limits = (Path.cwd(), policy_timeout, time_limit)
     found = run(PolicyChoice(policy, *limits, arguments, policy_config, chunking))

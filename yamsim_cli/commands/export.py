@@ -121,11 +121,7 @@ def _simulated_raiden(
     if options.renders:
         where = opener.with_meshes(Session(source.config, where)).locations
     with progress_bar("exporting", "episodes") as advance:
-
-        def progress(n: int, total: int) -> None:
-            advance(n, total, "")
-
-        return export_raiden(source, out, where, progress, options, workers=workers, overwrite=overwrite)
+        return export_raiden(source, out, where, advance, options, workers=workers, overwrite=overwrite)
 
 
 def _real_raiden(
@@ -145,11 +141,7 @@ def _real_raiden(
     where = opener.locations()
     source = open_real_source(dataset, episodes, where, options.fps)
     with progress_bar("exporting", "episodes") as advance:
-
-        def progress(n: int, total: int) -> None:
-            advance(n, total, "")
-
-        return export_real_raiden(source, out, where, progress, options, actions or "recorded", overwrite=overwrite)
+        return export_real_raiden(source, out, where, advance, options, actions or "recorded", overwrite=overwrite)
 
 
 @app.command()
@@ -180,19 +172,15 @@ def lerobot(
     from yamsim_cli.core.export.real_source import RealSource
 
     with progress_bar("exporting", "episodes") as advance:
-
-        def progress(n: int, total: int) -> None:
-            advance(n, total, "")
-
         if isinstance(source, RealSource):
             if environment_state:
                 raise UsageError(f"--environment-state: {dataset} is real, and nobody recorded where things were")
             wanted = RealOptions(pictures, actions or "recorded")
-            done = export_real_lerobot(source, out, progress, wanted, overwrite=overwrite)
+            done = export_real_lerobot(source, out, advance, wanted, overwrite=overwrite)
         else:
             _require_real("--actions", actions, dataset)
             options = LeRobotOptions(pictures, environment_state)
-            done = export_lerobot(source, out, progress, options, overwrite=overwrite)
+            done = export_lerobot(source, out, advance, options, overwrite=overwrite)
     _show(done, json)
 
 
@@ -221,14 +209,10 @@ def mp4(
     from yamsim_cli.core.export.videos import export_mp4, export_sheet
 
     with progress_bar("exporting", "episodes") as advance:
-
-        def progress(n: int, total: int) -> None:
-            advance(n, total, "")
-
         if sheet:
-            done = export_sheet(source, out, camera or (), progress, columns=columns, width=width, overwrite=overwrite)
+            done = export_sheet(source, out, camera or (), advance, columns=columns, width=width, overwrite=overwrite)
         else:
-            done = export_mp4(source, out, camera or (), progress, speed=speed, overwrite=overwrite)
+            done = export_mp4(source, out, camera or (), advance, speed=speed, overwrite=overwrite)
     _show(done, json)
 
 
@@ -245,7 +229,7 @@ def rerun(
     from yamsim_cli.core.export.rrd import export_rerun
 
     with progress_bar("exporting", "episodes") as advance:
-        done = export_rerun(source, out, lambda n, total: advance(n, total, ""), overwrite=overwrite)
+        done = export_rerun(source, out, advance, overwrite=overwrite)
     _show(done, json)
 
 

@@ -25,7 +25,7 @@ def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFil
 def film(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
     """What a report says of the films that `make` makes; shows their progress meanwhile."""
     with progress_bar("filming", "trials") as advance:
-        shown = make(lambda done, wanted: advance(done, wanted, ""))
+        shown = make(advance)
     if films.moved_aside:
         note(f"What was at {films.path} is now at {films.moved_aside}.")
     return [{"trial": film.trial, "path": str(film.path)} for film in shown]

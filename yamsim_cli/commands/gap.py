@@ -81,7 +81,7 @@ def gap(
     where = opener.locations()
     settings = _rig(rig, revision, robot, margin, recordings[0], where)
 
-    from yamsim_cli.core.config.camera import CameraConfig
+    from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
 
@@ -151,9 +151,9 @@ def _gaps(
     gaps = []
     with progress_bar("gap", "recordings") as advance:
         for k, motion in enumerate(motions):
-            advance(k, len(motions), "")
+            advance(k, len(motions))
             gaps.append(gap_of(scene, motion, *part))
-        advance(len(motions), len(motions), "")
+        advance(len(motions), len(motions))
     return gaps
 
 
@@ -162,14 +162,14 @@ def _photos(
 ) -> tuple[dict[str, Any], list[Shown]]:
     """What the recordings' photos say, as plain data, and pictures for the page."""
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.recording import RenderConfig
+    from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.gap_photos.compare import compare_photos
     from yamsim_cli.core.scene.compose import rig_mesh_sets
 
     quality = load_config(RenderConfig, "quality", "fast", where)
     where = opener.find_meshes(where, rig_mesh_sets(rig))
     with progress_bar("photos", "photos") as advance:
-        return compare_photos(gaps, rig, request, surroundings, quality, where, lambda k, n: advance(k, n, ""))
+        return compare_photos(gaps, rig, request, surroundings, quality, where, advance)
 
 
 def _tell(

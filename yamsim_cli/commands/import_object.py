@@ -81,7 +81,7 @@ def import_object(
     wishes = Wishes(name or name_of(file), mass, density, collision, base, friction)
     with progress_bar(f"importing {file.name}", "%") as advance:
         told = Told(unit, up, scale)
-        imported = import_file(file, told, wishes, where, out, lambda done: advance(round(100 * done), 100, ""))
+        imported = import_file(file, told, wishes, where, out, lambda done: advance(round(100 * done), 100))
     for text in (*imported.made.notes, *_guesses(imported)):
         note(f"{file.name}: {text}")
     _tell(_item(imported), _lines(imported), certify=certify, json=json)

@@ -59,7 +59,7 @@ def import_recording(
     opener.skip_gl()
     settings = opener.rig(rig, where)
 
-    from yamsim_cli.core.dataset.opening import OpenMode
+    from yamsim_cli.core.dataset.writing.opening import OpenMode
     from yamsim_cli.core.import_recording.corrections import Corrections
     from yamsim_cli.core.import_recording.importing import ImportRequest, import_recordings
 
@@ -67,7 +67,7 @@ def import_recording(
     said = Corrections(degrees, swap_arms, gripper, mirror_gripper)
     request = ImportRequest(source, settings, kind, mapping, said, out, mode)
     with progress_bar("import", "episodes") as advance:
-        report = import_recordings(request, where, lambda done, total: advance(done, total, ""))
+        report = import_recordings(request, where, advance)
     if json:
         print_json(report.plain())
         return

@@ -77,9 +77,9 @@ def overlay(
     where = opener.locations()
     settings = _rig(rig, revision, episode or [], margin, where)
 
-    from yamsim_cli.core.config.camera import CameraConfig
+    from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.recording import RenderConfig
+    from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
@@ -115,7 +115,7 @@ def overlay(
     )
     where = opener.find_meshes(where, mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
-        report = run_overlays(settings, request, scene, quality, where, lambda done, total: advance(done, total, ""))
+        report = run_overlays(settings, request, scene, quality, where, advance)
     if json:
         print_json(report.plain())
     else:

@@ -98,7 +98,7 @@ def batch(
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
-        report = run_batch(session, THRESHOLDS, lambda done, wanted: advance(done, wanted, ""))
+        report = run_batch(session, THRESHOLDS, advance)
     if films:
         report["videos"] = film(films, lambda told: film_trials(report["trials"], video_trials, films, session, told))
     if out is not None:

@@ -32,7 +32,7 @@ from .settings import (
 from .signals import stoppable
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.dataset.opening import OpenMode
+    from yamsim_cli.core.dataset.writing.opening import OpenMode
     from yamsim_cli.core.record.executors import Executors
     from yamsim_cli.core.record.recorder import RecordReport
 
@@ -135,7 +135,7 @@ def record(
 
 def mode_of(*, resume: bool, overwrite: bool) -> OpenMode:
     """What to do with an output that is not empty."""
-    from yamsim_cli.core.dataset.opening import OpenMode
+    from yamsim_cli.core.dataset.writing.opening import OpenMode
 
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other; give one")

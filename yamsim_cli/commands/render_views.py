@@ -33,7 +33,7 @@ def render_views(
     pixels = parse_size(size)
 
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.recording import RenderConfig
+    from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
     scene = load_config(SceneConfig, "scenes", "studio", where)

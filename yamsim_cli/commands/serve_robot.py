@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.serve.loop import Port
     from yamsim_cli.core.serve.pictures import PictureProcess
     from yamsim_cli.core.serve.policy_robot import PolicyRobot
+    from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
     from yamsim_cli.core.session import Session
 
 # What two frames of 130 bits at 1 Mbit/s and the adapter's way through USB take: with seven motors 4 ms, the
@@ -108,19 +109,13 @@ def serve_robot(
 
     from yamsim_cli.core.serve.arms import STARTS, policy_robot, serve_arms
     from yamsim_cli.core.serve.loop import ServeLoop
-    from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
 
     if start not in STARTS:
         raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(STARTS)}")
     served = serve_arms(session, channel or (), faults, start)
     with ExitStack() as stack, stoppable("Ending.") as stop:
         where = bus_folder(folder)
-        sockets = []
-        for side, bus in zip(served.sides, served.plant.buses, strict=True):
-            one = KernelBus(bus.channel) if kernel else UnixBus(where, bus.channel)
-            stack.callback(one.close)
-            sockets.append(one)
-            note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
+        sockets = _sockets(stack, served, None if kernel else where)
         ports = _portals(stack, served, host, portal)
         driven = None
         if cameras or chiral is not None:
@@ -150,6 +145,19 @@ def serve_robot(
         f"{pace.steps} steps in {pace.seconds:.1f} s, the latest {pace.late_ms:.2f} ms late, {pace.late_steps} by more "
         f"than a step, {pace.lost_ms:.0f} ms lost; {pace.frames} frames"
     )
+
+
+def _sockets(stack: ExitStack, served: Served, folder: Path | None) -> list[UnixBus | KernelBus]:
+    """A socket for each bus, in a folder; without one, the kernel's."""
+    from yamsim_cli.core.serve.sockets import KernelBus, UnixBus
+
+    sockets: list[UnixBus | KernelBus] = []
+    for side, bus in zip(served.sides, served.plant.buses, strict=True):
+        one = KernelBus(bus.channel) if folder is None else UnixBus(folder, bus.channel)
+        stack.callback(one.close)
+        sockets.append(one)
+        note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
+    return sockets
 
 
 def _portals(stack: ExitStack, served: Served, host: str, port: int | None) -> list[Port]:

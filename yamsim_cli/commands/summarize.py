@@ -46,9 +46,7 @@ def summarize(
 
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
-        survey = survey_dataset(
-            dataset, opener.locations(), workers or usable_cores(), lambda done, total: advance(done, total, "")
-        )
+        survey = survey_dataset(dataset, opener.locations(), workers or usable_cores(), advance)
     report = count(survey, thresholds)
     if html:
         from yamsim_cli.core.summarize.report_files import write_report

@@ -70,7 +70,7 @@ def check(
 
     require_program(session.config, "`yamsim tasks check`")
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
-        report = prove(session, least, lambda done, wanted: advance(done, wanted, ""))
+        report = prove(session, least, advance)
     if json:
         print_json(report)
     else:

@@ -66,7 +66,7 @@ def verify(
 
     limits = Limits(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:
-        report = run(chosen, session, limits, workers, lambda done, total: advance(done, total, ""))
+        report = run(chosen, session, limits, workers, advance)
     report = {"path": str(dataset)} | report
     if json:
         print_json(report)

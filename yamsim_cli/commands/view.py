@@ -17,7 +17,8 @@ from .signals import noted_signals
 from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.config.recording import RecordConfig, RenderConfig
+    from yamsim_cli.core.config.pictures import RenderConfig
+    from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.resources import Locations
     from yamsim_cli.core.viewers.live import LiveRig
@@ -104,7 +105,8 @@ def _live(
     settings: RigConfig | RecordConfig, where: Locations, *, boards: bool, pictures: bool
 ) -> tuple[LiveRig, Viewpoint | None]:
     from yamsim_cli.core.config.loader import load_config
-    from yamsim_cli.core.config.recording import RecordConfig, RenderConfig
+    from yamsim_cli.core.config.pictures import RenderConfig
+    from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint

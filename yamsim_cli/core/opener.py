@@ -12,8 +12,9 @@ from .session import Session
 
 if TYPE_CHECKING:
     from .assets import AssetLock, AssetStore
+    from .config.pictures import RenderConfig
     from .config.program_task import ProgramTiming
-    from .config.recording import RecordConfig, RenderConfig
+    from .config.recording import RecordConfig
     from .config.rig import RigConfig
     from .config.task import Timing
     from .documents.base import Config

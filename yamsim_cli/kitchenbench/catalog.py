@@ -8,8 +8,8 @@ from typing import Any
 from kitchenbench.sim.blueprint import ASSETS, SceneObject
 
 from ..core.config.loader import load_config
-from ..core.config.made import made_object
-from ..core.config.things import ObjectConfig
+from ..core.config.things.made import made_object
+from ..core.config.things.thing import ObjectConfig
 from ..core.resources import Locations
 
 # Asset -> our object. Compartments are no things: they are parts of the tray.

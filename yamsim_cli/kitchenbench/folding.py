@@ -11,7 +11,7 @@ import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 from kitchenbench.sim.success import FOLD_RATIO_PER_FOLD
 
-from ..core.config.cloth import Cloth
+from ..core.config.things.cloth import Cloth
 from ..core.geometry.se3 import Array
 from ..core.goals.cast import Cast
 from ..core.skills.base import Skill

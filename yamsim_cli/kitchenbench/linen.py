@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
-from ..core.config.cloth import Cloth, cloth_object
 from ..core.config.loader import load_config
 from ..core.config.scene import Table
-from ..core.config.things import ObjectConfig
+from ..core.config.things.cloth import Cloth, cloth_object
+from ..core.config.things.thing import ObjectConfig
 from ..core.geometry.se3 import Array
 from ..core.resources import Locations
 from ..core.scene.compiled import CompiledScene

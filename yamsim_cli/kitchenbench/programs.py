@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
-from ..core.config.shapes import RackShape
-from ..core.config.things import ObjectConfig
+from ..core.config.things.shapes import RackShape
+from ..core.config.things.thing import ObjectConfig
 from ..core.geometry.se3 import Array
 from ..core.skills.base import Skill
 from ..core.skills.handover import Handover

@@ -15,7 +15,7 @@ from ..core.attempt.simulator import Simulator
 from ..core.config.program_task import PROGRAM, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
-from ..core.config.things import ObjectConfig
+from ..core.config.things.thing import ObjectConfig
 from ..core.geometry.se3 import Array, pose, rotation_z
 from ..core.goals.cast import Cast
 from ..core.planning.demonstration import start_stands

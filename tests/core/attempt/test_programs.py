@@ -17,9 +17,9 @@ from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.episode import check_episode
 from yamsim_cli.core.dataset.checks.problem import Problems
-from yamsim_cli.core.dataset.opening import OpenMode
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.dataset.records import CastRecord, to_json
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.images.jpeg import JpegReader

@@ -18,7 +18,7 @@ from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.checks.lowdim import frame_faults
+from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.overlay.photos import episode_photos
@@ -111,8 +111,8 @@ def test_either_arm_does_the_very_same_before_its_own_base(left: Frames, right: 
 def test_a_frame_of_two_arms_has_the_left_one_first_and_all_poses_in_its_base(left: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera")
     first = left[0]
-    assert frame_faults(first, OBJECTS, cameras, 2, 7) == []
-    assert frame_faults(first, OBJECTS, cameras, 1, 7) != []
+    assert frame_faults(first, expected_forms(OBJECTS, cameras, 2, 7)) == []
+    assert frame_faults(first, expected_forms(OBJECTS, cameras, 1, 7)) != []
     assert (first["ctrl"].shape, first["ee_pose"].shape, first["magnet"].shape) == ((14,), (2, 4, 4), (2,))
     assert first["sim_magnet"].shape == (2, 2)
     np.testing.assert_allclose(first["T_right_base_in_left_base"][:3, 3], (0, -0.7, 0), atol=1e-6)
@@ -129,7 +129,7 @@ def test_a_frame_of_two_arms_has_the_left_one_first_and_all_poses_in_its_base(le
 def test_simulation_data_of_another_number_of_arms_are_a_fault(left: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera")
     for magnet in (np.ones(2, bool), np.ones((2, 3), bool)):
-        (fault,) = frame_faults(left[0] | {"sim_magnet": magnet}, OBJECTS, cameras, 2, 7)
+        (fault,) = frame_faults(left[0] | {"sim_magnet": magnet}, expected_forms(OBJECTS, cameras, 2, 7))
         assert "sim_magnet" in fault
 
 
@@ -158,7 +158,7 @@ def test_the_banana_goes_from_one_arm_to_the_other_in_the_air_and_level(handed: 
 def test_both_wrists_are_recorded_of_a_hand_over(handed: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera", "right_wrist_camera")
     assert set(handed[0]["extrinsics"]) == set(cameras)
-    assert frame_faults(handed[0], OBJECTS, cameras, 2, 7) == []
+    assert frame_faults(handed[0], expected_forms(OBJECTS, cameras, 2, 7)) == []
     # Which of them it would be of could not be told.
     assert "K_wrist" not in handed[0]
 

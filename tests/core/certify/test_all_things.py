@@ -8,7 +8,7 @@ import pytest
 
 from yamsim_cli.core.certify.run import certify
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations

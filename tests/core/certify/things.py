@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from yamsim_cli.core.config.loader import parse_config
-from yamsim_cli.core.config.made import made_files, made_object
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.made import made_files, made_object
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.documents.document import dump_yaml, load_yaml
 from yamsim_cli.core.geometry.stl import Faces, read_stl, stl_bytes
 from yamsim_cli.core.resources import Locations

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.camera import CameraConfig
+from yamsim_cli.core.config.cameras.camera import CameraConfig
 from yamsim_cli.core.config.loader import load_config, validate_file
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.camera import CameraModel

@@ -5,7 +5,7 @@ import pytest
 from yamsim_cli.core.config.loader import KINDS, load_config, model_of, parse_config, validate_file
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.task import TaskConfig
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError, UsageError, YamsimError
 from yamsim_cli.core.resources import Locations

@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG, Made, made, publish
-from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
+from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 
 
 @pytest.fixture

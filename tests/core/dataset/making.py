@@ -8,7 +8,7 @@ import numpy as np
 from yamsim_cli.core.dataset.layout import image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, frame_data
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, OutcomeRecord, file_hashes
-from yamsim_cli.core.dataset.writer import DatasetWriter
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 
 CAMERA = "scene_camera"
 CONFIG = {"task": {"name": "pickplace", "success": {"threshold": 0.05}}, "seed": 7, "arms": [{"name": "arm1"}]}

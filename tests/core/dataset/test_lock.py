@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG
-from yamsim_cli.core.dataset.directory_lock import DirectoryLock
-from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
+from yamsim_cli.core.dataset.writing.directory_lock import DirectoryLock
+from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ResourceError, UsageError
 
 HOST = socket.gethostname()
@@ -26,7 +27,8 @@ def recorder(path: Path) -> Iterator[subprocess.Popen[str]]:
     """Another process that records into `path`."""
     code = (
         "from pathlib import Path\n"
-        "from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode\n"
+        "from yamsim_cli.core.dataset.writing.opening import OpenMode\n"
+        "from yamsim_cli.core.dataset.writing.writer import DatasetWriter\n"
         f"writer = DatasetWriter(Path({str(path)!r}), {CONFIG!r}, OpenMode.RESUME)\n"
         "print('recording', flush=True)\n"
         "input()\n"

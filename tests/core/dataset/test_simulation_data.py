@@ -7,7 +7,7 @@ import pytest
 
 from tests.core.dataset.making import CAMERA, frame
 from yamsim_cli.core.dataset.actions import recorded_actions
-from yamsim_cli.core.dataset.checks.lowdim import frame_faults
+from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.dataset.lowdim import (
     SimulationData,
     dump_frame,
@@ -51,8 +51,8 @@ def test_it_comes_last_and_keeps_every_bit():
 def test_a_frame_has_all_of_it_or_none():
     assert has_simulation(simulated())
     assert not has_simulation(frame())
-    assert frame_faults(simulated(), OBJECTS, [CAMERA], 1, 7) == []
-    assert frame_faults(frame(), OBJECTS, [CAMERA], 1, 7) == []
+    assert frame_faults(simulated(), expected_forms(OBJECTS, [CAMERA], 1, 7)) == []
+    assert frame_faults(frame(), expected_forms(OBJECTS, [CAMERA], 1, 7)) == []
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_a_frame_has_all_of_it_or_none():
     ],
 )
 def test_each_fault_is_named(change, fault):
-    (found,) = frame_faults(simulated() | change, OBJECTS, [CAMERA], 1, 7)
+    (found,) = frame_faults(simulated() | change, expected_forms(OBJECTS, [CAMERA], 1, 7))
     assert found.endswith(fault)
 
 

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from tests.core.dataset.making import made
-from yamsim_cli.core.config.recording import ImageConfig
+from yamsim_cli.core.config.pictures import ImageConfig
 from yamsim_cli.core.dataset.disk_faults import explain, reason
 from yamsim_cli.core.dataset.records import Manifest, from_json
-from yamsim_cli.core.dataset.space import EpisodeSize, check_space, files_per_episode
+from yamsim_cli.core.dataset.writing.space import EpisodeSize, check_space, files_per_episode
 from yamsim_cli.core.errors import ResourceError
 
 SIZE = EpisodeSize(least=1_000_000, most=4_000_000, inodes=100)

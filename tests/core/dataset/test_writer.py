@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG, failed_attempt, made, publish
-from yamsim_cli.core.dataset.ledger import LINE_LOST, Ledger
 from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json, to_json
-from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
+from yamsim_cli.core.dataset.writing.ledger import LINE_LOST, Ledger
+from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.documents.document import load_yaml
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 
@@ -150,7 +151,7 @@ def test_a_disk_that_refuses_is_a_resource_error_with_its_reason(tmp_path, monke
     def refuse(*_):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    monkeypatch.setattr("yamsim_cli.core.dataset.writer.write_file", refuse)
+    monkeypatch.setattr("yamsim_cli.core.dataset.writing.writer.write_file", refuse)
     with pytest.raises(ResourceError, match=r"cannot be written: Read-only file system: .*; choose another --out"):
         opened(tmp_path / "dataset", CONFIG, mode)
 

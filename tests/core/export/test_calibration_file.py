@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.core.export.conftest import CAMERAS, jpeg
 from tests.core.unrendered import SIZE, write_dataset
-from yamsim_cli.core.config.camera import CameraConfig
+from yamsim_cli.core.config.cameras.camera import CameraConfig
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.export.raiden import export_raiden

@@ -13,7 +13,7 @@ from tests.rig_photos import Studio, looking
 from tests.rig_scenes import plant, rig_scene, swings
 from tests.truth_photos import CAMERA
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.recording import RenderConfig
+from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.dataset.layout import image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import dump_frame

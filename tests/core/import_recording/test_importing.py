@@ -14,9 +14,9 @@ from tests.core.recordings.foreign import PROMPT, write_lerobot_v2, write_lowdim
 from tests.core.recordings.making import swinging, write_csv
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.opening import OpenMode
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded, recorded_rig
 from yamsim_cli.core.dataset.summary import summarize
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import ConfigError, DatasetError, UsageError
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.import_recording.corrections import Corrections

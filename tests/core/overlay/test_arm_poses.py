@@ -17,7 +17,6 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.overlay.arm_poses import Lens, PhotoResult, find_arms, unknown_lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.vision.fiducials.suspects import outer_corners
 from yamsim_cli.core.vision.lens import project_points
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
@@ -134,7 +133,7 @@ def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) 
     before = found(russet, photograph(CAMERA, [(board, T_before)]))
     T = pose((0.003, -0.004, 0.002)) @ T_before
     grey = photograph(CAMERA, [(board, T)], blur=2.0)
-    corners = project_points(CAMERA, outer_corners(board) @ T[:3, :3].T + T[:3, 3])
+    corners = project_points(CAMERA, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
     right, bottom = corners.max(axis=0).astype(int)
     grey[:, right - 6 :] = grey[bottom - 4 :] = 35
     assert found(russet, grey).arms[0].status == "not_found"

@@ -10,7 +10,7 @@ import pytest
 
 from tests.rig_photos import Shot
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.recording import RenderConfig
+from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
 from yamsim_cli.core.images.image_files import grey_of

@@ -14,7 +14,7 @@ import pytest
 
 from tests.rig_photos import Shot, standing
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.recording import RenderConfig
+from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError, PartialJobError, ResourceError, UsageError
 from yamsim_cli.core.geometry.camera import CameraModel

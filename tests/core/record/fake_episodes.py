@@ -9,8 +9,8 @@ from types import TracebackType
 
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import image_name, lowdim_name
-from yamsim_cli.core.dataset.ledger import Ledger
-from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.dataset.writing.ledger import Ledger
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.record.collect import Notifier
 from yamsim_cli.core.record.destination import Output
 from yamsim_cli.core.record.recorder import RecordReport, record

@@ -14,10 +14,10 @@ import pytest
 
 from tests.core.record.fake_episodes import Recording, tree
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.integrity import find_episodes
 from yamsim_cli.core.dataset.layout import CONFIG
-from yamsim_cli.core.dataset.ledger import Ledger
-from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.dataset.writing.integrity import find_episodes
+from yamsim_cli.core.dataset.writing.ledger import Ledger
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import PartialJobError, ResourceError
 
 CALLS = ("open", "write", "pwrite", "fsync", "ftruncate", "rename", "replace", "mkdir", "unlink", "rmdir")

@@ -11,9 +11,10 @@ import pytest
 
 from tests.core.record.fake_episodes import Inline, Recording, tree
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset import stage as stage_module
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
-from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
+from yamsim_cli.core.dataset.writing import stage as stage_module
+from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.workers.stop import Stop
 

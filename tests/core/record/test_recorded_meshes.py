@@ -17,7 +17,7 @@ from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.loader import parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import open_episodes
-from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.documents.document import load_yaml
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.record.executors import LocalProcesses

@@ -12,7 +12,7 @@ import pytest
 
 from tests.core.record.fake_episodes import Inline, Recording, payload, tree
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.writer import OpenMode
+from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.mounts import Mount
 from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome

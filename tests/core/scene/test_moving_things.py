@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.scene.classic import classic_xml
-from yamsim_cli.core.scene.thing_joints import motion
-from yamsim_cli.core.scene.things import add_object
+from yamsim_cli.core.scene.things.joints import motion
+from yamsim_cli.core.scene.things.thing import add_object
 
 INERTIA = {"mass_g": 100, "diagonal": [1e-4, 1e-4, 1e-4], "quat": [1, 0, 0, 0]}
 MESH = {"set": "none", "file": "a.stl", "origin": [0, 0, 0], "rgba": [1, 1, 1, 1]}

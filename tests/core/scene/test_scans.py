@@ -10,11 +10,11 @@ import pytest
 
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.made import MADE
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.made import MADE
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.things import add_object
+from yamsim_cli.core.scene.things.thing import add_object
 from yamsim_cli.core.things.distance import signed_distance
 from yamsim_cli.core.things.scan import Scan
 from yamsim_cli.core.things.ycb import MASS_G

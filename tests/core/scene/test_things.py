@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.meshes import volume
-from yamsim_cli.core.config.primitives import Ring
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.things.primitives import Ring
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.thing_shapes import _ring_surface
+from yamsim_cli.core.scene.things.shapes import _ring_surface
 from yamsim_cli.core.session import Session
 
 

@@ -15,7 +15,7 @@ from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
 from yamsim_cli.core.attempt.simulators import Simulators
-from yamsim_cli.core.dataset.checks.lowdim import frame_faults
+from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.sim.world import world_of
@@ -138,7 +138,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
 
         recorded = frames(simulator, attempt, states[:2])
         cameras = list(simulator.scene.cameras)
-        assert not frame_faults(recorded[0], ["napkin"], cameras, 2, 7, cloths={"napkin": (9, 9)})
+        assert not frame_faults(recorded[0], expected_forms(["napkin"], cameras, 2, 7, cloths={"napkin": (9, 9)}))
         assert recorded[0]["grasp"] == "cloth_constraint"
 
         ctrl = acting.ctrl.copy()

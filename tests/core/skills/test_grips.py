@@ -8,7 +8,7 @@ import numpy as np
 
 from yamsim_cli.api import PROGRAM
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.skills.grips import sideways_grips
 
 

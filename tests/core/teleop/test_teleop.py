@@ -26,9 +26,10 @@ from tests.core.teleop.tray import Tray
 from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.ledger import Ledger
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json
-from yamsim_cli.core.dataset.writer import DatasetWriter, OpenMode
+from yamsim_cli.core.dataset.writing.ledger import Ledger
+from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.resources import Locations

@@ -12,7 +12,7 @@ from tests.core.record.fake_episodes import Recording
 from yamsim_cli.core.assets import load_lock
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.things.certificates import Standing, find_certificate, inputs_hash, store_certificate

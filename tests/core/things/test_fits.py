@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.primitives import Box, Capsule, Cylinder, Ring, Sphere
+from yamsim_cli.core.config.things.primitives import Box, Capsule, Cylinder, Ring, Sphere
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
 from yamsim_cli.core.geometry.stl import stl_bytes
 from yamsim_cli.core.things.body import Body

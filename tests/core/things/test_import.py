@@ -10,7 +10,7 @@ from tests.core.things.test_fits import ball, block
 from yamsim_cli.core.assets import AssetStore, resolve_own
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.import_thing.from_file import import_file
 from yamsim_cli.core.import_thing.ycb import import_ycb

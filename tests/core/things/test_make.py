@@ -12,13 +12,13 @@ import pytest
 from tests.drawers import MJCF, URDF, cabinet_sdf
 from tests.mugs import HEIGHT, RADIUS, WALL, has_import_extra, mug, mug_mesh, write_mugs
 from yamsim_cli.core.assets import AssetStore, resolve_own
-from yamsim_cli.core.config.things import ObjectConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.closed import columns, enclosed, is_closed
 from yamsim_cli.core.images.png import decode_png
 from yamsim_cli.core.import_thing.from_file import ImportedFile, import_directly, import_file, name_of
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.things import add_object
+from yamsim_cli.core.scene.things.thing import add_object
 from yamsim_cli.core.thing_files.child import _read
 from yamsim_cli.core.thing_files.parts import Material, Part, ReadThing, Surface
 from yamsim_cli.core.thing_files.read import Told

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.things import FrictionGrasp, GraspPoint
+from ..config.things.thing import FrictionGrasp, GraspPoint
 from ..geometry.se3 import Array, pose, rotation_from_vector
 from ..scene.breakdown import breakdown
 from .hand import Hand, full_opening, slip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ..config.articulation import Link
+from ..config.things.articulation import Link
 from .outcome import Outcome, View, short, unchecked
 from .subject import Subject, bare_spec, compiled, with_camera
 

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..config.primitives import CollisionPart, HullPart, SdfPart
+from ..config.things.primitives import CollisionPart, HullPart, SdfPart
 from ..geometry.deviation import points_on
 from ..geometry.hull import depth_in_hull, spread_points
 from ..geometry.se3 import Array
 from ..geometry.solid import filling
 from ..geometry.stl import read_stl
-from ..scene.thing_looks import set_file
+from ..scene.things.looks import set_file
 from ..things.distance import signed_distance
 from .looks import NO_LOOKS
 from .outcome import Outcome, short, unchecked

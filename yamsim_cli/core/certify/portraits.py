@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ..scene.thing_looks import HIDDEN_GROUP, SEEN_GROUP
+from ..scene.things.looks import HIDDEN_GROUP, SEEN_GROUP
 from .outcome import View
 from .subject import Subject, bare_spec, compiled, with_camera
 

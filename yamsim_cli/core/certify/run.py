@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..resources import Locations
 from .codes import CHECKS
 from .matching import kinds

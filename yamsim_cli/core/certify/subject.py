@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 
 from ..config.scene import FixedCamera, Light
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..errors import ResourceError, UsageError
 from ..geometry.loft import Surface, joined, welded
 from ..geometry.se3 import Array, pose_from_quat
 from ..resources import Locations
-from ..scene.breakdown import keep_warnings_quiet
 from ..scene.cameras import add_camera, fixed_camera
-from ..scene.things import add_object
+from ..scene.compiling import compile_spec
+from ..scene.things.thing import add_object
 
 # Points on a round geom, around and from end to end.
 _AROUND, _RISE = 24, 7
@@ -142,11 +142,7 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     Raises:
         ResourceError: MuJoCo refused it.
     """
-    keep_warnings_quiet()
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise ResourceError(f"the thing does not compile: {' '.join(str(error).split())}") from error
+    return compile_spec(spec, "the thing", ResourceError)
 
 
 def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:

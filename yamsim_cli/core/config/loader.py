@@ -17,16 +17,17 @@ from ..resources import Locations
 from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Gripper
 from . import robot_names
-from .camera import CameraConfig
+from .cameras.camera import CameraConfig
+from .pictures import RenderConfig
 from .policy import PolicyConfig
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
 from .real import RecordingNames
-from .recording import AnyTask, RecordConfig, RenderConfig
+from .recording import AnyTask, RecordConfig
 from .rig import RigConfig
 from .scene import SceneConfig
 from .task import TaskConfig
-from .things import ObjectConfig
+from .things.thing import ObjectConfig
 
 KINDS: Mapping[str, type[Config]] = {
     "rigs": RigConfig,

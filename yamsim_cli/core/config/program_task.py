@@ -25,8 +25,8 @@ from ..errors import suggest
 from ..goals.cast import Cast
 from ..goals.goal import Goal
 from ..goals.world import TABLE
-from .scaled import scaled
-from .things import ObjectConfig
+from .things.scaled import scaled
+from .things.thing import ObjectConfig
 
 #: What tasks that are data say as their `kind`.
 PROGRAM = "program"

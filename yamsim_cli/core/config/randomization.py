@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Positive, Range, Reference, ordered
 from ..documents.units import ReachRange, Within
-from .things import ObjectConfig
+from .things.thing import ObjectConfig
 
 
 def _positive(value: tuple[float, float]) -> tuple[float, float]:

@@ -5,68 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from pydantic import Discriminator, Field, FiniteFloat, Tag, ValidationInfo, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Reference
 from ..documents.explain import BRANCH
-from ..documents.units import Within, as_recorded
+from ..documents.units import as_recorded
 from ..robots.models import Fingers
-from ..robots.stops import beyond_stops
 from ..shown_meshes import PATTERN
-from .friction import check_friction
+from .holding import check_fingers, check_friction
+from .pictures import ImageConfig, RenderConfig
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
+from .starts import check_start, common_start
 from .task import Sampling, TaskConfig
-
-
-class ImageConfig(Config):
-    """Size in pixels (width, height) and JPEG quality of recorded images."""
-
-    size_px: tuple[Annotated[int, Field(ge=16, le=4096)], Annotated[int, Field(ge=16, le=4096)]]
-    jpeg_quality: int = Field(ge=1, le=100)
-
-
-# How far shadows reach unless a quality says otherwise, m.
-SHADOW_REACH = 0.8
-
-
-class RenderConfig(Config):
-    """A quality: how good pictures are, and so what they cost.
-
-    Attributes:
-        multisamples: samples a pixel, which smooth edges on a GPU; 0 for none.
-        supersampling: pictures are rendered this many times as wide and high, and averaged. That smooths the edges of
-            shadows too, and costs less without a GPU than 4 samples a pixel do.
-        shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
-        shadow_lights: how many of the scene's lights cast shadows, the first ones first. Each renders everything twice
-            more.
-        shadow_reach_m: how far from the middle of an arm's base and table shadows reach: the nearer, the finer they are
-            rendered, and what stands farther off casts none.
-        reduced_meshes: show meshes with fewer faces where they are to be had, see `core.assets.reduction`.
-        reflections: let what reflects reflect: it renders everything once more.
-        slices: faces around what is round, where it is shown as a primitive.
-    """
-
-    name: Name = "custom"
-    multisamples: Literal[0, 2, 4, 8]
-    supersampling: float = Field(ge=1, le=4)
-    shadow_map_px: int = Field(ge=0, le=8192)
-    shadow_lights: int = Field(ge=0, le=8)
-    # Left out where it is what it was before it could be chosen, so that older datasets say what they always said.
-    shadow_reach_m: Annotated[
-        FiniteFloat, Within("m", 0.2, 5), Field(exclude_if=lambda reach: reach == SHADOW_REACH)
-    ] = SHADOW_REACH
-    reduced_meshes: bool
-    reflections: bool
-    slices: int = Field(ge=8, le=128, multiple_of=4)
-
-    def fine_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """Width and height (px) in which pictures of a size are rendered."""
-        return round(size[0] * self.supersampling), round(size[1] * self.supersampling)
-
 
 # What recordings call the camera of their scene.
 SCENE_CAMERA = "scene_camera"
@@ -202,26 +155,7 @@ class RecordConfig(Config):
     def _fits_between_the_fingers(self) -> RecordConfig:
         if isinstance(self.task, ProgramTask):
             return self
-        item = self.task.object
-        assert item.grasp is not None  # checked by the task
-        for arm in self.acting_arms:
-            fingers = arm.gripper.fingers
-            if fingers is None:
-                raise ConflictError(
-                    f"{arm.name} of rig {self.rig.name!r} has the gripper {arm.gripper.name}, which has no fingers to "
-                    "pick anything up with; use another gripper, or another arm",
-                    ("rig",),
-                    ("arm",),
-                )
-            if item.grasp.opening > fingers.full_opening:
-                raise ConflictError(
-                    f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
-                    f"gripper {arm.gripper.name} of rig {self.rig.name!r} opens {2000 * fingers.full_opening:.0f} mm; "
-                    "it can still be a target or a distractor",
-                    ("task", "object"),
-                    ("rig",),
-                    ("task",),
-                )
+        check_fingers(self.rig, self.acting_arms, self.task)
         return self
 
     @model_validator(mode="after")
@@ -253,35 +187,12 @@ class RecordConfig(Config):
 
     @model_validator(mode="after")
     def _starts(self, info: ValidationInfo) -> RecordConfig:
-        robots = [arm.robot for arm in self.acting_arms]
         given = self.task.start_joints
         if given is None:
-            starts = {robot.start for robot in robots}
-            if len(starts) > 1:
-                raise ConflictError(
-                    f"task {self.task.name!r} has no start_joints, and its arms {', '.join(r.model for r in robots)} "
-                    "would start differently; give start_joints that suit both",
-                    ("task", "start_joints"),
-                    ("task",),
-                    ("rig",),
-                )
+            start = common_start(self.task.name, self.acting_arms)
             # So that a recording says where its arms started.
-            return self.model_copy(update={"task": self.task.model_copy(update={"start_joints": starts.pop()})})
-        for arm, robot in zip(self.acting_arms, robots, strict=True):
-            if len(given) != robot.dof:
-                raise ConflictError(
-                    f"task {self.task.name!r} has {len(given)} start_joints, and {arm.name} of rig {self.rig.name!r} "
-                    f"({robot.model}) has {robot.dof} joints; give one for each of {', '.join(robot.joint_names)}, or "
-                    "leave start_joints out",
-                    ("task", "start_joints"),
-                    ("task",),
-                    ("rig",),
-                )
-            fault = beyond_stops(arm.name, robot, np.array(given), 0.0)
-            if fault and not as_recorded(info):
-                raise ConflictError(
-                    f"task {self.task.name!r}: start_joints: {fault}", ("task", "start_joints"), ("task",), ("rig",)
-                )
+            return self.model_copy(update={"task": self.task.model_copy(update={"start_joints": start})})
+        check_start(self.task.name, self.rig, self.acting_arms, given, recorded=as_recorded(info))
         return self
 
     @property

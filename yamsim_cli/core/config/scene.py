@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Rgb, Rgba, Vector
 from ..documents.units import FieldOfView, Place, PlacePoint, Size
-from .things import Contact
+from .things.thing import Contact
 
 
 class Table(Config):

@@ -8,7 +8,7 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 
 from ..documents.base import Config, ConflictError, Name, Reference
 from ..documents.units import Distance, HeadingRange, JointAngle, ReachRange, Within
-from .things import GraspPoint, ObjectConfig
+from .things.thing import GraspPoint, ObjectConfig
 
 # A height or a distance that cannot be zero, m.
 _Height = Annotated[FiniteFloat, Within("m", 1e-3, 1)]

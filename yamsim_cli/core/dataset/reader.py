@@ -15,7 +15,7 @@ from ..errors import ConfigError, DatasetError, UsageError, counted
 from ..files import sha256_bytes
 from ..resources import Locations
 from .checks.context import find_episodes
-from .checks.lowdim import frame_faults
+from .checks.lowdim import frame_faults, recorded_forms
 from .layout import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name
 from .lowdim import load_frame
 from .real import RealRecord, is_real, real_config
@@ -106,17 +106,8 @@ class StoredEpisode(RecordedEpisode):
         Raises:
             DatasetError: it is damaged, or holds other data.
         """
-        frame, record = super().frame(number, data), self.record
-        faults = frame_faults(
-            frame,
-            record.objects,
-            record.cameras,
-            record.arms,
-            record.drives,
-            record.joints,
-            joint_actions=record.joint_actions,
-            cloths=record.cloths,
-        )
+        frame = super().frame(number, data)
+        faults = frame_faults(frame, recorded_forms(self.record))
         if faults:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
         return frame

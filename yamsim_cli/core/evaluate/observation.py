@@ -8,7 +8,7 @@ from typing import Any
 
 from ..attempt.simulator import Simulator
 from ..config.recording import SCENE_CAMERA, RecordConfig
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..errors import UsageError, suggest
 from ..geometry.se3 import Array
 from ..images.image import Image

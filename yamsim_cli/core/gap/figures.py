@@ -163,7 +163,7 @@ def gap_of(scene: CompiledScene, motion: Motion, begin: float = 0.0, end: float 
     errors = [(real.joints - made.joints)[counted] for _, real, made in both]
     labels = [phases(seen.measured, motion.times[counted]) for seen in curves]
     joints = tuple(
-        _joint_gap(scene, arm, real.side, k, off[:, k], seen, label[:, k], motion.times[counted])
+        _joint_gap(scene, arm, real.side, k, off[:, k], seen, label[:, k])
         for (arm, real, _), seen, off, label in zip(both, curves, errors, labels, strict=True)
         for k in range(arm.dof)
     )
@@ -213,7 +213,6 @@ def _joint_gap(
     errors: Array,
     curves: _Curves,
     labels: NDArray[np.int8],
-    times: Array,
 ) -> JointGap:
     resting = at_rest(curves.measured, curves.commanded, curves.measured.times)[:, k]
     stopped = list(stops(curves.commanded, k))

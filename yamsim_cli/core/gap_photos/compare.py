@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..closing import Closing
-from ..config.recording import RenderConfig
+from ..config.pictures import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ConfigError, ResourceError

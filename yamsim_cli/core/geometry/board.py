@@ -69,3 +69,8 @@ class Board:
                 (left, top - length),
             ]
         return corners
+
+    def outer_corners(self) -> Array:
+        """The print's own corners (4, 3) in the `board` frame, m, clockwise from the top left."""
+        x, y = self.width / 2, self.height / 2
+        return np.array([[-x, y, 0.0], [x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0]])

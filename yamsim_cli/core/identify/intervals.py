@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.se3 import Array
-from .fit import Fitted, value
+from .fit import Fitted
 
 # Errors that lie so near in time are not independent, s: friction keeps a joint on one side of its place until it
 # turns.
@@ -34,11 +34,6 @@ def half_widths(fitted: Fitted) -> Array:
     deviation = np.sqrt(np.diag(inverse @ spread @ inverse)) * scale
     found: Array = _student(blocks - 1) * deviation
     return found
-
-
-def values_of(fitted: Fitted) -> Array:
-    """Each parameter's value (k,)."""
-    return np.array([value(fitted.values, parameter) for parameter in fitted.parameters])
 
 
 def _student(freedom: int) -> float:

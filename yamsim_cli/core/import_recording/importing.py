@@ -17,9 +17,9 @@ from ..config.rig import RigConfig
 from ..dataset.disk_faults import reason
 from ..dataset.layout import CONFIG, EPISODE, STAGING, episode_directories, episode_name, image_name, lowdim_name
 from ..dataset.lowdim import content_hash, dump_frame
-from ..dataset.opening import OpenMode, claim
 from ..dataset.real import ImportedFrom, RealRecord, real_config
 from ..dataset.records import to_json
+from ..dataset.writing.opening import OpenMode, claim
 from ..documents.document import dump_yaml
 from ..errors import ConfigError, DatasetError, ResourceError
 from ..files import publish_directory, sha256_bytes, write_file
@@ -159,7 +159,7 @@ def _require_same(out: Path, config: RealConfig, locations: Locations) -> None:
 def _publish(number: int, name: str, recording: Recording, request: ImportRequest, report: ImportReport) -> None:
     motion = recording.in_metres(request.rig)
     samples = _frames_of(motion, recording)
-    frames = [_frame(motion, recording, int(sample), k) for k, sample in enumerate(samples)]
+    frames = [_frame(motion, recording, int(sample)) for sample in samples]
     problems = [*recording.problems, *(problem.text for problem in _problems(motion, recording, request.rig))]
     files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(frames)}
     sizes: dict[str, tuple[int, int]] = {}
@@ -226,7 +226,7 @@ def _pictures(recording: Recording, camera: str, samples: Samples) -> Iterator[b
         yield data
 
 
-def _frame(motion: Motion, recording: Recording, sample: int, number: int) -> dict[str, Any]:
+def _frame(motion: Motion, recording: Recording, sample: int) -> dict[str, Any]:
     """What was recorded at a sample; keys that nobody recorded are not there."""
     frame: dict[str, Any] = {"joints": _row([(arm.joints, arm.openings) for arm in motion.arms], sample)}
     frame["timestamp"] = float(motion.times[sample])

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..assets import AssetStore, publish_own
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..documents.document import dump_yaml
 from ..errors import ResourceError
 from ..files import sha256_bytes, sha256_file

@@ -16,7 +16,7 @@ from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array, inverse
 from ..images.image import Image
 from ..images.image_files import grey_of
-from ..vision.fiducials.focal import FocalEstimate, estimate_focal, known_focal, outlines_in
+from ..vision.fiducials.focal_length.estimate import FocalEstimate, estimate_focal, known_focal, outlines_in
 from ..vision.fiducials.locate import locate, unlocated
 from ..vision.fiducials.markers import seen_ids
 from ..vision.fiducials.sighting import Sighting, Status

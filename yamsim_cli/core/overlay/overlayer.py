@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..closing import Closing
-from ..config.recording import RenderConfig
+from ..config.pictures import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ConfigError, ResourceError

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..closing import Closing
-from ..config.recording import RenderConfig
+from ..config.pictures import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ConfigError
@@ -20,7 +20,8 @@ from ..geometry.se3 import Array, pose, quat_from_rotation
 from ..resources import Locations
 from ..scene.blueprint import Blueprint, Pictures
 from ..scene.cameras import WORLD, SceneCamera
-from ..scene.compose import compile_spec, compose
+from ..scene.compiling import compile_spec
+from ..scene.compose import compose
 from ..scene.robot import finger_places
 from ..types import Stand
 from ..vision.lens import LensWarp

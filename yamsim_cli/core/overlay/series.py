@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..config.recording import RenderConfig
+from ..config.pictures import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..errors import ConfigError, ResourceError, UsageError

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..config.recording import GraspKind
 from ..config.task import TaskConfig
-from ..config.things import GraspPoint
+from ..config.things.thing import GraspPoint
 from ..scene.compiled import CompiledScene, SceneArm
 from ..tasks.kinds import kind_of
 from ..tasks.plans import Hold

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config.recording import GraspKind, RecordConfig
-from ..config.things import GraspPoint
+from ..config.things.thing import GraspPoint
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene, SceneArm
 from ..tasks.handover import exchange, exchange_pose, giving_plan, phases, taking_plan, wrist_turn

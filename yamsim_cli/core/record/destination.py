@@ -10,9 +10,10 @@ from pathlib import Path
 
 from ..config.recording import RecordConfig
 from ..dataset.records import ManifestEntry
-from ..dataset.space import EpisodeSize, block_size, check_space, files_per_episode
-from ..dataset.stage import MAX_WAITING, StagedWriter
-from ..dataset.writer import DatasetWriter, OpenMode
+from ..dataset.writing.opening import OpenMode
+from ..dataset.writing.space import EpisodeSize, block_size, check_space, files_per_episode
+from ..dataset.writing.stage import MAX_WAITING, StagedWriter
+from ..dataset.writing.writer import DatasetWriter
 from ..errors import InterruptedJobError
 from ..files import nearest_directory
 from ..mounts import Mount, network_mount, read_mounts

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from ..config.pictures import RenderConfig
 from ..config.randomization import RandomizationConfig
-from ..config.recording import SCENE_CAMERA, RecordConfig, RenderConfig
+from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from .cameras import SceneCamera, fixed_camera, station_camera, wrist_camera
 
 # How much stiffer contacts are along a surface than across it where friction alone has to hold. With MuJoCo's own 1 an

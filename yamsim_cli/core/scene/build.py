@@ -10,14 +10,15 @@ import numpy as np
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..config.scene import SceneConfig
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..resources import Locations
 from ..robots.models import Fingers
 from ..session import Session
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import grip_name, rest_points
 from .compiled import CompiledScene, Ids, Kind, SceneArm, SceneCloth, SceneFingers
-from .compose import READING, WELD, compile_spec, compose
+from .compiling import compile_spec
+from .compose import READING, WELD, compose
 from .composed_meshes import composed_meshes
 
 # Of physics of a rig alone, s: that of the tasks, unless they say otherwise.

@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..config.cloth import Cloth
 from ..config.rig import RigConfig
-from ..config.things import ObjectConfig
+from ..config.things.cloth import Cloth
+from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array
 
 # Pixels along a check of the pattern.

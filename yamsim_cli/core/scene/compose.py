@@ -9,22 +9,21 @@ import mujoco
 import numpy as np
 
 from ..assets import AssetStore, resolve_own
+from ..config.pictures import SHADOW_REACH
 from ..config.randomization import ArmRanges
-from ..config.recording import SHADOW_REACH
 from ..config.rig import ArmConfig, RigCamera, RigConfig
-from ..errors import SimulationError
 from ..geometry.se3 import Array, quat_from_rotation
 from ..resources import Locations, Meshes
 from ..robots.dynamics import Dynamics
 from .blueprint import Blueprint, TaskPhysics
-from .breakdown import keep_warnings_quiet
 from .cameras import add_camera
 from .cloth import add_cloth_grips
+from .compiling import compile_spec
 from .fiducials import add_base_board
 from .quality import apply_quality
 from .robot import arm_spec, with_looks
 from .surroundings import add_background, add_lights, add_table
-from .things import add_object
+from .things.thing import add_object
 from .varied_model import add_variable_parts
 
 # How MuJoCo reads what was told between two steps.
@@ -207,19 +206,6 @@ def _share_files(spec: mujoco.MjSpec) -> None:
     shared = {name: first.setdefault((name.rpartition("/")[0], data), name) for name, data in spec.assets.items()}
     for mesh in spec.meshes:
         mesh.file = shared.get(mesh.file, mesh.file)
-
-
-def compile_spec(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a composed scene.
-
-    Raises:
-        SimulationError: MuJoCo refused it.
-    """
-    keep_warnings_quiet()
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise SimulationError(f"scene {spec.modelname!r} does not compile: {' '.join(str(error).split())}") from error
 
 
 def add_home_key(

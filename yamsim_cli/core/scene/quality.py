@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from ..config.recording import SHADOW_REACH, RenderConfig
+from ..config.pictures import SHADOW_REACH, RenderConfig
 
 
 def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, int]) -> None:

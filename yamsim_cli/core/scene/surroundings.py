@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
 from ..geometry.stl import stl_bytes
-from .thing_looks import SEEN_GROUP
-from .thing_shapes import contact_numbers
+from .things.looks import SEEN_GROUP
+from .things.shapes import contact_numbers
 
 # Half the length of the floor's edges, and the length of a tile's edges, m.
 _FLOOR = 5.0

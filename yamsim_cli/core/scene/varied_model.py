@@ -15,8 +15,8 @@ from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotatio
 from ..resources import Meshes
 from ..variation import LightVariation, SurfaceVariation, Variation
 from .textures import SIZE, pattern
-from .thing_looks import HIDDEN_GROUP
-from .things import add_object
+from .things.looks import HIDDEN_GROUP
+from .things.thing import add_object
 
 # Absent distractors are seen by no camera, touch nothing, and lie out of everything's reach.
 _ABSENT_GROUP = 4

@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from .connections import Connections, Program
+from .connections import Program, Server
 from .pictures import PictureProcess, Shot
 from .places import CAMERA_SOCKET
 from .sockets import listen_in
@@ -24,7 +24,7 @@ class _WrongError(ValueError):
     """What a program said is no message; the text says what is wrong."""
 
 
-class CameraServer:
+class CameraServer(Server):
     """Hands out what a scene's cameras see; close it. It never blocks.
 
     Raises:
@@ -34,19 +34,9 @@ class CameraServer:
     def __init__(self, folder: Path, source: PictureProcess) -> None:
         self._source = source
         self.path = folder / CAMERA_SOCKET
-        self._connections = Connections(listen_in(self.path), _READ_BYTES)
+        super().__init__(listen_in(self.path), _READ_BYTES)
         # Program -> camera, and the number after which it waits for a picture.
         self._waiting: dict[Program, tuple[str, int]] = {}
-
-    @property
-    def readers(self) -> list[Any]:
-        """What to wait for until there may be something to read."""
-        return self._connections.readers
-
-    @property
-    def writers(self) -> list[Any]:
-        """What to wait for until a program takes its pictures."""
-        return self._connections.writers
 
     def handle(self, ready: set[Any]) -> None:
         """Take what programs ask for."""
@@ -69,7 +59,7 @@ class CameraServer:
 
     def close(self) -> None:
         """Leave nothing behind."""
-        self._connections.close()
+        super().close()
         self.path.unlink(missing_ok=True)
 
     def _serve(self, program: Program) -> None:

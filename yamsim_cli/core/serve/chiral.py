@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..errors import ResourceError
 from . import chiral_wire
 from .chiral_wire import ChiralError
-from .connections import Connections, Program
+from .connections import Program, Server, listen_at
 from .policy_robot import PolicyRobot
 
-# raiden's.
-PORT = 8765
 _READ_BYTES = 65_536
 # How long a program may take until it speaks WebSocket, s.
 _GREETING_S = 5.0
@@ -47,7 +43,7 @@ class _Client:
     drives: bool = False
 
 
-class ChiralServer:
+class ChiralServer(Server):
     """Answers raiden's policies about one robot; close it. It never blocks.
 
     Web pages, which name their origin, are refused: a browser would let any of them reach this port.
@@ -62,25 +58,10 @@ class ChiralServer:
     def __init__(self, robot: PolicyRobot, host: str, port: int) -> None:
         chiral_wire.require_libraries()
         self._robot = robot
-        try:
-            listener = socket.create_server((host, port))
-        except OSError as error:
-            raise ResourceError(
-                f"{host}:{port} cannot be listened on: {error.strerror}; try another --chiral"
-            ) from error
-        self._connections = Connections(listener, _READ_BYTES)
+        listener = listen_at(host, port, "--chiral")
+        super().__init__(listener, _READ_BYTES)
         self._clients: dict[Program, _Client] = {}
         self.port = int(listener.getsockname()[1])
-
-    @property
-    def readers(self) -> list[Any]:
-        """What to wait for until there may be something to read."""
-        return self._connections.readers
-
-    @property
-    def writers(self) -> list[Any]:
-        """What to wait for until a program takes its answers."""
-        return self._connections.writers
 
     def handle(self, ready: set[Any]) -> None:
         """Take what programs say."""
@@ -105,10 +86,6 @@ class ChiralServer:
                 self._connections.drop(program)
             else:
                 self._work(program, client)
-
-    def close(self) -> None:
-        """Hang up on all, and leave the port."""
-        self._connections.close()
 
     def _hear(self, program: Program, client: _Client) -> None:
         from websockets.frames import Frame, Opcode

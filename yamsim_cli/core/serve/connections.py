@@ -6,6 +6,8 @@ import socket
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from ..errors import ResourceError
+
 # Programs at a time; more are hung up on.
 _MOST = 16
 
@@ -119,3 +121,39 @@ class Connections:
             return False
         program.came += data
         return True
+
+
+class Server:
+    """A `loop.Port` whose programs are at one socket; close it. It never blocks."""
+
+    def __init__(self, listener: socket.socket, read_bytes: int, most_waiting: int | None = None) -> None:
+        self._connections = Connections(listener, read_bytes, most_waiting)
+
+    @property
+    def readers(self) -> list[socket.socket]:
+        """What to wait for until there may be something to read."""
+        return self._connections.readers
+
+    @property
+    def writers(self) -> list[socket.socket]:
+        """What to wait for until a program takes what it is told."""
+        return self._connections.writers
+
+    def close(self) -> None:
+        """Hang up on all, and listen no more."""
+        self._connections.close()
+
+
+def listen_at(host: str, port: int, flag: str) -> socket.socket:
+    """A socket that listens at a TCP port; 0 takes any.
+
+    Args:
+        flag: by which a person chooses another one, for the message.
+
+    Raises:
+        ResourceError: the port cannot be had.
+    """
+    try:
+        return socket.create_server((host, port))
+    except OSError as error:
+        raise ResourceError(f"{host}:{port} cannot be listened on: {error.strerror}; try another {flag}") from error

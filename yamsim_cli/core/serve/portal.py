@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable
 from typing import Any
 
-from ..errors import ResourceError
 from . import portal_wire
-from .connections import Connections, Program
+from .connections import Program, Server, listen_at
 from .follower import Follower
 from .portal_wire import PortalError
 
-# Of the maker's; a second arm has the next one.
-PORT = 11333
 _READ_BYTES = 65_536
 # Bytes of answers that wait for a program which does not read them, before it is hung up on.
 _BACKLOG_BYTES = 1_000_000
 
 
-class PortalServer:
+class PortalServer(Server):
     """Answers calls about one arm; close it. It never blocks.
 
     Attributes:
@@ -38,24 +34,9 @@ class PortalServer:
             "command_joint_state": follower.command_joint_state,
             "get_observations": follower.observations,
         }
-        try:
-            listener = socket.create_server((host, port))
-        except OSError as error:
-            raise ResourceError(
-                f"{host}:{port} cannot be listened on: {error.strerror}; try another --portal"
-            ) from error
-        self._connections = Connections(listener, _READ_BYTES, _BACKLOG_BYTES)
+        listener = listen_at(host, port, "--portal")
+        super().__init__(listener, _READ_BYTES, _BACKLOG_BYTES)
         self.port = int(listener.getsockname()[1])
-
-    @property
-    def readers(self) -> list[socket.socket]:
-        """What to wait for until there may be something to read."""
-        return self._connections.readers
-
-    @property
-    def writers(self) -> list[socket.socket]:
-        """What to wait for until a program takes its answers."""
-        return self._connections.writers
 
     def handle(self, ready: set[Any]) -> None:
         """Take and answer what has come on sockets where there is something to read."""
@@ -65,10 +46,6 @@ class PortalServer:
     def flush(self) -> None:
         """Send on what programs could not take before."""
         self._connections.flush()
-
-    def close(self) -> None:
-        """Hang up on all, and leave the port."""
-        self._connections.close()
 
     def _serve(self, program: Program) -> None:
         try:

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..config.recording import RecordConfig, RenderConfig
+from ..config.pictures import RenderConfig
+from ..config.recording import RecordConfig
 from ..errors import ResourceError
 from ..images.image import Image
 from ..resources import Locations

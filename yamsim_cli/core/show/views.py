@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from ..config.recording import RenderConfig
+from ..config.pictures import RenderConfig
 from ..config.rig import ArmConfig, RigConfig
 from ..errors import ResourceError
 from ..files import refusal, write_file
@@ -19,7 +19,7 @@ from ..images.png import encode_png
 from ..resources import Locations
 from ..scene.blueprint import Blueprint, Pictures
 from ..scene.cameras import WORLD, SceneCamera, add_camera
-from ..scene.compose import compile_spec
+from ..scene.compiling import compile_spec
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
 from ..vision.renderer import SceneRenderer
 from ..vision.views import VIEWS, Camera, label, montage, place_camera, rig_points

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..config.recording import RecordConfig
 from ..config.scene import Table
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array, UprightPose
 from ..scene.compiled import CompiledScene
 from ..scene.varied_model import VariedModel

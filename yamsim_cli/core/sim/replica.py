@@ -7,7 +7,7 @@ import math
 import mujoco
 import numpy as np
 
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..geometry.camera import Intrinsics, opencv_from_mujoco
 from ..geometry.se3 import Array, inverse, pose
 from ..scene.compiled import CompiledScene

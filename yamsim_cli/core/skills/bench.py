@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import mujoco
 import numpy as np
 
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array, inverse, pose, rotation_z
 from ..goals.world import TABLE
 from ..planning.joint_motion import LINE_SPEED, ease, straight, traced

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..documents.base import Config, ConflictError
 from ..geometry.folding import ways_to_fold
 from ..goals.cast import Cast

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..sim.antipodal import Span
 

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, FiniteFloat
 
-from ..config.articulation import Link
+from ..config.things.articulation import Link
 from ..geometry.se3 import Array, inverse, pose, rotation_from_vector
 from ..goals.cast import Cast
 from ..types import Cause

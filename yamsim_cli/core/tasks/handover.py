@@ -14,7 +14,7 @@ import numpy as np
 
 from ..config.recording import GraspKind
 from ..config.task import Exchange, TaskConfig
-from ..config.things import GraspPoint
+from ..config.things.thing import GraspPoint
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_z, yaw
 from ..types import Layout, Phases, Plan, Waypoint
 from .plans import WELD_FINGERS_FROM, Hold, azimuth, leaning, raised

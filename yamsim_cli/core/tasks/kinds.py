@@ -10,7 +10,7 @@ import numpy as np
 
 from ..config.recording import GraspKind, RecordConfig
 from ..config.task import TaskConfig
-from ..config.things import GraspPoint
+from ..config.things.thing import GraspPoint
 from ..errors import ConfigError, suggest
 from ..geometry.se3 import Array
 from ..types import EpisodeJob, Layout, Motion, Outcome, Phases, Plan

@@ -10,7 +10,7 @@ import numpy as np
 from ..config.recording import GraspKind, RecordConfig
 from ..config.scene import Table
 from ..config.task import TaskConfig
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..geometry.se3 import Array, pose, rotation_z
 from ..types import Cause, Layout, Motion, Outcome
 

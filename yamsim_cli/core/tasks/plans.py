@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..config.recording import GraspKind
 from ..config.task import TaskConfig, Timing
-from ..config.things import GraspPoint
+from ..config.things.thing import GraspPoint
 from ..geometry.se3 import Array, interpolate_rotation, inverse, pose, rotation_from_vector, rotation_z, yaw
 from ..types import Holds, Layout, Phases, Plan, Waypoint
 from .resting import resting_height

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..config.primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Ring, SdfPart, Sphere
-from ..config.things import ObjectConfig
+from ..config.things.primitives import Box, Capsule, CollisionPart, Cylinder, HullPart, Ring, SdfPart, Sphere
+from ..config.things.thing import ObjectConfig
 
 # Places along a capsule at which it is looked at.
 _ALONG = np.linspace(0, 1, 13)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..config.randomization import ArmRanges, LightRanges, LookRanges, RandomizationConfig, SurfaceRanges, Texture
-from ..config.things import ObjectConfig
+from ..config.things.thing import ObjectConfig
 from ..types import EpisodeJob
 from ..variation import ArmVariation, LightVariation, LookVariation, SurfaceVariation, Variation
 from .randomness import Stream, generator

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,6 +11,7 @@ from ..geometry.se3 import Array
 from ..session import Session
 from ..types import Attempt, EpisodeJob
 from ..viewers.driven import DriveStatus
+from ..viewers.watched_state import WatchedState
 from .desk import DrivenAttempt, Inbox
 from .driven_arm import DrivenArm
 from .journal import Journal, Tick, Unfinished
@@ -21,7 +21,7 @@ from .stage import Stage
 TIME_LIMIT = 600.0
 
 
-class DrivenScene:
+class DrivenScene(WatchedState):
     """A scene and its state; a `viewers.driven.Driven`. Its methods may be called from any thread.
 
     Of two arms one is driven at a time, and the other holds its place or goes on to where it was last told to go. What
@@ -46,6 +46,7 @@ class DrivenScene:
         journal: Journal | None = None,
         time_limit: float = TIME_LIMIT,
     ) -> None:
+        super().__init__()
         self._config = config = session.config
         self._inbox, self._journal = inbox, journal
         self._longest = max(1, round(time_limit / config.task.timing.tick))
@@ -53,9 +54,6 @@ class DrivenScene:
         self._stage = Stage(session)
         self.sides = self._stage.sides
         self.driven = config.acting_scene_arms[0]
-        # A page's controls live in threads of their own.
-        self.lock = threading.RLock()
-        self.paused = False
         self._recording = False
         self.message = ""
         self.episodes = self.failures = self.waiting = 0
@@ -276,17 +274,6 @@ class DrivenScene:
     def advance(self, now: float) -> None:
         """One control tick; whoever calls keeps the time."""
         self.tick()
-
-    def body_poses(self) -> tuple[Array, Array]:
-        """Every body's position (nbody, 3), m, and orientation (nbody, 4), wxyz, in `world`."""
-        with self.lock:
-            return self.data.xpos.copy(), self.data.xquat.copy()
-
-    def cloth_points(self) -> Array:
-        """Every point of all cloths (nflexvert, 3) in `world`, m."""
-        with self.lock:
-            points: Array = self.data.flexvert_xpos.copy()
-        return points
 
     def _begin(self) -> None:
         """Put the scene into its attempt's layout, at rest, with open fingers."""

@@ -14,7 +14,8 @@ from ..config.recording import RecordConfig
 from ..dataset.disk_faults import explain
 from ..dataset.layout import episode_name
 from ..dataset.records import AttemptRecord
-from ..dataset.writer import DatasetWriter, OpenMode
+from ..dataset.writing.opening import OpenMode
+from ..dataset.writing.writer import DatasetWriter
 from ..errors import PartialJobError
 from ..record.destination import as_said
 from ..scene.build import noting_meshes

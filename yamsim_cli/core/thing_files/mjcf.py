@@ -21,10 +21,9 @@ from .jail import Folder
 from .meshes import MOST_FACES
 from .parts import Material, ReadThing, Surface
 from .refusals import RefusedError
-from .sdf import bounded
 from .solids import seen, touching
 from .textures import open_image, png_of
-from .tree import Joint, Link, checked_weight, parts_of
+from .tree import Joint, Link, bounded, checked_weight, parts_of
 from .xml import Element, parse
 
 _DEEPEST_INCLUDE = 8

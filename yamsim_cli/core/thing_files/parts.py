@@ -71,12 +71,12 @@ class Part:
         name: in the file.
         parent: place of its parent among the parts, None for the base; parents come first.
         T_in_parent: pose (4, 4) with the joint at 0.
-        joint: as `config.articulation.LinkJoint` takes it; None for the base.
+        joint: as `config.things.articulation.LinkJoint` takes it; None for the base.
         weight: as the file says, or None.
         looks: what is seen.
-        shapes: what touches, as the file says: primitives as `config.primitives` takes them, or surfaces. None where
-            the file has none.
-        handles: as `config.articulation.Handle` takes them.
+        shapes: what touches, as the file says: primitives as `config.things.primitives` takes them, or surfaces. None
+            where the file has none.
+        handles: as `config.things.articulation.Handle` takes them.
     """
 
     name: str

@@ -23,7 +23,6 @@ from .parts import Part, ReadThing
 from .refusals import RefusedError
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-UPS = ("x", "y", "z")
 
 # What a hand of this size can have to do with, m: from a crumb to a cabinet.
 _LARGEST, _SMALLEST = 2.0, 0.003
@@ -46,7 +45,7 @@ class Told:
 
     Attributes:
         unit: one of `UNITS`.
-        up: one of `UPS`.
+        up: which of its axes is up: x, y or z.
         scale: what all lengths are multiplied by on top.
     """
 

@@ -6,33 +6,24 @@ Source: sdformat.org/spec, versions 1.4 to 1.12, elements model, link, joint, ge
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..geometry.se3 import Array, inverse, pose, pose_from_quat
+from ..geometry.se3 import Array, inverse
 from .jail import Folder
 from .looks import mesh_surfaces, plain_material
 from .parts import Material, ReadThing, Surface, Weight
 from .refusals import RefusedError
-from .rotations import from_rpy
+from .sdf_frames import Frames, name_of, pose_of
 from .solids import seen, touching
-from .tree import ENDLESS_DEG, Joint, Link, checked_weight, parts_of
+from .tree import Joint, Link, bounded, checked_weight, parts_of
 from .xml import Element, number, numbers, parse
 
 _DEEPEST_INCLUDE = 8
 # How far a finger stands from a handle's middle where a file only marks it, m.
 _HANDLE_OPENING = 0.01
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """A pose told relative to another frame; "" is the model's own."""
-
-    T: Array
-    relative_to: str
 
 
 def read_sdf(data: bytes, folder: Folder, base: Path) -> ReadThing:
@@ -96,7 +87,7 @@ class _Reader:
                 raise RefusedError(
                     "several-things", f"model {model.get('name')!r} holds another <{tag}>: put it into one"
                 )
-        frames = _Frames(model)
+        frames = Frames(model)
         links = [self._link(element, frames, base) for element in model.findall("link")]
         by_name = {link.name: link for link in links}
         joints = [self._joint(element, frames) for element in model.findall("joint")]
@@ -104,14 +95,13 @@ class _Reader:
             self._handle(element, frames, by_name, links)
         return links, joints
 
-    def _link(self, element: Element, frames: _Frames, base: Path) -> Link:
-        name = _name(element)
+    def _link(self, element: Element, frames: Frames, base: Path) -> Link:
+        name = name_of(element)
         link = Link(name, frames.T(name))
         link.weight = _weight(element.find("inertial"))
         for visual in element.findall("visual"):
-            link.looks += [
-                surface.moved(_pose(visual)) for surface in self._surfaces(visual, _material(visual, self, base), base)
-            ]
+            surfaces = self._surfaces(visual, _material(visual, self, base), base)
+            link.looks += [surface.moved(pose_of(visual)) for surface in surfaces]
         for collision in element.findall("collision"):
             link.shapes += self._shapes(collision, base)
             mu = collision.findtext("surface/friction/ode/mu")
@@ -140,7 +130,7 @@ class _Reader:
         return mesh_surfaces(self._folder, uri, base, scale, material)
 
     def _shapes(self, element: Element, base: Path) -> list[Any]:
-        geometry, T = element.find("geometry"), _pose(element)
+        geometry, T = element.find("geometry"), pose_of(element)
         if geometry is None:
             return []
         mesh = geometry.find("mesh")
@@ -149,8 +139,8 @@ class _Reader:
         found = _plain(geometry)
         return [] if found is None else [touching(*found, T)]
 
-    def _joint(self, element: Element, frames: _Frames) -> Joint:
-        name, kind = _name(element), element.get("type", "")
+    def _joint(self, element: Element, frames: Frames) -> Joint:
+        name, kind = name_of(element), element.get("type", "")
         parent, child = ((element.findtext(tag) or "").strip() for tag in ("parent", "child"))
         parent_link, child_link = frames.link_of(parent), frames.link_of(child)
         if child_link is None:
@@ -170,9 +160,9 @@ class _Reader:
         R = T[:3, :3] if not within else (inverse(frames.T(child_link)) @ frames.T(within))[:3, :3]
         return Joint(name, parent_link, child_link, _moves(element, axis, types[kind], R @ xyz, T[:3, 3]))
 
-    def _handle(self, element: Element, frames: _Frames, by_name: dict[str, Link], links: list[Link]) -> None:
+    def _handle(self, element: Element, frames: Frames, by_name: dict[str, Link], links: list[Link]) -> None:
         """A frame called `handle...` marks where a hand takes hold: z into it, y along the closing axis."""
-        name = _name(element)
+        name = name_of(element)
         owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
         if not name.lower().startswith("handle") or (owner or links[0].name) not in by_name:
             return
@@ -189,88 +179,10 @@ class _Reader:
         )
 
 
-class _Frames:
-    """Poses of all that has a name in a model, in the model's own frame."""
-
-    def __init__(self, model: Element) -> None:
-        self._frames: dict[str, _Frame] = {}
-        self._attached: dict[str, str] = {}
-        self._links = {_name(element) for element in model.findall("link")}
-        for element in model.findall("link"):
-            self._add(element, "")
-        for element in model.findall("frame"):
-            attached = element.get("attached_to", "")
-            self._attached[_name(element)] = attached
-            self._add(element, attached)
-        for element in model.findall("joint"):
-            # A joint's pose is told in its child's frame.
-            child = (element.findtext("child") or "").strip()
-            self._attached[_name(element)] = child
-            self._add(element, child)
-        self._known: dict[str, Array] = {}
-
-    def _add(self, element: Element, default: str) -> None:
-        name, told = _name(element), element.find("pose")
-        if name in self._frames:
-            raise RefusedError("damaged", f"two things are called {name!r}")
-        relative = (told.get("relative_to") or told.get("frame") or default) if told is not None else default
-        self._frames[name] = _Frame(_pose(element), relative)
-
-    def relative(self, name: str) -> str:
-        return self._frames[name].relative_to
-
-    def T(self, name: str, on_way: tuple[str, ...] = ()) -> Array:
-        """Pose (4, 4) of a frame in the model's."""
-        if name in ("", "__model__"):
-            return np.eye(4)
-        if name not in self._frames:
-            raise RefusedError("damaged", f"it tells a pose relative to {name!r}, which is not there")
-        if name in on_way:
-            raise RefusedError("cycle", f"the poses of {' and '.join(on_way[:4])} are told relative to each other")
-        if name not in self._known:
-            frame = self._frames[name]
-            self._known[name] = self.T(frame.relative_to, (*on_way, name)) @ frame.T
-        return self._known[name]
-
-    def link_of(self, name: str) -> str | None:
-        """The link that a frame belongs to; None for the world."""
-        steps = 0
-        while name not in self._links:
-            if name in ("world", "__model__", "") or name not in self._attached:
-                if name not in ("world", "__model__", ""):
-                    raise RefusedError("damaged", f"a joint names {name!r}, which is not there")
-                return None
-            name, steps = self._attached[name], steps + 1
-            if steps > len(self._attached):
-                raise RefusedError("cycle", f"frames are attached to each other around {name!r}")
-        return name
-
-
-def _name(element: Element) -> str:
-    name = element.get("name", "").strip()
-    if not name:
-        raise RefusedError("damaged", f"a <{element.tag}> has no name")
-    return name
-
-
-def _pose(element: Element) -> Array:
-    told = element.find("pose")
-    if told is None:
-        return np.eye(4)
-    if told.get("rotation_format") == "quat_xyzw":
-        x, y, z, qx, qy, qz, qw = numbers(told.text, 7, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
-        if math.hypot(qx, qy, qz, qw) < 1e-9:
-            raise RefusedError("impossible", "it has a rotation of zeros")
-        return pose_from_quat((x, y, z), (qw, qx, qy, qz))
-    x, y, z, roll, pitch, yaw = numbers(told.text, 6, (0.0,) * 6)
-    factor = math.pi / 180 if told.get("degrees") in ("true", "1") else 1.0
-    return pose((x, y, z), from_rpy(roll * factor, pitch * factor, yaw * factor))
-
-
 def _weight(inertial: Element | None) -> Weight | None:
     if inertial is None or inertial.find("mass") is None:
         return None
-    T, told = _pose(inertial), inertial.find("inertia")
+    T, told = pose_of(inertial), inertial.find("inertia")
     value = {
         key: number(None if told is None else told.findtext(key), default)
         for key, default in (("ixx", 0.0), ("iyy", 0.0), ("izz", 0.0), ("ixy", 0.0), ("ixz", 0.0), ("iyz", 0.0))
@@ -321,7 +233,7 @@ def _moves(element: Element, axis: Element, kind: str, direction: Array, positio
         "type": kind,
         "axis": direction.tolist(),
         "position": position.tolist(),
-        "range": bounded(low, high, turns=turns, name=_name(element)),
+        "range": bounded(low, high, turns=turns, name=name_of(element)),
         "damping": number(axis.findtext("dynamics/damping"), 0.0),
         "friction": number(axis.findtext("dynamics/friction"), 0.0),
     }
@@ -331,16 +243,3 @@ def _moves(element: Element, axis: Element, kind: str, direction: Array, positio
         old = number(element.findtext("thread_pitch"), 1.0)
         moves["pitch"] = number(lead) if lead else -2 * math.pi / old if old else 0.0
     return moves
-
-
-def bounded(low: float, high: float, *, turns: bool, name: str) -> list[float]:
-    """Stops of a joint in a config's units, m or degrees, of a file's in m or rad; endless hinges get some turns."""
-    if not turns:
-        if not (abs(low) <= 2 and abs(high) <= 2):
-            raise RefusedError("impossible", f"joint {name!r} slides from {low:g} to {high:g} m")
-        ends = [low, high]
-    else:
-        ends = [max(math.degrees(low), -ENDLESS_DEG), min(math.degrees(high), ENDLESS_DEG)]
-    if not ends[0] < ends[1]:
-        raise RefusedError("impossible", f"joint {name!r} has no way to go: {low:g} to {high:g}")
-    return ends

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -34,7 +35,7 @@ class Joint:
     """A joint: links by name, parent None for the world.
 
     Attributes:
-        moves: as `config.articulation.LinkJoint` takes it, in the child's frame; None where it is fixed.
+        moves: as `config.things.articulation.LinkJoint` takes it, in the child's frame; None where it is fixed.
     """
 
     name: str
@@ -53,31 +54,7 @@ def parts_of(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[tuple[Part
         raise RefusedError("empty", "it has no link")
     if len(links) > MOST_LINKS:
         raise RefusedError("too-large", f"it has {len(links)} links; at most {MOST_LINKS}")
-    by_name = {link.name: link for link in links}
-    if len(by_name) < len(links):
-        raise RefusedError("damaged", "two of its links have the same name")
-    above: dict[str, Joint] = {}
-    for joint in joints:
-        for name in (joint.child, *((joint.parent,) if joint.parent is not None else ())):
-            if name not in by_name:
-                raise RefusedError("damaged", f"joint {joint.name!r} names link {name!r}, which is not there")
-        if joint.child in above:
-            raise RefusedError("damaged", f"link {joint.child!r} hangs on two joints: loops are not read")
-        above[joint.child] = joint
-    for link in links:
-        at, steps = link.name, 0
-        while at in above and above[at].parent is not None:
-            at, steps = above[at].parent or "", steps + 1
-            if steps > len(links):
-                raise RefusedError("cycle", "its joints form a circle")
-    roots = [link for link in links if link.name not in above or above[link.name].parent is None]
-    if len(roots) > 1:
-        names = ", ".join(link.name for link in roots[:5])
-        raise RefusedError("several-things", f"it holds {len(roots)} things that nothing joins ({names}): keep one")
-    root = roots[0]
-    fixed = root.name in above
-    if fixed and above[root.name].moves is not None:
-        raise RefusedError("joint-kind", f"link {root.name!r} moves on the world: give it a base link")
+    by_name, root, fixed = _rooted(links, joints)
     order, owner = _order(root.name, joints), {root.name: root}
     kept: list[tuple[Link, Joint | None]] = [(root, None)]
     for joint in order:
@@ -105,6 +82,40 @@ def parts_of(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[tuple[Part
             )
         )
     return tuple(parts), fixed
+
+
+def _rooted(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[dict[str, Link], Link, bool]:
+    """Name -> link, the link that all others hang on, and whether that is fixed to the world.
+
+    Raises:
+        RefusedError: they are no tree, or several.
+    """
+    by_name = {link.name: link for link in links}
+    if len(by_name) < len(links):
+        raise RefusedError("damaged", "two of its links have the same name")
+    above: dict[str, Joint] = {}
+    for joint in joints:
+        for name in (joint.child, *((joint.parent,) if joint.parent is not None else ())):
+            if name not in by_name:
+                raise RefusedError("damaged", f"joint {joint.name!r} names link {name!r}, which is not there")
+        if joint.child in above:
+            raise RefusedError("damaged", f"link {joint.child!r} hangs on two joints: loops are not read")
+        above[joint.child] = joint
+    for link in links:
+        at, steps = link.name, 0
+        while at in above and above[at].parent is not None:
+            at, steps = above[at].parent or "", steps + 1
+            if steps > len(links):
+                raise RefusedError("cycle", "its joints form a circle")
+    roots = [link for link in links if link.name not in above or above[link.name].parent is None]
+    if len(roots) > 1:
+        names = ", ".join(link.name for link in roots[:5])
+        raise RefusedError("several-things", f"it holds {len(roots)} things that nothing joins ({names}): keep one")
+    root = roots[0]
+    fixed = root.name in above
+    if fixed and above[root.name].moves is not None:
+        raise RefusedError("joint-kind", f"link {root.name!r} moves on the world: give it a base link")
+    return by_name, root, fixed
 
 
 def _order(root: str, joints: Sequence[Joint]) -> list[Joint]:
@@ -185,3 +196,16 @@ def checked_weight(mass: float, centre: Array, tensor: Array) -> Weight | None:
     if not 0 < mass <= 1e4:
         raise RefusedError("impossible", f"it says a mass of {mass:g} kg")
     return Weight(mass, np.asarray(centre, np.float64), np.asarray(tensor, np.float64))
+
+
+def bounded(low: float, high: float, *, turns: bool, name: str) -> list[float]:
+    """Stops of a joint in a config's units, m or degrees, of a file's in m or rad; endless hinges get some turns."""
+    if not turns:
+        if not (abs(low) <= 2 and abs(high) <= 2):
+            raise RefusedError("impossible", f"joint {name!r} slides from {low:g} to {high:g} m")
+        ends = [low, high]
+    else:
+        ends = [max(math.degrees(low), -ENDLESS_DEG), min(math.degrees(high), ENDLESS_DEG)]
+    if not ends[0] < ends[1]:
+        raise RefusedError("impossible", f"joint {name!r} has no way to go: {low:g} to {high:g}")
+    return ends

@@ -17,9 +17,8 @@ from .looks import mesh_surfaces, plain_material
 from .parts import Material, ReadThing, Surface, Weight
 from .refusals import RefusedError
 from .rotations import from_rpy
-from .sdf import bounded
 from .solids import seen, touching
-from .tree import Joint, Link, checked_weight, parts_of
+from .tree import Joint, Link, bounded, checked_weight, parts_of
 from .xml import Element, number, numbers, parse
 
 _TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.primitives import Primitive
+from ..config.things.primitives import Primitive
 from ..geometry.closed import columns
 from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import Faces

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from ..assets import AssetLock
-from ..config.made import MADE, made_files
-from ..config.things import ObjectConfig
+from ..config.things.made import MADE, made_files
+from ..config.things.thing import ObjectConfig
 from ..errors import ResourceError
 from ..files import sha256_bytes, write_file
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..config.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..config.things.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
 from ..documents.document import dump_yaml
 from ..geometry.se3 import Array
 from .body import Body

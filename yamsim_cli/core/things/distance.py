@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..config.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
+from ..config.things.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
 from ..geometry.se3 import Array
 
 

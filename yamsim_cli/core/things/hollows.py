@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from ..config.primitives import Cylinder, Primitive, Ring
+from ..config.things.primitives import Cylinder, Primitive, Ring
 from ..geometry.se3 import Array
 from .scan import Scan
 from .solids import SolidFit, measure

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..config.primitives import Box, Capsule, Cylinder, Primitive, Sphere
+from ..config.things.primitives import Box, Capsule, Cylinder, Primitive, Sphere
 from ..geometry.least_squares import LeastSquares, descend
 from ..geometry.se3 import Array
 from .distance import signed_distance

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..config.primitives import Primitive
+from ..config.things.primitives import Primitive
 from ..geometry.closed import is_closed
 from ..geometry.se3 import Array
 from ..geometry.stl import stl_bytes

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 
 import mujoco
 
 from ..config.rig import ArmConfig, RigConfig
-from ..geometry.se3 import Array, quat_from_rotation
+from ..geometry.se3 import quat_from_rotation
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
+from .watched_state import WatchedState
 
 # Most time that physics makes up for at once, s. After a stall, such as a sleep of the machine, it goes on from where
 # it was instead of racing through the time that it missed.
@@ -37,7 +37,7 @@ class Drive:
     unit: str
 
 
-class LiveRig:
+class LiveRig(WatchedState):
     """The state of a simulated rig. Its methods may be called from any thread.
 
     Args:
@@ -46,14 +46,12 @@ class LiveRig:
     """
 
     def __init__(self, rig: RigConfig, model: mujoco.MjModel, title: str = "") -> None:
+        super().__init__()
         self.rig = rig
         self.title = title or rig.name
         self.model = model
         self.data = mujoco.MjData(model)
         self.drives = tuple(_drive(model, arm, name) for arm in rig.arms for name in arm.robot.drives)
-        # A viewer's controls live in threads of their own.
-        self.lock = threading.RLock()
-        self.paused = False
         self._owed = 0.0
         self._last: float | None = None
         self.reset()
@@ -109,17 +107,6 @@ class LiveRig:
             if steps:
                 mujoco.mj_step(self.model, self.data, nstep=steps)
                 self._owed -= steps * timestep
-
-    def body_poses(self) -> tuple[Array, Array]:
-        """Every body's position (nbody, 3), m, and orientation (nbody, 4), wxyz, in `world`; mocap bodies included."""
-        with self.lock:
-            return self.data.xpos.copy(), self.data.xquat.copy()
-
-    def cloth_points(self) -> Array:
-        """Every point of all cloths (nflexvert, 3) in `world`, m."""
-        with self.lock:
-            points: Array = self.data.flexvert_xpos.copy()
-        return points
 
 
 def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> Drive:

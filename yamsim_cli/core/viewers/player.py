@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-
 import mujoco
 
 from ..geometry.se3 import Array
+from .watched_state import WatchedState
 
 
-class EpisodePlayer:
+class EpisodePlayer(WatchedState):
     """The state of a scene that is played and not simulated. Its methods may be called from any thread.
 
     Args:
@@ -23,13 +22,11 @@ class EpisodePlayer:
     def __init__(
         self, title: str, model: mujoco.MjModel, positions: Array, frame_period: float, speed: float = 1.0
     ) -> None:
+        super().__init__()
         self.title = title
         self.model = model
         self.data = mujoco.MjData(model)
         self.frame_period = frame_period
-        self.paused = False
-        # A page's controls act in threads of their own.
-        self.lock = threading.RLock()
         self._positions = positions
         self._speed = speed
         self._time = 0.0
@@ -70,17 +67,6 @@ class EpisodePlayer:
             if not self.paused:
                 self._time = (self._time + elapsed * self._speed) % (self.frames * self.frame_period)
             self._show()
-
-    def body_poses(self) -> tuple[Array, Array]:
-        """Every body's position (nbody, 3), m, and orientation (nbody, 4), wxyz, in `world`."""
-        with self.lock:
-            return self.data.xpos.copy(), self.data.xquat.copy()
-
-    def cloth_points(self) -> Array:
-        """Every point of all cloths (nflexvert, 3) in `world`, m."""
-        with self.lock:
-            points: Array = self.data.flexvert_xpos.copy()
-            return points
 
     def _show(self) -> None:
         self.data.qpos[:] = self._positions[self.frame]

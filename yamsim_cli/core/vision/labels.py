@@ -21,7 +21,7 @@ TABLE, POSTS = "table", "posts"
 # To find where a joint's axis leaves the arm, a ray is sent back along the axis from this far away, m. No link is as
 # wide.
 _OUTSIDE = 0.3
-# Geoms of groups below this are visible, see `scene.things`.
+# Geoms of groups below this are visible, see `scene.things.looks`.
 _SEEN_GROUPS = 3
 # Labels are rendered as one byte of a colour, in which 0 stands for nothing.
 _MOST_LABELS = 254

@@ -16,8 +16,13 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.vision.fiducials.focal import FocalEstimate, estimate_focal, known_focal, outlines_in
-from yamsim_cli.core.vision.fiducials.outline import Outline
+from yamsim_cli.core.vision.fiducials.focal_length.estimate import (
+    FocalEstimate,
+    estimate_focal,
+    known_focal,
+    outlines_in,
+)
+from yamsim_cli.core.vision.fiducials.focal_length.outline import Outline
 from yamsim_cli.core.vision.lens import project_points
 
 LENGTH = 0.02923077

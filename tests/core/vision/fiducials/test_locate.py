@@ -15,12 +15,12 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
-from yamsim_cli.core.vision.fiducials.align import align
+from yamsim_cli.core.vision.fiducials.fitting.align import align
+from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece
+from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 from yamsim_cli.core.vision.fiducials.locate import at_pose, locate
 from yamsim_cli.core.vision.fiducials.markers import seen_ids
-from yamsim_cli.core.vision.fiducials.print_view import Piece
 from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
-from yamsim_cli.core.vision.fiducials.smear import Smear
 from yamsim_cli.core.vision.fiducials.together import locate_together
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)

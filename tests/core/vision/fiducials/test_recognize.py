@@ -13,14 +13,14 @@ from tests.strangers import KINDS, stranger
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
-from yamsim_cli.core.vision.fiducials.bits import bits_of, evidence, least_chance
-from yamsim_cli.core.vision.fiducials.lattice import board_quads
+from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece, plane_of, view_print
+from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 from yamsim_cli.core.vision.fiducials.locate import locate
-from yamsim_cli.core.vision.fiducials.print_view import Piece, plane_of, view_print
-from yamsim_cli.core.vision.fiducials.quads import dark_quads, restless_quads
+from yamsim_cli.core.vision.fiducials.recognition.bits import bits_of, evidence, least_chance
+from yamsim_cli.core.vision.fiducials.recognition.lattice import board_quads
+from yamsim_cli.core.vision.fiducials.recognition.quads import dark_quads, restless_quads
+from yamsim_cli.core.vision.fiducials.recognition.suspects import moved_suspects, suspects
 from yamsim_cli.core.vision.fiducials.sighting import Status
-from yamsim_cli.core.vision.fiducials.smear import Smear
-from yamsim_cli.core.vision.fiducials.suspects import moved_suspects, outer_corners, suspects
 from yamsim_cli.core.vision.lens import project_points
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
@@ -30,7 +30,7 @@ TWO = Board("two", 226, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
 
 
 def corners_of(board: Board, T: Array) -> Array:
-    return project_points(CAMERA, outer_corners(board) @ T[:3, :3].T + T[:3, 3])
+    return project_points(CAMERA, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
 
 
 def off(T: Array, truth: Array) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.core.vision.fiducials.smear import Smear
+from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 
 
 def picture() -> np.ndarray:

@@ -12,7 +12,7 @@ from tests.truth_photos import CAMERA, Photographer, covered, shot_of, spoilt
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_vector
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.vision.fiducials.focal import FocalEstimate, estimate_focal, outlines_in
+from yamsim_cli.core.vision.fiducials.focal_length.estimate import FocalEstimate, estimate_focal, outlines_in
 from yamsim_cli.core.vision.fiducials.locate import locate
 from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
 from yamsim_cli.core.vision.fiducials.together import locate_together

@@ -16,7 +16,7 @@ from .context import Context, EpisodeDirectory
 from .facts import POSE, EpisodeFacts, Values, each_hand, hand_keys, layout, numbered, places, pose_keys, seen_outcome
 from .files import check_presence, list_files, read_file
 from .images import CameraChecks, ImageReader, check_frozen
-from .lowdim import LowdimChecks, ValueForm, expected_forms
+from .lowdim import LowdimChecks, recorded_forms
 from .motion import angles_shown, check_fingers, check_limits, check_speeds, check_times, each_arm
 from .poses import check_intrinsics, check_pose, check_view
 from .problem import Problems
@@ -143,7 +143,7 @@ class _EpisodeCheck:
 
     def _check_lowdim(self) -> LowdimChecks:
         known = self._record
-        forms = None if known is None else _forms(known)
+        forms = None if known is None else recorded_forms(known)
         checks = LowdimChecks(forms, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):
@@ -248,18 +248,6 @@ class _EpisodeCheck:
         if seen is not None and (stored is None or abs(seen - stored) > _OUTCOME_TOLERANCE):
             value = "nothing" if stored is None else f"{stored * 1000:.1f} mm from the target's centre"
             self._problems.add("episode.outcome", EPISODE, value, f"{seen * 1000:.1f} mm")
-
-
-def _forms(record: EpisodeRecord) -> dict[str, ValueForm]:
-    return expected_forms(
-        record.objects,
-        record.cameras,
-        record.arms,
-        record.drives,
-        record.joints,
-        joint_actions=record.joint_actions,
-        cloths=record.cloths,
-    )
 
 
 def _sane(record: EpisodeRecord) -> EpisodeRecord:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import DatasetError
 from ..lowdim import GRASP, SIMULATION, flat, load_frame, shapes, simulation_faults
+from ..records import EpisodeRecord
 from ..unpickle import ForbiddenPickleError
 from .problem import Problems
 
@@ -40,7 +41,7 @@ def expected_forms(
     cameras: Iterable[str],
     arms: int,
     drives: int,
-    joints: Mapping[str, Sequence[str]],
+    joints: Mapping[str, Sequence[str]] | None = None,
     *,
     joint_actions: bool = False,
     cloths: Mapping[str, tuple[int, int]] | None = None,
@@ -56,7 +57,7 @@ def expected_forms(
     rows = shapes(arms, drives, joint_actions=joint_actions)
     forms = {key: ValueForm(float32, shape) for key, shape in rows.items()}
     forms |= {f"{name}_pose": ValueForm(float32, (4, 4)) for name in objects}
-    forms |= {f"{name}_joints": ValueForm(float32, (len(names),)) for name, names in joints.items()}
+    forms |= {f"{name}_joints": ValueForm(float32, (len(names),)) for name, names in (joints or {}).items()}
     forms |= {f"{name}_points": ValueForm(float32, (x * y, 3)) for name, (x, y) in (cloths or {}).items()}
     for camera in cameras:
         forms |= {
@@ -70,20 +71,22 @@ def expected_forms(
     return forms if arms == 1 else forms | {"magnet": ValueForm(str(np.dtype(np.bool_)), (arms,))}
 
 
-def frame_faults(
-    frame: Mapping[str, Any],
-    objects: Iterable[str],
-    cameras: Iterable[str],
-    arms: int,
-    drives: int,
-    joints: Mapping[str, Sequence[str]] | None = None,
-    *,
-    joint_actions: bool = False,
-    cloths: Mapping[str, tuple[int, int]] | None = None,
-) -> list[str]:
-    """The faults of a decoded frame that yamsim recorded, one text each; see `expected_forms`."""
+def recorded_forms(record: EpisodeRecord) -> dict[str, ValueForm]:
+    """Flat key -> form, for the frames of an episode, by what its record says of it."""
+    return expected_forms(
+        record.objects,
+        record.cameras,
+        record.arms,
+        record.drives,
+        record.joints,
+        joint_actions=record.joint_actions,
+        cloths=record.cloths,
+    )
+
+
+def frame_faults(frame: Mapping[str, Any], forms: Mapping[str, ValueForm]) -> list[str]:
+    """The faults of a decoded frame that yamsim recorded and that is to have these forms, one text each."""
     problems = Problems()
-    forms = expected_forms(objects, cameras, arms, drives, joints or {}, joint_actions=joint_actions, cloths=cloths)
     LowdimChecks(forms, problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
 

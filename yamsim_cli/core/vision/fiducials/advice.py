@@ -13,8 +13,7 @@ from ...boards.board_image import marker_cells
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ..lens import project_points
-from .align import Alignment
-from .suspects import outer_corners
+from .fitting.align import Alignment
 
 Grey = NDArray[np.uint8]
 
@@ -49,7 +48,7 @@ class Looks:
 def looks_of(board: Board, camera: CameraModel, photo: NDArray[np.float32], fit: Alignment) -> Looks:
     """How a board looks at a fitted pose in a photo (height, width)."""
     T = fit.T_ref_in_cam
-    corners = project_points(camera, outer_corners(board) @ T[:3, :3].T + T[:3, 3])
+    corners = project_points(camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
     area = cv2.contourArea(corners.astype(np.float32))
     longer = max(float(np.linalg.norm(corners[a] - corners[b])) for a, b in ((0, 1), (1, 2), (2, 3), (3, 0)))
     across = board.width / board.marker_length * marker_cells(board).shape[1]

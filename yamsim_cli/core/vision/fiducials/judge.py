@@ -12,9 +12,9 @@ from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array
 from .advice import advice_on, looks_of
-from .align import INFLATION, Alignment
-from .fits import PoseFit, angle_between, clearly_better, rival_of, without_strange
-from .linearize import Tile
+from .fitting.align import INFLATION, Alignment
+from .fitting.fits import PoseFit, angle_between, clearly_better, rival_of, without_strange
+from .fitting.linearize import Tile
 from .sighting import Sighting, Status
 
 # Accepted poses are known at least this well: the turn in all, and, without what lens and print size do, the shift.

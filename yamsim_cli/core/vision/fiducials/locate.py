@@ -2,7 +2,7 @@
 
 Find the markers, take every pose that their corners allow, let each compete for the whole print (`align`), and accept
 the winner only where no other pose explains the photo nearly as well. Where too few markers can be read, the board is
-recognized as a whole (`recognize`). A flat board seen from afar has two poses: refusing is better than guessing.
+recognized as a whole (`recognition`). A flat board seen from afar has two poses: refusing is better than guessing.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from ...geometry.board import Board
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, inverse
-from .align import USUAL_SMEAR, agreement
-from .fits import PoseFit, fit_pose, starts
+from .fitting.align import USUAL_SMEAR, agreement
+from .fitting.fits import PoseFit, fit_pose, starts
+from .fitting.print_view import Piece
 from .judge import judge, shift_rms
 from .markers import DetectedMarker, find_markers, groups
-from .print_view import Piece
-from .recognize import Recognizer
+from .recognition.recognizer import Recognizer
 from .sighting import Sighting, Status
 
 Grey = NDArray[np.uint8]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...geometry.board import Board
 from ...geometry.se3 import Array
-from .smear import Smear
+from .fitting.smear import Smear
 
 
 class Status(StrEnum):

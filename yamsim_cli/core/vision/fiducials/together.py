@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, inverse
-from .align import INFLATION, USUAL_SMEAR, Guess, align
+from .fitting.align import INFLATION, USUAL_SMEAR, Guess, align
+from .fitting.print_view import Piece
 from .judge import PRINT_SIGMA, shift_rms, uncertainty
-from .print_view import Piece
 from .sighting import Sighting, Status
 
 Grey = NDArray[np.uint8]

@@ -1,0 +1,196 @@
+"""Camera files of yamsim and of other programs, read under yamsim's own keys: `K`, `distortion`, `width`, `height`.
+
+Files of one camera: yamsim's own, those of OpenCV's FileStorage (YAML, JSON, XML), and ROS's camera_info. Files of
+several cameras with names: Kalibr's camchain and raiden's calibration_results.json.
+
+Sources: Kalibr, kalibr_common/ConfigReader.py; raiden, raiden/calibration/runner.py; `ros2 topic echo`,
+rosidl_runtime_py/convert.py.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from ...documents.document import Document, KeyPath, load_yaml, read_config
+from ...errors import ConfigError, suggest
+from ...resources import camera_file
+from .file_storage import parse_json, parse_xml
+
+# The names under which calibration programs save one camera's values.
+_ALIASES = {
+    "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "mtx", "k"),
+    "distortion": (
+        "distortion_coefficients",
+        "Distortion_Coefficients",
+        "distCoeffs",
+        "dist_coeffs",
+        "dist_coeff",
+        "distortion_coeffs",
+        "dist",
+        "D",
+        "d",
+    ),
+    "width": ("image_width", "image_Width", "imageWidth"),
+    "height": ("image_height", "image_Height", "imageHeight"),
+}
+# The keys that lead to a camera in its file.
+Keys = tuple[str, ...]
+
+_SIGMA = "focal_sigma"
+
+# The programs' names for the models of lenses and cameras that OpenCV has too.
+_ROS_MODELS = ("plumb_bob", "rational_polynomial")
+_KALIBR_LENSES = ("radtan", "none")
+_KALIBR_MODELS = ("pinhole",)
+
+
+def read_camera(path: Path) -> Document:
+    """One camera of a file, under yamsim's own keys.
+
+    Args:
+        path: the file, or `FILE:CAMERA` where it holds several cameras with names.
+
+    Raises:
+        ConfigError: the file is unreadable or not of the format that its name says; the named camera is not in it, or
+            none is named where there are several; or the camera is not an OpenCV pinhole.
+    """
+    file, name, document = _open(path)
+    named = _named(document)
+    if not named:
+        if name:
+            raise ConfigError(f"{file}: the camera in it has no name: leave out {':' + name!r}")
+        return _one(document)
+    if not name and len(named) > 1:
+        example = f"{file}:{min(named)}"
+        raise ConfigError(f"{file}: {len(named)} cameras are in it: name one, as in {example}; {suggest('', named)}")
+    name = name or next(iter(named))
+    if name not in named:
+        raise ConfigError(f"{file}: there is no camera {name!r} in it; {suggest(name, named)}")
+    return _kalibr(document, named[name]) if len(named[name]) == 1 else _raiden(document, named[name])
+
+
+def camera_parts(path: Path) -> tuple[Path, ...]:
+    """`FILE:CAMERA` for each camera if the file holds named ones and `path` names none; else the path itself.
+
+    Raises:
+        ConfigError: the file is unreadable, or not of the format that its name says.
+    """
+    file, name, document = _open(path)
+    named = _named(document)
+    return (path,) if name or not named else tuple(Path(f"{file}:{each}") for each in named)
+
+
+def _open(path: Path) -> tuple[Path, str, Document]:
+    file, name = camera_file(str(path)) or (path, "")
+    parse = {".json": parse_json, ".xml": parse_xml}.get(file.suffix)
+    return file, name, parse(read_config(file), str(file)) if parse else load_yaml(file)
+
+
+def _named(document: Document) -> dict[str, Keys]:
+    """Camera's name -> the keys that lead to it, for Kalibr's and raiden's files; empty for others."""
+    data = document.data
+    if isinstance(cameras := data.get("cameras"), dict) and cameras:
+        return {name: ("cameras", name) for name in cameras}
+    return {name: (name,) for name, value in data.items() if re.fullmatch(r"cam\d+", name) and isinstance(value, dict)}
+
+
+class _Camera:
+    """A camera's values, collected under yamsim's own keys, each with the place where it was written."""
+
+    def __init__(self, document: Document, at: Keys) -> None:
+        self._document, self._at = document, at
+        self._values: Any = document.data
+        for key in at:
+            self._values = self._values[key]
+        self._ours: dict[str, Any] = {}
+        self._places: dict[KeyPath, str] = {(): document.place(at)}
+
+    def has(self, key: str) -> bool:
+        return isinstance(self._values, dict) and key in self._values
+
+    def get(self, key: str, count: int = 0) -> Any:
+        """A value that must be there; with a count, it must be a list of so many."""
+        if not self.has(key):
+            raise ConfigError(f"{self._document.place(self._at)}: {'.'.join((*self._at, key))}: missing; add it")
+        value = self._values[key]
+        if count and (not isinstance(value, list) or len(value) != count):
+            self.refuse(key, f"must be {count} numbers")
+        return value
+
+    def put(self, ours: str, theirs: str, value: Any) -> None:
+        self._ours[ours] = value
+        self._places[(ours,)] = self._document.place((*self._at, theirs))
+
+    def expect(self, key: str, value: str, valid: tuple[str, ...]) -> None:
+        """Refuse a model of cameras or lenses that is not OpenCV's."""
+        if value not in valid:
+            self.refuse(key, f"calibrate with one of OpenCV's pinhole models; {suggest(str(value), valid)}", value)
+
+    def refuse(self, key: str, why: str, value: Any = None) -> None:
+        place, path = self._document.place((*self._at, key)), ".".join((*self._at, key))
+        raise ConfigError(f"{place}: {path}: {self._values.get(key) if value is None else value!r} is not valid: {why}")
+
+    def document(self) -> Document:
+        """The values that were put, and the focal length's uncertainty if the file has it."""
+        if self.has(_SIGMA):
+            self.put(_SIGMA, _SIGMA, self._values[_SIGMA])
+        return Document(self._ours, self._document.source, self._places)
+
+
+def _one(document: Document) -> Document:
+    """The camera of a file that holds one; a file of yamsim's own keys comes back as it is."""
+    data = document.data
+    if not any(alias in data for names in _ALIASES.values() for alias in names):
+        return document
+    camera = _Camera(document, ())
+    # OpenCV's calibration program marks its fisheye model by this key.
+    model = "fisheye" if data.get("fisheye_model") else data.get("distortion_model", _ROS_MODELS[0])
+    camera.expect("distortion_model", model, _ROS_MODELS)
+    for key, aliases in _ALIASES.items():
+        for alias in (key, *aliases):
+            if camera.has(alias):
+                value = _matrix(data[alias])
+                camera.put(key, alias, _flat(value) if key == "distortion" else value)
+                break
+    return camera.document()
+
+
+def _kalibr(document: Document, at: Keys) -> Document:
+    camera = _Camera(document, at)
+    camera.expect("camera_model", camera.get("camera_model"), _KALIBR_MODELS)
+    camera.expect("distortion_model", camera.get("distortion_model"), _KALIBR_LENSES)
+    fu, fv, pu, pv = camera.get("intrinsics", 4)
+    camera.put("K", "intrinsics", [[fu, 0.0, pu], [0.0, fv, pv], [0.0, 0.0, 1.0]])
+    camera.put("distortion", "distortion_coeffs", camera.get("distortion_coeffs"))
+    _put_size(camera, "resolution")
+    return camera.document()
+
+
+def _raiden(document: Document, at: Keys) -> Document:
+    _Camera(document, at).get("intrinsics")
+    camera = _Camera(document, (*at, "intrinsics"))
+    camera.put("K", "camera_matrix", camera.get("camera_matrix"))
+    camera.put("distortion", "distortion_coeffs", _flat(camera.get("distortion_coeffs")))
+    _put_size(camera, "image_size")
+    return camera.document()
+
+
+def _put_size(camera: _Camera, key: str) -> None:
+    """Take width and height from a list; both programs write them in this order."""
+    width, height = camera.get(key, 2)
+    camera.put("width", key, width)
+    camera.put("height", key, height)
+
+
+def _matrix(value: Any) -> Any:
+    """The numbers of a matrix saved as `{rows, cols, data}`, or the value as it is."""
+    return value["data"] if isinstance(value, dict) and "data" in value else value
+
+
+def _flat(value: Any) -> Any:
+    """Coefficients saved as a matrix of one row or column, as a list."""
+    if isinstance(value, list) and all(isinstance(part, list) for part in value):
+        return [number for part in value for number in part]
+    return value

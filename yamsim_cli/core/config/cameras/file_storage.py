@@ -1,0 +1,108 @@
+"""Documents from the XML and JSON that OpenCV's FileStorage writes. `document` reads its YAML."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+from xml.parsers import expat
+
+from ...documents.document import Document, KeyPath, number_or_text, parse_yaml
+from ...errors import ConfigError
+
+_ROOT = "opencv_storage"
+
+# Deepest nesting that is read. A calibration's values lie 3 deep; much deeper ones are an attack on the reader.
+_DEPTH = 50
+
+# FileStorage writes comments as lines of their own. No text runs over a line's end, so no other line begins like that.
+_JSON_COMMENT = re.compile(rb"^[ \t]*//.*$", re.MULTILINE)
+
+_WORDS = re.compile(r'"([^"]*)"|(\S+)')
+
+
+def parse_json(raw: bytes, source: str) -> Document:
+    """The content of JSON text, also with OpenCV's comments and numbers. Raises as `load_yaml`."""
+    # JSON allows tabs where YAML does not, and none inside its strings.
+    return parse_yaml(_JSON_COMMENT.sub(b"", raw).replace(b"\t", b" "), source, "JSON")
+
+
+class _Element:
+    def __init__(self, name: str, line: int) -> None:
+        self.name, self.line = name, line
+        self.text = ""
+        self.inside: list[_Element] = []
+
+
+def parse_xml(raw: bytes, source: str) -> Document:
+    """The content of FileStorage's XML.
+
+    Any file is safe to read. Entities need a document type, and a file that declares one is refused before they can be
+    defined. Nothing is ever fetched.
+
+    Raises:
+        ConfigError: it is no XML, or not FileStorage's, declares a document type, has a duplicate key, or is nested too
+            deeply.
+    """
+    root = _tree(raw, source)
+    if root.name != _ROOT:
+        raise ConfigError(f"{source}:{root.line}: <{root.name}> is not OpenCV's: its XML files begin with <{_ROOT}>")
+    document = Document({}, source)
+    try:
+        data = _value(root, (), document)
+    # Python refuses integers of thousands of digits.
+    except ValueError as error:
+        raise ConfigError(f"{source}: not valid: {error}") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"{source}: the top level must be a mapping of keys to values")
+    document.data = data
+    return document
+
+
+def _tree(raw: bytes, source: str) -> _Element:
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    top = _Element("", 0)
+    stack = [top]
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        element = _Element(name, parser.CurrentLineNumber)
+        if len(stack) > _DEPTH:
+            raise ConfigError(f"{source}:{element.line}: nested more than {_DEPTH} deep")
+        stack[-1].inside.append(element)
+        stack.append(element)
+
+    def end(name: str) -> None:
+        stack.pop()
+
+    def text(part: str) -> None:
+        stack[-1].text += part
+
+    def doctype(*_: Any) -> None:
+        raise ConfigError(f"{source}:{parser.CurrentLineNumber}: a document type is not read: remove <!DOCTYPE ...>")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, doctype
+    try:
+        parser.Parse(raw, True)
+    except expat.ExpatError as error:
+        raise ConfigError(f"{source}:{error.lineno}: not valid XML: {expat.ErrorString(error.code)}") from error
+    # An encoding that Python does not know, or none that expat can use.
+    except (LookupError, ValueError) as error:
+        raise ConfigError(f"{source}: not valid XML: {error}") from error
+    return top.inside[0]
+
+
+def _value(element: _Element, path: KeyPath, document: Document) -> Any:
+    """The element's value: a mapping, a list, or the numbers and texts that its words stand for."""
+    document.places[path] = f"{document.source}:{element.line}"
+    if element.inside and all(inner.name == "_" for inner in element.inside):
+        return [_value(inner, (*path, k), document) for k, inner in enumerate(element.inside)]
+    if element.inside:
+        values: dict[str, Any] = {}
+        for inner in element.inside:
+            if inner.name in values:
+                raise ConfigError(f"{document.source}:{inner.line}: duplicate key {inner.name!r}; remove one")
+            values[inner.name] = _value(inner, (*path, inner.name), document)
+        return values
+    words = [number_or_text(plain) if plain else quoted for quoted, plain in _WORDS.findall(element.text)]
+    return words[0] if len(words) == 1 else words or None

@@ -1,0 +1,79 @@
+"""Whether the hands that do a task can take hold of what it moves, and hold it by friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..documents.base import ConflictError
+from .program_task import ProgramTask
+from .rig import ArmConfig, RigConfig
+from .task import TaskConfig
+
+# Rigs whose grippers have pads, to name where a rig's have none: of one arm, and of two.
+_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")
+
+
+def check_fingers(rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig) -> None:
+    """Make sure that the arms that do a task have fingers, and that its object fits between them.
+
+    Raises:
+        ConflictError: they cannot take hold of it; its paths are where, from a recording's config.
+    """
+    item = task.object
+    assert item.grasp is not None  # checked by the task
+    for arm in arms:
+        fingers = arm.gripper.fingers
+        if fingers is None:
+            raise ConflictError(
+                f"{arm.name} of rig {rig.name!r} has the gripper {arm.gripper.name}, which has no fingers to "
+                "pick anything up with; use another gripper, or another arm",
+                ("rig",),
+                ("arm",),
+            )
+        if item.grasp.opening > fingers.full_opening:
+            raise ConflictError(
+                f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
+                f"gripper {arm.gripper.name} of rig {rig.name!r} opens {2000 * fingers.full_opening:.0f} mm; "
+                "it can still be a target or a distractor",
+                ("task", "object"),
+                ("rig",),
+                ("task",),
+            )
+
+
+def check_friction(kind: str, rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig | ProgramTask) -> None:
+    """Make sure that the arms that do a task have pads, and that its object says how they hold it.
+
+    Args:
+        kind: the grasp that was asked for, for messages.
+
+    Raises:
+        ConflictError: they cannot hold it; its paths are where, from a recording's config.
+    """
+    for arm in arms:
+        if arm.gripper.fingers is None or not arm.gripper.fingers.pads:
+            raise ConflictError(
+                f"grasp {kind!r} needs a gripper with pads, and {arm.name} of rig {rig.name!r} has "
+                f"{arm.gripper.name}; use --rig {_WITH_PADS[len(rig.arms) > 1]}, or grasp: weld",
+                ("grasp",),
+                ("rig",),
+            )
+    if isinstance(task, ProgramTask):
+        return
+    grasp = task.object.grasp
+    if grasp is None or grasp.friction is None:
+        raise ConflictError(
+            f"grasp 'contact' needs grasp.friction of object {task.object.name!r}, which has none; add it, or "
+            "use grasp: weld",
+            ("grasp",),
+            ("task", "object"),
+            ("task",),
+        )
+    if grasp.friction.hands > 1:
+        raise ConflictError(
+            f"object {task.object.name!r} takes two hands, and this task picks it up with one; choose another "
+            "object, or use grasp: weld",
+            ("task", "object"),
+            ("grasp",),
+            ("task",),
+        )

@@ -1,0 +1,163 @@
+"""What moves on a thing: a drawer, a door, a lid, a screw cap, and where a hand takes hold of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+
+from ...documents.base import Config, Name, Quaternion, ordered
+from ...documents.units import OffsetPoint, Within
+from ...geometry.se3 import Array, pose, pose_from_quat
+from .parts import Inertia, ObjectMesh
+from .primitives import CollisionPart, Primitive
+
+_Opening = Annotated[FiniteFloat, Within("m", 0, 1)]
+# A place on a joint's way: m, or degrees where it turns.
+_Travel = Annotated[FiniteFloat, Within("m or degrees", -3600, 3600)]
+_Damping = Annotated[FiniteFloat, Within("N s/m or N m s/rad", 0, 1e4)]
+_Effort = Annotated[FiniteFloat, Within("N or N m", 0, 500)]
+
+
+def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if math.hypot(*value) < 1e-6:
+        raise ValueError("a vector of no length has no direction")
+    return value
+
+
+Direction = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_direction)]
+
+
+class Handle(Config):
+    """A place where a hand takes hold of one part of a thing, and from where it comes.
+
+    Attributes:
+        position: of the pinch point in the part's frame, m.
+        approach: the way the hand comes, in the part's frame; its length does not count.
+        axis: along which the fingers close; what of it lies along `approach` does not count.
+        opening: of one finger around it once closed, m.
+    """
+
+    name: Name
+    position: OffsetPoint
+    approach: Direction
+    axis: Direction
+    opening: _Opening
+
+    @model_validator(mode="after")
+    def _across(self) -> Handle:
+        if np.linalg.norm(np.cross(self.approach, self.axis)) < 1e-3 * math.hypot(*self.approach) * math.hypot(
+            *self.axis
+        ):
+            raise ValueError("the fingers have to close across the way the hand comes: turn `axis`")
+        return self
+
+    @property
+    def T_pinch_in_part(self) -> Array:
+        """The pinch frame (4, 4) in the part's: z into it, y along the closing axis."""
+        z = np.array(self.approach) / np.linalg.norm(self.approach)
+        y = np.array(self.axis) - z * (z @ np.array(self.axis))
+        y /= np.linalg.norm(y)
+        return pose(self.position, np.column_stack([np.cross(y, z), y, z]))
+
+
+class Detent(Config):
+    """A ridge that a joint has to be pushed over, as a ball catch has: it holds a drawer shut, or a lid up.
+
+    Attributes:
+        at: where on the joint's way it is highest: m, or degrees of a hinge.
+        width: from its foot to its other foot, in the same unit.
+        effort: what it takes to get over it: N, or N m of a hinge.
+    """
+
+    at: _Travel
+    width: Annotated[FiniteFloat, Within("m or degrees", 1e-5, 360)]
+    effort: Annotated[FiniteFloat, Within("N or N m", 1e-4, 500)]
+
+
+class LinkJoint(Config):
+    """How a part moves on its parent.
+
+    Attributes:
+        type: "hinge" turns; "slide" moves straight; "screw" turns, and moves along its axis by `pitch` a turn.
+        axis: in the part's frame; its length does not count.
+        position: of a point on the axis, in the part's frame, m.
+        range: from stop to stop: m, or degrees where it turns. Lengths are told at 0, where the part is drawn.
+        start: where it is at first, in the same unit.
+        damping: N s/m, or N m s/rad.
+        friction: what it takes to move it at all: N, or N m.
+        armature: inertia of what it drives, kg, or kg m2.
+        pitch: of a screw, m a turn.
+    """
+
+    type: Literal["hinge", "slide", "screw"]
+    axis: Direction
+    position: OffsetPoint = (0.0, 0.0, 0.0)
+    range: Annotated[tuple[_Travel, _Travel], AfterValidator(ordered)]
+    start: _Travel = 0.0
+    damping: _Damping = 0.0
+    friction: _Effort = 0.0
+    armature: Annotated[FiniteFloat, Within("kg or kg m2", 0, 100)] = 0.0
+    pitch: Annotated[FiniteFloat, Within("m", -0.1, 0.1)] | None = None
+    detents: tuple[Detent, ...] = ()
+
+    @field_validator("range")
+    @classmethod
+    def _of_its_unit(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+        if value[0] == value[1]:
+            raise ValueError("a joint has to have a way to go; leave it out where it has none")
+        if info.data.get("type") == "slide":
+            for end in value:
+                Within("m", -2, 2).check(end, info)
+        return value
+
+    @model_validator(mode="after")
+    def _in_range(self) -> LinkJoint:
+        if not self.range[0] <= self.start <= self.range[1]:
+            raise ValueError(f"start {self.start:g} lies outside its range {self.range[0]:g}..{self.range[1]:g}")
+        if (self.type == "screw") != bool(self.pitch):
+            raise ValueError("a screw needs a pitch, and no other joint has one")
+        for detent in self.detents:
+            if not self.range[0] <= detent.at <= self.range[1]:
+                raise ValueError(f"detent at {detent.at:g} lies outside the range")
+        return self
+
+    @property
+    def turns(self) -> bool:
+        """Whether its unit is an angle."""
+        return self.type != "slide"
+
+    def si(self, value: float) -> float:
+        """A place on its way, from the config's unit into m or rad."""
+        return math.radians(value) if self.turns else value
+
+
+class Link(Config):
+    """A part that moves on another part of the same thing.
+
+    Attributes:
+        parent: name of the part that it moves on; the base where there is none.
+        position, quat: of its frame in its parent's, m, with the joint at 0.
+        meshes: what is seen of it, in its own frame.
+        collision: what touches; parts of one thing that are neighbours do not touch each other.
+        look: extra primitives that are only seen.
+    """
+
+    name: Name
+    parent: Name | None = None
+    position: OffsetPoint = (0.0, 0.0, 0.0)
+    quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    joint: LinkJoint
+    inertia: Inertia
+    meshes: tuple[ObjectMesh, ...] = ()
+    collision: tuple[CollisionPart, ...] = Field(min_length=1)
+    look: tuple[Primitive, ...] = ()
+    handles: tuple[Handle, ...] = ()
+
+    @property
+    def T_in_parent(self) -> Array:
+        """Pose (4, 4) of its frame in its parent's, with the joint at 0."""
+        quat = np.array(self.quat) / np.linalg.norm(self.quat)
+        return pose_from_quat(self.position, quat)

@@ -1,0 +1,104 @@
+"""Cloth: a rectangle of fabric as a grid of points that hang together, stretch and bend."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from pydantic import Field, FiniteFloat, ValidationError
+
+from ...documents.base import Config, NonNegative, Rgb
+from ...documents.units import Within
+from .made import MADE
+
+_Side = Annotated[FiniteFloat, Within("mm", 50, 1500)]
+_Count = Annotated[int, Field(ge=5, le=25)]
+
+# How much narrower fabric becomes where it is stretched, as a share.
+_POISSON = 0.2
+
+
+class Cloth(Config):
+    """A rectangle of fabric. It lies in the xy plane of its own frame, its middle at the origin.
+
+    Attributes:
+        size_mm: along x and along y.
+        grid: how many points lie along x and along y.
+        mass_g: of all of it.
+        thickness_mm: so far apart are two layers that lie on each other.
+        stretching_n_m: force for each metre of width that would double its length, N/m.
+        bending_n_m: moment for each metre of width that bends it to a radius of one metre, N m.
+        damping_s: time in which a stretch or a bend dies down.
+        friction: sliding friction against the table, hands and itself.
+        checks: how many checks lie along x, in the second colour; none without.
+        colours: of the fabric and of the checks, red, green and blue.
+    """
+
+    size_mm: tuple[_Side, _Side]
+    grid: tuple[_Count, _Count]
+    mass_g: Annotated[FiniteFloat, Within("g", 0.5, 2000)]
+    thickness_mm: Annotated[FiniteFloat, Within("mm", 2, 20)] = 5.0
+    stretching_n_m: Annotated[FiniteFloat, Within("N/m", 10, 1e4)] = 400.0
+    bending_n_m: Annotated[FiniteFloat, Within("N m", 1e-7, 1e-2)] = 2e-5
+    damping_s: Annotated[FiniteFloat, Within("s", 0, 1)] = 0.01
+    friction: NonNegative = 0.6
+    checks: Annotated[int, Field(ge=0, le=50)] = 0
+    colours: tuple[Rgb, Rgb] = ((0.9, 0.9, 0.88), (0.7, 0.25, 0.2))
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Along x and along y, m."""
+        return self.size_mm[0] / 1000, self.size_mm[1] / 1000
+
+    @property
+    def mass(self) -> float:
+        """Of all of it, kg."""
+        return self.mass_g / 1000
+
+    @property
+    def radius(self) -> float:
+        """Half its thickness, m: a point of it that lies on a surface is so high over it."""
+        return self.thickness_mm / 2000
+
+    @property
+    def spacing(self) -> float:
+        """The larger of the distances between neighbours along x and along y, m."""
+        return max(side / (count - 1) for side, count in zip(self.size, self.grid, strict=True))
+
+    @property
+    def elasticity(self) -> tuple[float, float, float]:
+        """Young's modulus (Pa), Poisson's ratio and thickness (m) of a plate that stretches and bends so."""
+        thickness = math.sqrt(12 * (1 - _POISSON**2) * self.bending_n_m / self.stretching_n_m)
+        return self.stretching_n_m / thickness, _POISSON, thickness
+
+
+def cloth_object(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What follows from `cloth` in an object's plain data: what it would be if it were stiff; nothing without any."""
+    if not isinstance(data.get("cloth"), dict):
+        return {}
+    try:
+        cloth = Cloth.model_validate(data["cloth"])
+    except ValidationError:
+        # Checking the whole config names the fault and its line.
+        return {}
+    (x, y), mass, radius = cloth.size, cloth.mass, cloth.radius
+    moments = (mass * y**2 / 12, mass * x**2 / 12, mass * (x**2 + y**2) / 12)
+    return {
+        "mesh": {
+            "set": MADE,
+            "file": f"{data.get('name')}.stl",
+            "origin": [0.0, 0.0, 0.0],
+            "rgba": [1.0, 1.0, 1.0, 1.0],
+            "specular": 0.0,
+            "shininess": 0.0,
+        },
+        "inertia": {
+            "mass_g": cloth.mass_g,
+            "diagonal": [float(f"{moment:.4g}") for moment in moments],
+            "quat": [1.0, 0.0, 0.0, 0.0],
+        },
+        "contact": {"friction": [cloth.friction, 0.005, 0.0001]},
+        "collision": [{"type": "box", "centre": [0.0, 0.0, 0.0], "half_size": [x / 2, y / 2, radius]}],
+        "rest_height": radius,
+    }

@@ -1,0 +1,123 @@
+"""Simple shapes, in the frame of the object that they belong to."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ...documents.base import Config, Positive, Rgba, Vector
+
+
+class Capsule(Config):
+    """A capsule between two points of the object's frame."""
+
+    type: Literal["capsule"]
+    start: Vector
+    end: Vector
+    radius: Positive
+    rgba: Rgba | None = None
+
+
+class Cylinder(Config):
+    """An upright cylinder: centre, radius and half its height."""
+
+    type: Literal["cylinder"]
+    centre: Vector
+    radius: Positive
+    half_height: Positive
+    rgba: Rgba | None = None
+
+
+class Sphere(Config):
+    """A ball: centre and radius."""
+
+    type: Literal["sphere"]
+    centre: Vector
+    radius: Positive
+    rgba: Rgba | None = None
+
+
+class Box(Config):
+    """An upright block: centre, half its size along its own axes, and how far these are turned about z."""
+
+    type: Literal["box"]
+    centre: Vector
+    half_size: tuple[Positive, Positive, Positive]
+    yaw_deg: float = 0.0
+    rgba: Rgba | None = None
+
+    @property
+    def discs(self) -> tuple[tuple[float, float, float], ...]:
+        """Discs (x, y, radius), m, that together cover the block seen from above: one for each square along it."""
+        long = self.half_size[0] >= self.half_size[1]
+        length, width = (self.half_size[0], self.half_size[1]) if long else (self.half_size[1], self.half_size[0])
+        angle = math.radians(self.yaw_deg) + (0 if long else math.pi / 2)
+        count = math.ceil(length / width)
+        places = [length * ((2 * k + 1) / count - 1) for k in range(count)]
+        radius = math.hypot(width, length / count)
+        x, y, _ = self.centre
+        return tuple((x + d * math.cos(angle), y + d * math.sin(angle), radius) for d in places)
+
+
+class Ring(Config):
+    """A sloping rim of boxes around the object's z axis, such as a plate's.
+
+    Attributes:
+        inner, outer: radius and height (m) of the rim's upper surface at its inner and outer edge.
+        thickness: how thick the boxes are below that surface, m.
+        segments: how many boxes make the ring.
+    """
+
+    type: Literal["ring"]
+    inner: tuple[Positive, float]
+    outer: tuple[Positive, float]
+    thickness: Positive
+    segments: int = Field(ge=3, le=128)
+    rgba: Rgba | None = None
+
+
+class HullPart(Config):
+    """A convex body: the hull of a mesh file, which lies in the set of the thing's mesh and in its part's frame.
+
+    Attributes:
+        low, high: corners of the block around it, m: what has to know its size need not read the file.
+    """
+
+    type: Literal["hull"]
+    file: str
+    low: Vector
+    high: Vector
+
+    @property
+    def around(self) -> Box:
+        """The block around it."""
+        return _around(self.low, self.high)
+
+
+class SdfPart(Config):
+    """A body of any form by the distance to its surface, hollows and holes included; otherwise as `HullPart`.
+
+    Exact, and slow: MuJoCo looks for contacts by descending along the distance.
+    """
+
+    type: Literal["sdf"]
+    file: str
+    low: Vector
+    high: Vector
+
+    @property
+    def around(self) -> Box:
+        """The block around it."""
+        return _around(self.low, self.high)
+
+
+def _around(low: tuple[float, float, float], high: tuple[float, float, float]) -> Box:
+    centre = tuple((a + b) / 2 for a, b in zip(low, high, strict=True))
+    half = tuple(max((b - a) / 2, 1e-5) for a, b in zip(low, high, strict=True))
+    return Box(type="box", centre=centre, half_size=half)  # type: ignore[arg-type]
+
+
+Primitive = Annotated[Sphere | Capsule | Cylinder | Box | Ring, Field(discriminator="type")]
+CollisionPart = Annotated[Sphere | Capsule | Cylinder | Box | Ring | HullPart | SdfPart, Field(discriminator="type")]

@@ -1,0 +1,315 @@
+"""Things made from sizes: each kind's sizes, in millimetres as people give them, and what it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat, model_validator
+
+from ...documents.base import Config, ConflictError, Rgba
+from ...documents.units import Within
+from ...geometry.forms import boxes, cutlery, pasta, vessels
+from ...geometry.forms.form import Form
+
+_Size = Annotated[FiniteFloat, Within("mm", 1, 1000)]
+# A tine ends above the rack's floor and rail.
+_Tine = Annotated[FiniteFloat, Within("mm", 25, 1000)]
+_Thin = Annotated[FiniteFloat, Within("mm", 0.3, 50)]
+_Length = Annotated[FiniteFloat, Within("mm", 0, 500)]
+_Share = Annotated[FiniteFloat, Within("of 1", 0, 1)]
+_Grams = Annotated[FiniteFloat, Within("g", 0.5, 50_000)]
+_Box = tuple[_Size, _Size, _Size]
+
+Stuff = Literal[
+    "steel", "aluminium", "stoneware", "porcelain", "glass", "polypropylene", "nylon", "wood", "cardboard", "cotton",
+    "durum", "fruit", "leaf", "paint",
+]  # fmt: skip
+
+#: Density of each stuff, kg/m3, rounded from what tables of materials give. Folded cotton is mostly air, and paint is
+#: only seen.
+DENSITY: Mapping[Stuff, float] = {
+    "steel": 7900,
+    "aluminium": 2700,
+    "stoneware": 2300,
+    "porcelain": 2400,
+    "glass": 2500,
+    "polypropylene": 905,
+    "nylon": 1140,
+    "wood": 680,
+    "cardboard": 700,
+    "cotton": 80,
+    "durum": 1400,
+    "fruit": 960,
+    "leaf": 500,
+    "paint": 0,
+}
+
+
+class Material(Config):
+    """What a piece is made of, and how it looks."""
+
+    stuff: Stuff
+    rgba: Rgba
+    specular: float = Field(default=0.3, ge=0, le=1)
+    shininess: float = Field(default=0.4, ge=0, le=1)
+
+
+class _Shape(Config):
+    """What all shapes have.
+
+    Attributes:
+        materials: of each piece by its role: "body", and "handle", "stalk" or "print" where there is one.
+        mass_g: of the whole; without, its materials' densities say. A full carton is no block of cardboard.
+    """
+
+    materials: Mapping[str, Material]
+    mass_g: _Grams | None = None
+
+    def form(self) -> Form:
+        """The thing itself, in m."""
+        raise NotImplementedError
+
+    @model_validator(mode="after")
+    def _every_piece_of_something(self) -> _Shape:
+        try:
+            roles = {piece.role for piece in self.form().pieces}
+        except (ValueError, IndexError, FloatingPointError):
+            raise ValueError("these sizes do not go together: something would have no room left") from None
+        if missing := sorted(roles - set(self.materials)):
+            raise ConflictError(f"materials: {', '.join(missing)} is missing", ("materials",))
+        if unknown := sorted(set(self.materials) - roles):
+            raise ConflictError(
+                f"materials: there is no {', '.join(unknown)}; valid are {', '.join(sorted(roles))}", ("materials",)
+            )
+        return self
+
+
+class VesselShape(_Shape):
+    """An open round vessel, see `core.geometry.forms.vessels.Vessel`."""
+
+    family: Literal["vessel"]
+    diameter_mm: _Size
+    height_mm: _Size
+    foot_mm: _Size
+    wall_mm: _Thin
+    flare: Annotated[FiniteFloat, Within("a power", 0.1, 4)] = 1.0
+    fillet_mm: _Length = 0.0
+    neck_mm: _Size | None = None
+    shoulder_mm: _Length = 0.0
+    slope_mm: _Length = 0.0
+    handles: Literal["none", "loop", "ears"] = "none"
+    reach_mm: _Length = 0.0
+
+    @model_validator(mode="after")
+    def _has_an_inside(self) -> VesselShape:
+        if 2 * self.wall_mm >= min(self.foot_mm, self.diameter_mm, self.neck_mm or self.foot_mm):
+            raise ConflictError(f"wall_mm {self.wall_mm:g} leaves no inside", ("wall_mm",))
+        if self.neck_mm is not None and self.shoulder_mm + self.slope_mm > self.height_mm - self.wall_mm:
+            raise ConflictError("shoulder_mm and slope_mm reach over the rim", ("shoulder_mm",))
+        return self
+
+    def form(self) -> Form:
+        """The vessel."""
+        return vessels.vessel(
+            vessels.Vessel(
+                diameter=_m(self.diameter_mm),
+                height=_m(self.height_mm),
+                foot=_m(self.foot_mm),
+                wall=_m(self.wall_mm),
+                flare=self.flare,
+                fillet=_m(self.fillet_mm),
+                neck=None if self.neck_mm is None else _m(self.neck_mm),
+                shoulder=_m(self.shoulder_mm),
+                slope=_m(self.slope_mm),
+                handles=self.handles,
+                reach=_m(self.reach_mm),
+            )
+        )
+
+
+class CapShape(_Shape):
+    """A round cap or screw lid, hollow side down."""
+
+    family: Literal["cap"]
+    diameter_mm: _Size
+    height_mm: _Size
+    wall_mm: _Thin
+    grips: int = Field(default=0, ge=0, le=96)
+
+    def form(self) -> Form:
+        """The cap."""
+        return vessels.cap(_m(self.diameter_mm), _m(self.height_mm), _m(self.wall_mm), self.grips)
+
+
+class FruitShape(_Shape):
+    """A round fruit: `lobes` swellings of a share `depth` of its radius, and a stalk."""
+
+    family: Literal["fruit"]
+    diameter_mm: _Size
+    height_mm: _Size
+    lobes: int = Field(default=0, ge=0, le=12)
+    depth: Annotated[FiniteFloat, Within("of 1", 0, 0.2)] = 0.0
+    stalk_mm: _Length = 0.0
+
+    def form(self) -> Form:
+        """The fruit."""
+        return vessels.fruit(_m(self.diameter_mm), _m(self.height_mm), self.lobes, self.depth, _m(self.stalk_mm))
+
+
+class ContainerShape(_Shape):
+    """An open box, or a tray of `cells` compartments side by side, see `core.geometry.forms.boxes.Container`."""
+
+    family: Literal["container"]
+    size_mm: _Box
+    wall_mm: _Thin
+    corner_mm: _Length
+    taper_mm: _Length = 0.0
+    lip_mm: _Length = 0.0
+    cells: int = Field(default=1, ge=1, le=12)
+
+    def form(self) -> Form:
+        """The container."""
+        x, y, z = self.size_mm
+        return boxes.container(
+            boxes.Container(
+                size=(_m(x), _m(y), _m(z)),
+                wall=_m(self.wall_mm),
+                corner=_m(self.corner_mm),
+                taper=_m(self.taper_mm),
+                lip=_m(self.lip_mm),
+                cells=self.cells,
+            )
+        )
+
+
+class LidShape(_Shape):
+    """A container's lid with a rim that goes inside, `inset_mm` in from its edge, and a bar to hold it by."""
+
+    family: Literal["lid"]
+    size_mm: _Box
+    corner_mm: _Length
+    plate_mm: _Thin
+    inset_mm: _Thin
+    bar_mm: tuple[_Size, _Size]
+
+    def form(self) -> Form:
+        """The lid."""
+        x, y, z = self.size_mm
+        bar = (_m(self.bar_mm[0]), _m(self.bar_mm[1]))
+        return boxes.lid((_m(x), _m(y), _m(z)), _m(self.corner_mm), _m(self.plate_mm), _m(self.inset_mm), bar)
+
+
+class BlockShape(_Shape):
+    """A closed box with round edges; `band` has another colour between two shares of its height."""
+
+    family: Literal["block"]
+    size_mm: _Box
+    corner_mm: _Length
+    edge_mm: _Length
+    band: tuple[_Share, _Share] | None = None
+
+    def form(self) -> Form:
+        """The block."""
+        x, y, z = self.size_mm
+        return boxes.block((_m(x), _m(y), _m(z)), _m(self.corner_mm), _m(self.edge_mm), self.band)
+
+
+class TextileShape(_Shape):
+    """Folded cloth that lies flat and is stiff."""
+
+    family: Literal["textile"]
+    size_mm: _Box
+    folds: int = Field(default=1, ge=1, le=16)
+
+    def form(self) -> Form:
+        """The cloth."""
+        x, y, z = self.size_mm
+        return boxes.textile((_m(x), _m(y), _m(z)), self.folds)
+
+
+class RackShape(_Shape):
+    """A dish rack of wire with slots between tines, see `core.geometry.forms.boxes.Rack`. Tines are as high as the rack
+    where nothing else is said.
+    """
+
+    family: Literal["rack"]
+    size_mm: _Box
+    wire_mm: _Thin
+    slots: int = Field(ge=1, le=40)
+    slot_mm: _Size
+    tine_mm: _Tine | None = None
+
+    @model_validator(mode="after")
+    def _slots_fit(self) -> RackShape:
+        if self.slots * self.slot_mm > self.size_mm[0] - 40:
+            raise ConflictError(f"{self.slots} slots of {self.slot_mm:g} mm are wider than the rack", ("slots",))
+        if self.tine_mm is not None and self.tine_mm > self.size_mm[2]:
+            raise ConflictError(
+                f"tines of {self.tine_mm:g} mm are higher than the rack, {self.size_mm[2]:g} mm", ("tine_mm",)
+            )
+        return self
+
+    def form(self) -> Form:
+        """The rack."""
+        x, y, z = self.size_mm
+        tine = z if self.tine_mm is None else self.tine_mm
+        return boxes.rack(boxes.Rack((_m(x), _m(y), _m(z)), _m(self.wire_mm), self.slots, _m(self.slot_mm), _m(tine)))
+
+
+class CutleryShape(_Shape):
+    """A spoon, fork, knife or turner, see `core.geometry.forms.cutlery.Cutlery`."""
+
+    family: Literal["cutlery"]
+    kind: Literal["spoon", "fork", "knife", "turner"]
+    size_mm: _Box
+    grip_mm: _Size
+    thickness_mm: _Thin
+    handle_mm: _Thin
+
+    def form(self) -> Form:
+        """The piece of cutlery."""
+        x, y, z = self.size_mm
+        return cutlery.cutlery(
+            cutlery.Cutlery(
+                kind=self.kind,
+                size=(_m(x), _m(y), _m(z)),
+                grip=_m(self.grip_mm),
+                thickness=_m(self.thickness_mm),
+                handle=_m(self.handle_mm),
+            )
+        )
+
+
+class PastaShape(_Shape):
+    """A piece of dry pasta: a tube, or a rod where it has no wall."""
+
+    family: Literal["pasta"]
+    diameter_mm: _Size
+    length_mm: _Size
+    wall_mm: _Length = 0.0
+    slant_deg: Annotated[FiniteFloat, Within("degrees", 0, 60)] = 0.0
+    ridges: int = Field(default=0, ge=0, le=40)
+
+    def form(self) -> Form:
+        """The piece."""
+        return pasta.pasta(_m(self.diameter_mm), _m(self.length_mm), _m(self.wall_mm), self.slant_deg, self.ridges)
+
+
+def _m(mm: float) -> float:
+    return mm / 1000
+
+
+Shape = Annotated[
+    VesselShape
+    | CapShape
+    | FruitShape
+    | ContainerShape
+    | LidShape
+    | BlockShape
+    | TextileShape
+    | RackShape
+    | CutleryShape
+    | PastaShape,
+    Field(discriminator="family"),
+]

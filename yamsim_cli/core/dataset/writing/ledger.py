@@ -1,0 +1,181 @@
+"""The ledger of attempts, read line by line. Whole lines count, and lost ones are restored from the episodes.
+
+Lines keep their bytes, so that a ledger that is written anew differs only where it was damaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...errors import DatasetError
+from ...files import write_file
+from ..layout import ATTEMPTS, episode_name
+from ..records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
+from .integrity import place_for_damaged
+
+# The outcome of an attempt whose line is lost and that is not made again.
+LINE_LOST = OutcomeRecord(
+    success=False,
+    cause="line_lost",
+    detail=f"its line in {ATTEMPTS} could not be read",
+    dxy_m=None,
+    dz_m=None,
+    speed_mps=None,
+    plan_error_m=None,
+    tilt_rad=None,
+)
+
+
+class Ledger:
+    """The content of a dataset's `attempts.jsonl`.
+
+    Attributes:
+        known: attempt -> its record, from the lines that are whole; in order.
+        fault: the first fault of the file; None if it has none. A cut-off last line is no fault.
+    """
+
+    def __init__(self, dataset: Path) -> None:
+        """Read the file. A missing one holds no attempts, and a last line that a power cut broke off is left out."""
+        self._file = dataset / ATTEMPTS
+        self.known: dict[int, AttemptRecord] = {}
+        self.fault: str | None = None
+        self._lines: dict[int, bytes] = {}
+        self._read = self._file.read_bytes() if self._file.is_file() else b""
+        lines = self._read.split(b"\n")
+        for number, line in enumerate(lines, start=1):
+            if line:
+                self._take(number, line, last=number == len(lines))
+        self.known = dict(sorted(self.known.items()))
+
+    def _take(self, number: int, line: bytes, *, last: bool) -> None:
+        try:
+            attempt = from_json(AttemptRecord, line, f"line {number}")
+            if attempt.attempt < 0:
+                raise DatasetError(f"line {number}: attempt: {attempt.attempt} is no number of an attempt")
+        except DatasetError as error:
+            if not last:
+                self.fault = self.fault or str(error)
+            return
+        if attempt.attempt in self.known:
+            self.fault = self.fault or f"line {number}: attempt {attempt.attempt} is there twice"
+            if attempt.attempt != number - 1:
+                # The earlier line stands in its right place, and this one does not.
+                return
+        self._put(attempt, line + b"\n")
+
+    def _put(self, attempt: AttemptRecord, line: bytes) -> None:
+        self.known[attempt.attempt] = attempt
+        self._lines[attempt.attempt] = line
+
+    @property
+    def missing(self) -> set[int]:
+        """Attempts before the last known one whose lines are lost."""
+        return set(range(max(self.known, default=-1))) - self.known.keys()
+
+    def adopt(self, episodes: Sequence[EpisodeRecord]) -> None:
+        """Restore lost lines from the dataset's whole episodes, and leave out lines that contradict them.
+
+        Raises:
+            DatasetError: an episode and the ledger contradict each other, and nothing says which is right.
+        """
+        made = {record.episode: record for record in episodes}
+        for attempt in list(self.known.values()):
+            if attempt.episode in made and made[attempt.episode].attempt != attempt.attempt:
+                name, other = episode_name(attempt.episode), made[attempt.episode].attempt
+                self.fault = self.fault or f"attempt {attempt.attempt} is to be {name}, which is attempt {other}"
+                del self.known[attempt.attempt], self._lines[attempt.attempt]
+        for record in episodes:
+            line = self.known.get(record.attempt)
+            if line is not None and line.episode != record.episode:
+                raise DatasetError(
+                    f"{self._file.parent / episode_name(record.episode)} is attempt {record.attempt}, which {ATTEMPTS} "
+                    "tells otherwise; it cannot be resumed"
+                )
+            if line is None:
+                adopted = _attempt_of(record)
+                self._put(adopted, to_json(adopted))
+        self._check_order()
+        self._drop_end()
+        self.known = dict(sorted(self.known.items()))
+
+    def _check_order(self) -> None:
+        numbers = [self.known[number].episode for number in sorted(self.known)]
+        episodes = [number for number in numbers if number is not None]
+        if episodes != sorted(set(episodes)):
+            raise DatasetError(
+                f"{self._file.parent} has episodes that are not in the order of their attempts; it cannot be resumed"
+            )
+
+    def _drop_end(self) -> None:
+        """Leave out failures after a gap, if no episode follows them: they are made again if they are needed."""
+        last = max((number for number, attempt in self.known.items() if attempt.episode is not None), default=-1)
+        while last + 1 in self.known:
+            last += 1
+        for number in [number for number in self.known if number > last]:
+            self.fault = self.fault or f"attempt {number} is there, and {last + 1} is not"
+            del self.known[number], self._lines[number]
+
+    def insert(self, attempt: AttemptRecord) -> None:
+        """Put an attempt whose line was lost into its place.
+
+        Raises:
+            OSError: it could not be written; the file is unchanged.
+        """
+        self._put(attempt, to_json(attempt))
+        self._write()
+
+    def mend(self) -> Path | None:
+        """Write the file anew if it differs from what is known.
+
+        Returns:
+            The place of a copy of the damaged file; None if there was no damage.
+
+        Raises:
+            OSError: it could not be written; the file is unchanged.
+        """
+        if self._read == self._text():
+            return None
+        kept = None
+        if self.fault is not None:
+            # A copy, so that there is a ledger at every moment.
+            kept = place_for_damaged(self._file)
+            write_file(kept, self._read)
+        self._write()
+        return kept
+
+    def _text(self) -> bytes:
+        return b"".join(self._lines[number] for number in sorted(self._lines))
+
+    def _write(self) -> None:
+        write_file(self._file, self._text())
+
+
+def vacant_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:
+    """The number of the episode that an attempt must have given if it succeeded; numbers follow the attempts' order.
+
+    Returns:
+        None if the episodes before and after it leave no number out: then it failed.
+    """
+    before = [record.episode for record in attempts[:attempt] if record.episode is not None]
+    after = [record.episode for record in attempts[attempt:] if record.episode is not None]
+    number = before[-1] + 1 if before else 0
+    return number if not after or after[0] > number else None
+
+
+def lost_line(attempt: int, seed: int) -> AttemptRecord:
+    """The record of an attempt whose line is lost."""
+    return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LINE_LOST, layout={})
+
+
+def _attempt_of(record: EpisodeRecord) -> AttemptRecord:
+    return AttemptRecord(
+        attempt=record.attempt,
+        seed=record.seed,
+        episode=record.episode,
+        outcome=record.outcome,
+        layout=record.layout,
+        randomized=record.randomized,
+        cast=record.cast,
+        phrasing=record.phrasing,
+    )

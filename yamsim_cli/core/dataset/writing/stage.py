@@ -1,0 +1,254 @@
+"""Records onto a local disk, and moves finished episodes to a slow or remote dataset in the background.
+
+The dataset itself is written by one thread alone, episode by episode in the order of recording, by a `DatasetWriter`.
+So it is a whole dataset at every moment and can be resumed, and the stage holds only what is still on its way. If the
+stage is lost, its episodes take time to be made again, and no byte of the result changes.
+
+<stage>/<name>-<hash of the dataset's path>/config.yaml
+attempts.jsonl         attempts since the dataset was last opened
+ep_000007/             episodes on their way
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import shutil
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...documents.document import dump_yaml
+from ...errors import DatasetError, ResourceError
+from ...files import append_line, move_aside, publish_directory, sha256_bytes, write_file
+from ..disk_faults import reason
+from ..layout import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
+from ..records import AttemptRecord, EpisodeRecord, from_json, to_json
+from .directory_lock import DirectoryLock
+from .integrity import inspect_episode
+from .writer import DatasetWriter
+
+# How many attempts may be on their way. It bounds the space on the local disk if the target is too slow.
+MAX_WAITING = 100
+# How long the episode that is being moved may take after the recording was given up, s.
+_HALT_SECONDS = 10.0
+
+
+@dataclass(frozen=True)
+class _Item:
+    """An episode to move, an attempt to log after it, or both."""
+
+    episode: int | None
+    attempt: AttemptRecord | None
+
+
+class StagedWriter:
+    """Takes a recording as a `DatasetWriter` does, and hands it on to one.
+
+    Attributes:
+        path: the dataset's directory, as the user knows it.
+        attempts: all attempts that were taken, in order, including those on their way.
+        episodes: how many of them are episodes.
+        untold: see `DatasetWriter`.
+        repairs: a sentence on each thing in the stage that was in the way, and where it is now.
+        folder: the place in the stage where this dataset's episodes wait.
+    """
+
+    def __init__(self, target: DatasetWriter, stage: Path, config: Mapping[str, Any]) -> None:
+        """Continue with what is still on its way from an earlier recording.
+
+        Args:
+            target: the dataset, opened for writing; from here on only this object uses it.
+            stage: a directory on a local disk, made when missing. Several datasets can share one.
+
+        Raises:
+            ResourceError: the stage cannot be made or written, or another recorder uses it.
+        """
+        self.path = target.path
+        self.attempts = list(target.attempts)
+        self.episodes = target.episodes
+        self.missing = target.missing
+        # A copy, since the target's own set changes in another thread.
+        self.untold = set(target.untold)
+        self.repairs: list[str] = []
+        self._target = target
+        self._error: BaseException | None = None
+        self._halt = threading.Event()
+        self.folder = stage / f"{target.path.name}-{sha256_bytes(str(target.path.absolute()).encode())[:12]}"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = DirectoryLock.take(self.folder)
+            try:
+                waiting = self._take_up(dump_yaml(config).encode())
+            except BaseException:
+                self._lock.release()
+                raise
+        except OSError as error:
+            raise ResourceError(
+                f"the stage {self.folder} cannot be used: {reason(error, stage)}; choose another --stage"
+            ) from error
+        self._queue: queue.Queue[_Item] = queue.Queue(max(MAX_WAITING, len(waiting)))
+        for attempt in waiting:
+            self._queue.put(_Item(attempt.episode, attempt))
+        self._mover = threading.Thread(target=self._move_all, name="yamsim-mover", daemon=True)
+        self._mover.start()
+
+    @property
+    def on_their_way(self) -> int:
+        """How many episodes are in the stage and not yet in the dataset."""
+        return len(episode_directories(self.folder)) if self.folder.is_dir() else 0
+
+    def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
+        """Put one episode into the stage; see `DatasetWriter.publish`."""
+        self._raise_error()
+        publish_directory(
+            self.folder / episode_name(record.episode), {**files, EPISODE: to_json(record)}, self.folder / STAGING
+        )
+        if record.attempt < len(self.attempts):
+            # Made again for an attempt that is in the ledger already: nothing more will be logged.
+            self._put(_Item(record.episode, None))
+
+    def log(self, attempt: AttemptRecord) -> None:
+        """Add one attempt; waits while too many are on their way. See `DatasetWriter.log`."""
+        self._raise_error()
+        if attempt.attempt in self.untold:
+            # Its episode, if it has one, is on its way already. If the stage is lost, the episode is made again.
+            self.untold.remove(attempt.attempt)
+            self.attempts[attempt.attempt] = attempt
+            self.episodes += attempt.episode is not None
+            self._put(_Item(None, attempt))
+            return
+        append_line(self.folder / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
+        self._count(attempt)
+        self._put(_Item(attempt.episode, attempt))
+
+    def drain(self, seconds: float) -> bool:
+        """Wait until everything has arrived in the dataset; False if it has not within `seconds`.
+
+        Raises:
+            OSError, DatasetError: something cannot be moved.
+        """
+        end = time.monotonic() + seconds
+        with self._queue.all_tasks_done:
+            while self._queue.unfinished_tasks and self._error is None and time.monotonic() < end:
+                self._queue.all_tasks_done.wait(max(0.0, end - time.monotonic()))
+            done = not self._queue.unfinished_tasks
+        self._raise_error()
+        return done
+
+    def finish(self) -> None:
+        """Stop the mover, and write the dataset's manifest. An empty stage is removed."""
+        arrived = not self._queue.unfinished_tasks
+        if not self._end_moving():
+            # The target does not answer. Touching it from here would hang this thread, too.
+            return
+        self._target.finish()
+        if arrived and self._error is None:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def close(self) -> None:
+        """Stop the mover, and let others use the stage."""
+        self._end_moving()
+        self._lock.release()
+
+    def _end_moving(self) -> bool:
+        """Let the mover finish the episode that it moves; False if it does not in time."""
+        self._halt.set()
+        with contextlib.suppress(queue.Full):
+            # This item only wakes it. If the queue is full, it gets another item anyway.
+            self._queue.put_nowait(_Item(None, None))
+        self._mover.join(_HALT_SECONDS)
+        return not self._mover.is_alive()
+
+    def _put(self, item: _Item) -> None:
+        # Waits in small steps while the queue is full, to notice when nobody empties it any more.
+        while True:
+            self._raise_error()
+            with contextlib.suppress(queue.Full):
+                self._queue.put(item, timeout=0.5)
+                return
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _count(self, attempt: AttemptRecord) -> None:
+        self.attempts.append(attempt)
+        self.episodes += attempt.episode is not None
+
+    def _move_all(self) -> None:
+        while True:
+            item = self._queue.get()
+            if self._halt.is_set():
+                return
+            try:
+                self._move(item)
+            # Any error is raised in the recording's thread, at its next call. What was not moved stays in the stage.
+            except BaseException as error:  # noqa: BLE001
+                with self._queue.all_tasks_done:
+                    self._error = error
+                    self._queue.all_tasks_done.notify_all()
+                return
+            self._queue.task_done()
+
+    def _move(self, item: _Item) -> None:
+        if item.episode is not None:
+            directory = self.folder / episode_name(item.episode)
+            found = inspect_episode(item.episode, directory)
+            if found.record is None or found.fault:
+                raise DatasetError(f"{directory} was damaged on its way: {found.fault}; --resume makes it again")
+            self._target.publish(found.record, {name: (directory / name).read_bytes() for name in found.record.files})
+        if item.attempt is not None:
+            self._target.log(item.attempt)
+        if item.episode is not None:
+            shutil.rmtree(directory)
+
+    def _take_up(self, config: bytes) -> list[AttemptRecord]:
+        """The attempts that an earlier recording left here. Everything else in the stage is removed or moved aside."""
+        file = self.folder / CONFIG
+        if not file.is_file() or file.read_bytes() != config:
+            # It belongs to another dataset, or to this one with another config, so it must not be deleted.
+            self._start_afresh(config)
+        waiting = []
+        for attempt in self._logged():
+            if attempt.attempt == len(self.attempts) and self._is_here(attempt):
+                self._count(attempt)
+                waiting.append(attempt)
+        kept = {attempt.episode for attempt in waiting}
+        write_file(self.folder / ATTEMPTS, b"".join(map(to_json, waiting)))
+        for number, directory in episode_directories(self.folder):
+            if number not in kept:
+                # It has arrived already. Or it is not in the stage's own ledger yet, and is made again.
+                shutil.rmtree(directory)
+        shutil.rmtree(self.folder / STAGING, ignore_errors=True)
+        return waiting
+
+    def _start_afresh(self, config: bytes) -> None:
+        if episode_directories(self.folder):
+            moved = move_aside(self.folder)
+            self._lock.moved(moved)
+            self._lock.release()
+            self.repairs.append(f"The stage held episodes of another recording: they are now in {moved}.")
+            self.folder.mkdir()
+            self._lock = DirectoryLock.take(self.folder)
+        write_file(self.folder / CONFIG, config)
+
+    def _logged(self) -> list[AttemptRecord]:
+        """The stage's ledger, up to the first line that a crash left incomplete."""
+        file = self.folder / ATTEMPTS
+        attempts: list[AttemptRecord] = []
+        for line in file.read_bytes().splitlines() if file.is_file() else []:
+            try:
+                attempts.append(from_json(AttemptRecord, line, file))
+            except DatasetError:
+                break
+        return attempts
+
+    def _is_here(self, attempt: AttemptRecord) -> bool:
+        if attempt.episode is None:
+            return True
+        found = inspect_episode(attempt.episode, self.folder / episode_name(attempt.episode))
+        return found.record is not None and found.fault is None and found.record.attempt == attempt.attempt

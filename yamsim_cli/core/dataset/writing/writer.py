@@ -1,0 +1,184 @@
+"""The only code that writes a dataset: in one process, episode by episode. Every step leaves a whole dataset behind."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ...closing import Closing
+from ...documents.document import dump_yaml, parse_yaml
+from ...errors import DatasetError, ResourceError, ranges
+from ...files import append_line, publish_directory, sha256_bytes, write_file
+from ..disk_faults import reason
+from ..layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
+from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
+from .integrity import Found, find_episodes, set_aside
+from .ledger import Ledger, lost_line
+from .opening import OpenMode, claim
+from .same_config import MESHES, require_same, unsaid_meshes
+
+
+class DatasetWriter(Closing):
+    """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
+
+    Attributes:
+        path: the dataset's directory.
+        config: everything that decides the data, as it stands in the dataset.
+        moved_aside: the new place of an earlier dataset, with `OpenMode.OVERWRITE`.
+        repairs: a sentence on each thing that was damaged or missing on resuming, and what was done about it.
+        attempts: the ledger so far, in the order of attempts.
+        untold: attempts whose lines are lost; they count as failures until they are logged again.
+        entries: episode's number -> its entry in the manifest.
+        episodes: how many attempts are episodes.
+    """
+
+    def __init__(
+        self, path: Path, config: Mapping[str, Any], mode: OpenMode, *, locks_reach_others: bool = True
+    ) -> None:
+        """Open a dataset for writing. Nobody else can open it until it is closed.
+
+        Args:
+            config: everything that decides the data, as plain data.
+            locks_reach_others: see `DirectoryLock.take`.
+
+        Raises:
+            UsageError: the directory is not empty, or is no directory, and the mode does not say what to do.
+            ConfigError: resuming with a configuration that would give other data; the message names the keys.
+            DatasetError: resuming something that is no dataset, or whose episodes and ledger contradict each other.
+            ResourceError: the directory cannot be made or written, or another recorder holds it.
+        """
+        self.path = path
+        self.config = config
+        self.repairs: list[str] = []
+        self.attempts: list[AttemptRecord] = []
+        self.untold: set[int] = set()
+        self._ledger: Ledger | None = None
+        self.entries: dict[int, ManifestEntry] = {}
+        self.episodes = 0
+        self._task = str(config["task"]["name"])
+        self._seed = int(config["seed"])
+        try:
+            held = claim(path, mode, locks_reach_others=locks_reach_others)
+            self._lock, self.moved_aside = held.lock, held.moved_aside
+            try:
+                if held.occupied:
+                    self._resume(config)
+                else:
+                    write_file(path / CONFIG, dump_yaml(config).encode())
+            except BaseException:
+                self.close()
+                raise
+        except OSError as error:
+            raise ResourceError(f"{path} cannot be written: {reason(error, path)}; choose another --out") from error
+
+    @property
+    def missing(self) -> list[AttemptRecord]:
+        """Attempts whose episodes are in the ledger but not on the disk, and have to be made again."""
+        return [
+            attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self.entries
+        ]
+
+    def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
+        """Make one episode visible in one step.
+
+        Raises:
+            OSError: it could not be written; nothing of it is visible.
+        """
+        name = episode_name(record.episode)
+        text = to_json(record)
+        publish_directory(self.path / name, {**files, EPISODE: text}, self.path / STAGING)
+        self.entries[record.episode] = _entry(record, text, sum(map(len, files.values())))
+
+    def log(self, attempt: AttemptRecord) -> None:
+        """Add one attempt to the ledger, after its episode; attempts come in order, or fill in one of `untold`."""
+        if attempt.attempt not in self.untold:
+            append_line(self.path / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
+            self._count(attempt)
+            return
+        assert self._ledger is not None
+        self._ledger.insert(attempt)
+        self.untold.remove(attempt.attempt)
+        self.attempts[attempt.attempt] = attempt
+        self.episodes += attempt.episode is not None
+
+    def finish(self) -> Manifest:
+        """The manifest of all published episodes, which is written; the staging directory is removed."""
+        entries = [self.entries[number] for number in sorted(self.entries)]
+        manifest = Manifest(
+            task=self._task,
+            seed=self._seed,
+            attempts=len(self.attempts),
+            frames=sum(entry.frames for entry in entries),
+            bytes=sum(entry.bytes for entry in entries),
+            episodes=entries,
+        )
+        write_file(self.path / MANIFEST, to_json(manifest, indent=1))
+        shutil.rmtree(self.path / STAGING, ignore_errors=True)
+        return manifest
+
+    def close(self) -> None:
+        """Release the directory, so that others can record into it."""
+        self._lock.release()
+
+    def _count(self, attempt: AttemptRecord) -> None:
+        self.attempts.append(attempt)
+        self.episodes += attempt.episode is not None
+
+    def _resume(self, config: Mapping[str, Any]) -> None:
+        self._compare(config)
+        ledger = Ledger(self.path)
+        ledger.adopt([record for found in find_episodes(self.path) if (record := self._take_up(found)) is not None])
+        self._take_over(ledger)
+        for attempt in self.missing:
+            place = self.path / episode_name(attempt.episode or 0)
+            if place.exists():
+                self.repairs.append(f"{place.name} is no directory; moved to {set_aside(place)}, and made again")
+
+    def _take_over(self, ledger: Ledger) -> None:
+        """Count the attempts that the ledger holds, including those whose lines are lost."""
+        kept, self.untold = ledger.mend(), ledger.missing
+        if kept is not None:
+            self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
+        if self.untold:
+            self._ledger = ledger
+            numbers = ranges(sorted(self.untold))
+            self.repairs.append(f"what {ATTEMPTS} said of attempt {numbers} is lost, and made again")
+        for number in range(max(ledger.known, default=-1) + 1):
+            self._count(ledger.known.get(number) or lost_line(number, self._seed))
+
+    def _compare(self, config: Mapping[str, Any]) -> None:
+        file = self.path / CONFIG
+        if not file.is_file():
+            raise DatasetError(
+                f"{self.path} has no {CONFIG}, so it is no dataset that could be resumed; choose another --out"
+            )
+        recorded = parse_yaml(file.read_bytes(), str(file)).data
+        if MESHES in config and MESHES not in recorded:
+            # The dataset goes on without this key: it helps little if only some of the episodes have it.
+            self.config = {key: value for key, value in config.items() if key != MESHES}
+            self.repairs.append(unsaid_meshes(self.path, config))
+        require_same(self.path, recorded, self.config)
+
+    def _take_up(self, found: Found) -> EpisodeRecord | None:
+        """The record of an episode that is whole. A damaged one is moved away, to be made again, and gives None."""
+        record, fault = found.record, found.fault
+        if record is None or fault is not None:
+            self.repairs.append(
+                f"{found.directory.name}: {fault}; moved to {set_aside(found.directory)}, and made again"
+            )
+            return None
+        self.entries[found.number] = _entry(record, found.text, found.size)
+        return record
+
+
+def _entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:
+    return ManifestEntry(
+        episode=record.episode,
+        path=episode_name(record.episode),
+        attempt=record.attempt,
+        frames=record.frames,
+        bytes=size + len(text),
+        sha256=sha256_bytes(text),
+    )

@@ -1,0 +1,121 @@
+"""Joints of a thing's parts in MuJoCo's terms: hinges, slides, screws, the ridges they pass, and handles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...config.things.articulation import Detent, Handle, Link, LinkJoint
+from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
+from .looks import HIDDEN_GROUP
+
+# A hinge's ridge is felt so far from its axis, m; any radius gives the same torque.
+_RADIUS = 0.05
+# Longer than any ridge's spring becomes: it pulls nowhere, m.
+_SLACK = 10.0
+_STEPS = 400
+
+# Of a thread, s and share of critical damping: as stiff as a step of 2 ms allows.
+_STIFF = (0.004, 1.0)
+# With MuJoCo's default, what friction holds creeps by millimetres a second.
+_DRY = (0.99, 0.999, 0.001, 0.5, 2.0)
+
+
+def motion(joint: LinkJoint, value: float) -> Array:
+    """The move (4, 4) of a part, in its own frame, from where the joint is at 0; `value` in m or rad."""
+    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+    if not joint.turns:
+        return pose(value * axis)
+    turn = pose((0, 0, 0), rotation_from_vector(value * axis))
+    lift = pose((joint.pitch or 0.0) * value / (2 * math.pi) * axis)
+    moved: Array = lift @ pose(joint.position) @ turn @ pose(-np.array(joint.position))
+    return moved
+
+
+def start_pose(link: Link) -> Array:
+    """Pose (4, 4) of a part in its parent where its joint starts."""
+    T: Array = link.T_in_parent @ motion(link.joint, link.joint.si(link.joint.start))
+    return T
+
+
+def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link) -> None:
+    """Let a body move on its parent as `link.joint` says, as joint `name`."""
+    joint = link.joint
+    start = joint.si(joint.start)
+    rubs = {"damping": [joint.damping, 0, 0], "frictionloss": joint.friction, "armature": joint.armature}
+    if joint.type == "screw":
+        assert joint.pitch is not None  # checked with the config
+        lead = joint.pitch / (2 * math.pi)
+        body.add_joint(
+            name=f"{name}_thread", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=joint.axis, pos=joint.position,
+            ref=lead * start,
+        )  # fmt: skip
+        spec.add_equality(
+            name=f"{name}_thread",
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            # Told in turns, not in lifts: MuJoCo takes an equality's softness from the sum of what its joints weigh,
+            # and a cap's turning weighs so little that its lift would sag by centimetres.
+            name1=name,
+            name2=f"{name}_thread",
+            data=[0, 1 / lead, *[0] * 10],
+            solref=_STIFF,
+        )
+    body.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=joint.axis,
+        pos=joint.position,
+        # MuJoCo's specs hold degrees where their compiler is told so, and composed ones are.
+        range=[_angle(spec, joint, end) for end in joint.range],
+        limited=True,
+        ref=_angle(spec, joint, joint.start),
+        solimp_friction=_DRY,
+        **rubs,
+    )
+    for k, detent in enumerate(joint.detents):
+        _add_detent(spec, parent, body, f"{name}_detent_{k}", link, detent)
+
+
+def _angle(spec: mujoco.MjSpec, joint: LinkJoint, value: float) -> float:
+    return value if joint.turns and spec.compiler.degree else joint.si(value)
+
+
+def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link, detent: Detent) -> None:
+    """A spring that the part presses together on its way over the ridge, and that is slack elsewhere.
+
+    One end is on the part, the other on the parent, beside where the first passes: the force along the way grows to
+    both sides of the ridge and is none beyond its feet.
+    """
+    joint = link.joint
+    axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+    aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    aside /= np.linalg.norm(aside)
+    at, half = joint.si(detent.at), joint.si(detent.width) / 2
+    on_part = np.array(joint.position) + (_RADIUS * aside if joint.turns else 0.0)
+    foot = 2 * _RADIUS * math.sin(min(half, math.pi) / 2) if joint.turns else half
+    beside = foot * (axis if joint.turns else aside)
+    T = link.T_in_parent @ motion(joint, at)
+    body.add_site(name=f"{name}_part", pos=on_part, group=HIDDEN_GROUP)
+    parent.add_site(name=f"{name}_parent", pos=(T @ [*(on_part + beside), 1.0])[:3], group=HIDDEN_GROUP)
+    way = np.linspace(0, half, _STEPS)
+    chord = 2 * _RADIUS * np.sin(way / 2) if joint.turns else way
+    length, rest = np.hypot(foot, chord), math.hypot(foot, foot)
+    push = (rest - length) * np.gradient(length, way)
+    tendon = spec.add_tendon(name=name, springlength=[rest, _SLACK], group=HIDDEN_GROUP, rgba=[0, 0, 0, 0])
+    tendon.stiffness = [detent.effort / float(push.max()), 0, 0]
+    tendon.wrap_site(f"{name}_part")
+    tendon.wrap_site(f"{name}_parent")
+
+
+def add_handles(body: Any, name: str, handles: Sequence[Handle]) -> None:
+    """Mark where hands take hold as sites `<name>_<handle>`, in the pinch's frame."""
+    for handle in handles:
+        T = handle.T_pinch_in_part
+        body.add_site(
+            name=f"{name}_{handle.name}", pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]), group=HIDDEN_GROUP
+        )

@@ -1,0 +1,198 @@
+"""What touches: primitives, rings of boxes, and meshes that collide by their hull or by their distance."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...config.things.parts import Contact
+from ...config.things.primitives import (
+    Box,
+    Capsule,
+    CollisionPart,
+    Cylinder,
+    HullPart,
+    Primitive,
+    Ring,
+    SdfPart,
+    Sphere,
+)
+from ...errors import ResourceError
+from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_z
+from ...geometry.stl import stl_bytes
+from .looks import HIDDEN_GROUP, SEEN_GROUP, MeshFiles, set_file
+
+# How finely the distance to a mesh is tabled: each level halves the cells.
+_SDF_LEVELS = 6
+# What a geom with a time of its own counts in a contact, against 1 for one without.
+_OWN_SHARE = 20.0
+
+
+def add_collision(
+    spec: mujoco.MjSpec,
+    body: Any,
+    name: str,
+    part: CollisionPart,
+    contact: Contact,
+    material: str,
+    files: tuple[str, MeshFiles],
+    *,
+    hidden: bool,
+) -> None:
+    """Add a geom that touches.
+
+    Args:
+        files: the set that a mesh's file lies in, and where sets are.
+        hidden: whether something else is seen in its place.
+
+    Raises:
+        ResourceError: the mesh that it collides by is not here: nothing else has the same physics.
+    """
+    if isinstance(part, HullPart | SdfPart):
+        _add_mesh_part(spec, body, name, part, contact, material, files, hidden=hidden)
+    else:
+        add_primitive(body, name, part, contact, material, hidden=hidden)
+
+
+def contact_numbers(contact: Contact) -> dict[str, Any]:
+    """A geom's numbers for its surface."""
+    numbers: dict[str, Any] = {"friction": contact.friction, "condim": contact.condim}
+    if contact.push_out_s != Contact().push_out_s:
+        # Rather its own time than the mean of both.
+        numbers |= {"solref": (contact.push_out_s, 1.0), "solmix": _OWN_SHARE}
+    return numbers
+
+
+def _add_mesh_part(
+    spec: mujoco.MjSpec,
+    body: Any,
+    name: str,
+    part: HullPart | SdfPart,
+    contact: Contact,
+    material: str,
+    files: tuple[str, MeshFiles],
+    *,
+    hidden: bool,
+) -> None:
+    set_name, meshes = files
+    folder = meshes.get(set_name)
+    if folder is None:
+        raise ResourceError(
+            f"the set {set_name}, which {body.name} collides by, is not among the meshes: import the thing again as "
+            "its config's comment says, or copy the folder of that name from where it was made"
+        )
+    file = f"meshes/{set_name}/{part.file}"
+    spec.assets = {**spec.assets, file: set_file(folder, part.file)}
+    mesh = spec.add_mesh(name=name, file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    kind = mujoco.mjtGeom.mjGEOM_MESH
+    if isinstance(part, SdfPart):
+        kind, mesh.octree_maxdepth = mujoco.mjtGeom.mjGEOM_SDF, _SDF_LEVELS
+    body.add_geom(
+        name=name,
+        type=kind,
+        meshname=name,
+        mass=0,
+        group=HIDDEN_GROUP if hidden else SEEN_GROUP,
+        material=material,
+        **contact_numbers(contact),
+    )
+
+
+def add_primitive(
+    body: Any, name: str, part: Primitive, contact: Contact | None, material: str, *, hidden: bool
+) -> None:
+    """Add a primitive; without `contact` it is only seen."""
+    common: dict[str, Any] = {"mass": 0, "group": HIDDEN_GROUP if hidden else SEEN_GROUP}
+    common |= {"rgba": part.rgba} if part.rgba else {"material": material}
+    if contact is None:
+        common |= {"contype": 0, "conaffinity": 0}
+    else:
+        common |= contact_numbers(contact)
+    match part:
+        case Capsule():
+            body.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                fromto=[*part.start, *part.end],
+                size=[part.radius, 0, 0],
+                **common,
+            )
+        case Cylinder():
+            body.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                pos=part.centre,
+                size=[part.radius, part.half_height, 0],
+                **common,
+            )
+        case Sphere():
+            body.add_geom(
+                name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=part.centre, size=[part.radius, 0, 0], **common
+            )
+        case Box():
+            turn = rotation_z(math.radians(part.yaw_deg))
+            body.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=part.centre,
+                quat=quat_from_rotation(turn),
+                size=part.half_size,
+                **common,
+            )
+        case Ring():
+            for k in range(part.segments):
+                body.add_geom(name=f"{name}_{k}", type=mujoco.mjtGeom.mjGEOM_BOX, **_ring_box(part, k), **common)
+
+
+def add_seen_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, material: str) -> None:
+    """A ring that is only seen, as one mesh: dozens of boxes would be as many things to draw."""
+    file = f"meshes/objects/{name}.stl"
+    spec.assets = {**spec.assets, file: stl_bytes(*_ring_surface(ring))}
+    spec.add_mesh(name=name, file=file)
+    colour: dict[str, Any] = {"rgba": ring.rgba} if ring.rgba else {"material": material}
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        group=SEEN_GROUP,
+        contype=0,
+        conaffinity=0,
+        mass=0,
+        **colour,
+    )
+
+
+def _ring_surface(ring: Ring) -> tuple[Array, NDArray[np.int32]]:
+    """A closed surface around the z axis: vertices (4 n, 3) in m, and triangles (8 n, 3)."""
+    inner, outer = np.array(ring.inner), np.array(ring.outer)
+    along = (outer - inner) / np.linalg.norm(outer - inner)
+    down = ring.thickness * np.array([along[1], -along[0]])
+    section = np.array([inner, inner + down, outer + down, outer])
+    angle = 2 * np.pi * np.arange(ring.segments) / ring.segments
+    x, y = (np.outer(turn, section[:, 0]) for turn in (np.cos(angle), np.sin(angle)))
+    vertices = np.stack([x, y, np.broadcast_to(section[:, 1], x.shape)], axis=-1).reshape(-1, 3)
+    index = np.arange(4 * ring.segments, dtype=np.int32).reshape(-1, 4)
+    right, up = np.roll(index, -1, axis=1), np.roll(index, -1, axis=0)
+    diagonal = np.roll(right, -1, axis=0)
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((index, up, right), (right, up, diagonal))])
+    return vertices, faces
+
+
+def _ring_box(ring: Ring, k: int) -> dict[str, Any]:
+    """Position, quaternion and half-size of one box of a ring; boxes meet at the corners of their wider edge."""
+    (r0, z0), (r1, z1) = ring.inner, ring.outer
+    run, rise = r1 - r0, z1 - z0
+    length = math.hypot(run, rise)
+    slope = math.atan2(rise, run)
+    width = 2 * max(r0, r1) * math.tan(math.pi / ring.segments)
+    # Box axes: x up the slope, y along the rim, z out of the upper surface.
+    c, s = math.cos(slope), math.sin(slope)
+    tilted = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    centre = np.array([(r0 + r1) / 2, 0, (z0 + z1) / 2]) - tilted[:, 2] * ring.thickness / 2
+    turn = rotation_z(2 * math.pi * k / ring.segments)
+    T = pose(turn @ centre, turn @ tilted)
+    return {"pos": T[:3, 3], "quat": quat_from_rotation(T[:3, :3]), "size": [length / 2, width / 2, ring.thickness / 2]}

@@ -1,0 +1,108 @@
+"""Objects in a scene: primitives or convex parts carry the contacts, meshes are only seen, and links move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...config.things.made import MADE, made_files
+from ...config.things.parts import Contact, Inertia, ObjectMesh
+from ...config.things.primitives import CollisionPart, Primitive, Ring
+from ...config.things.thing import ObjectConfig
+from ...geometry.se3 import quat_from_rotation
+from ..cloth import add_cloth
+from .joints import add_handles, add_link_joint, start_pose
+from .looks import MeshFiles, add_look, add_material
+from .shapes import add_collision, add_primitive, add_seen_ring
+
+# A fixed base is held by so much inertia and damping of its free joint that no hand moves it by 0.1 mm in a minute; so
+# it can be put anywhere in each attempt, as everything else can. kg and N s/m, and the same where it turns.
+_HELD_INERTIA = 1e4
+_HELD_DAMPING = 1e7
+
+
+def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fixed: bool = False) -> None:
+    """Add a free body named after the object, with its links on it; or a cloth.
+
+    Args:
+        meshes: asset set -> folder; without the sets of its looks the collision primitives are shown instead, with the
+            same physics.
+        fixed: rather one that stands where it is put, as mocap bodies do.
+
+    Raises:
+        ResourceError: a mesh that it collides by is not here.
+    """
+    if item.cloth is not None:
+        assert not fixed, "distractors are stiff"
+        add_cloth(spec, item)
+        return
+    if item.shape is not None:
+        meshes = {**meshes, MADE: made_files(item.name, item.shape)}
+    base = spec.worldbody.add_body(name=item.name, mocap=fixed)
+    if item.base == "fixed" and not fixed:
+        base.add_joint(
+            name=item.name, type=mujoco.mjtJoint.mjJNT_FREE, armature=_HELD_INERTIA, damping=[_HELD_DAMPING, 0, 0]
+        )
+        base.gravcomp = 1.0
+    elif not fixed:
+        base.add_freejoint(name=item.name)
+    _fill(
+        spec, base, item.name, item.inertia, item.contact, (item.mesh, *item.meshes), item.collision, item.look,
+        (item.mesh.set, meshes),
+    )  # fmt: skip
+    add_handles(base, item.name, item.handles)
+    bodies: dict[str | None, Any] = {None: base}
+    for link in item.links:
+        parent, name = bodies[link.parent], f"{item.name}_{link.name}"
+        T = start_pose(link)
+        body = parent.add_body(name=name, pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
+        add_link_joint(spec, parent, body, name, link)
+        looks = link.meshes or ()
+        _fill(
+            spec, body, name, link.inertia, item.contact, looks, link.collision, link.look, (item.mesh.set, meshes),
+            plain=item.mesh,
+        )  # fmt: skip
+        add_handles(body, name, link.handles)
+        bodies[link.name] = body
+
+
+def _fill(
+    spec: mujoco.MjSpec,
+    body: Any,
+    name: str,
+    inertia: Inertia,
+    contact: Contact,
+    looks: Sequence[ObjectMesh],
+    collision: Sequence[CollisionPart],
+    look: Sequence[Primitive],
+    files: tuple[str, MeshFiles],
+    plain: ObjectMesh | None = None,
+) -> None:
+    """Give a body its weight, its looks and what touches.
+
+    Args:
+        plain: whose colour a part without a mesh has.
+    """
+    body.mass, body.ipos = inertia.mass, inertia.centre
+    body.inertia = inertia.diagonal
+    body.iquat = np.asarray(inertia.quat) / np.linalg.norm(inertia.quat)
+    body.explicitinertial = True
+    meshes = files[1]
+    first = looks[0] if looks else plain
+    assert first is not None  # a base has a mesh
+    material = add_material(spec, name, first, meshes if looks else {})
+    hidden = any(meshes.get(mesh.set) is not None for mesh in looks)
+    for k, part in enumerate(collision):
+        add_collision(spec, body, f"{name}_collide_{k}", part, contact, material, files, hidden=hidden)
+    for k, seen in enumerate(look):
+        part_name = f"{name}_look_{k}"
+        if isinstance(seen, Ring):
+            add_seen_ring(spec, body, part_name, seen, material)
+        else:
+            add_primitive(body, part_name, seen, None, material, hidden=False)
+    for k, mesh in enumerate(looks):
+        own = name if k == 0 else f"{name}_mesh_{k}"
+        add_look(spec, body, own, mesh, material if k == 0 else add_material(spec, own, mesh, meshes), meshes)
