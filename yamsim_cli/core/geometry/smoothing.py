@@ -18,8 +18,8 @@ Point = tuple[int, int]
 _LOW, _OFF = 0.8, 0.03
 _ROUNDS = 10
 
-# Distances as shares of a sheet's side: so far is worth a pull; so far apart are points that are tried, so far goes
-# a pull that straightens, and so near counts as beside a point.
+# Distances as shares of a sheet's side: so far off is worth a pull, so far apart are points that are tried, and so far
+# goes a pull that straightens.
 _WORTH, _APART, _STRAIGHTEN = 0.05, 0.15, 0.13
 
 # Around a point, a hand with open fingers needs so much room, m.
@@ -32,6 +32,9 @@ _ABOVE, _LAYERS = 2.2, 4.5
 # What lies higher than a point by this share of a layer, and is farther from it in the sheet than so many cells, covers
 # it.
 _LAYER, _NEXT = 0.3, 2
+
+# What is as many layers high, and as high as this share of the highest point, stands up.
+_RIDGE, _UPPER = 2.0, 0.4
 
 # So many points are tried of each kind.
 _MOST = 3
@@ -72,7 +75,7 @@ def _fitted(points: Array, rest: Array, thickness: float) -> Array:
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
     weights = (low < _LOW * thickness).astype(float)
-    off = _OFF * _side(rest)
+    off = _OFF * side_of(rest)
     for _ in range(_ROUNDS):
         middle, centre = (np.average(at, axis=0, weights=weights) for at in (seen, flat))
         shared = (flat - centre).T @ ((seen - middle) * weights[:, None])
@@ -87,7 +90,7 @@ def _fitted(points: Array, rest: Array, thickness: float) -> Array:
 def unevenness(points: Array, rest: Array, thickness: float) -> float:
     """How far from flat a sheet is: 0 where it is flat, 1 where it is as bad as can be. See `lying`."""
     away = np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1)
-    return (float(away.mean()) / _side(rest) + height(points) / _BADLY) / 2
+    return (float(away.mean()) / side_of(rest) + height(points) / _BADLY) / 2
 
 
 def height(points: Array) -> float:
@@ -102,7 +105,7 @@ def furthest(points: Array, rest: Array, thickness: float) -> float:
 
 def pulls(points: Array, rest: Array, thickness: float) -> Iterator[Pull]:
     """Pulls at the border of a sheet that may make it flatter; see `lying`."""
-    side, rows, columns = _side(rest), *points.shape[:2]
+    side, rows, columns = side_of(rest), *points.shape[:2]
     spacing = _spacing(points.shape, rest)
     fitted = lying(points, rest, thickness)
     border = [
@@ -119,7 +122,7 @@ def pulls(points: Array, rest: Array, thickness: float) -> Iterator[Pull]:
         for some in itertools.combinations(wrong, count):
             yield Pull(some, tuple(fitted[point] for point in some), _ARCH)
     # What stands up is straightened: by what lies beside it, away from it, or by two corners, away from the middle.
-    high = points[points[..., 2] - points[..., 2].min() > max(2 * thickness, 0.4 * height(points))]
+    high = points[points[..., 2] - points[..., 2].min() > max(_RIDGE * thickness, _UPPER * height(points))]
     if len(high):
         ridge = high[:, :2].mean(axis=0)
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
@@ -131,8 +134,12 @@ def pulls(points: Array, rest: Array, thickness: float) -> Iterator[Pull]:
         yield Pull(pair, tuple(_away(points[point][:2], middle, side) for point in pair), 0.0)
 
 
-def _side(rest: Array) -> float:
-    """Of a square as large as a sheet, m."""
+def side_of(rest: Array) -> float:
+    """The side of a square as large as a sheet, m.
+
+    Args:
+        rest: its points where it is flat (n, 3), in its own frame.
+    """
     return math.sqrt(float(np.prod(np.ptp(rest[:, :2], axis=0))))
 
 

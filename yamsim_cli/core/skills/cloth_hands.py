@@ -211,22 +211,14 @@ def carry(
     for one in taken:
         yield bench.segment({one.hand: bench.way(one.hand, one.before, _WIDE)}, {one.hand: Fingers(_WIDE)})
     yield bench.segment({one.hand: bench.line(one.hand, one.T_at) for one in taken})
-    yield from _close(bench, taken)
-    points = bench.world.points(thing)
-    for deeper in _DEEPER:
-        # A layer that lies hollow gives way: hands feel for it.
-        felt = [one for one in taken if one.lay.alone and one.hand.side not in bench.world.holders(thing)]
-        if not felt:
-            break
-        yield bench.segment({one.hand: bench.still(one.hand, _OPEN_TICKS) for one in felt}, wide)
-        yield bench.segment({one.hand: bench.line(one.hand, _lower(one.T_at, min(deeper, _high(points, one)))) for one in felt})
-        yield from _close(bench, felt)
+    yield from _take(bench, thing, taken)
     missed = [one.hand for one in taken if one.hand.side not in bench.world.holders(thing)]
     if not missed:
         yield bench.segment(_arches(bench, thing, taken, arch, speed))
         yield rest(bench)
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in wide}, wide)
-    under = [one for one in taken if not (one.lay.alone or missed)]
+    # Hands that pulled a layer alone are on it, not under it.
+    under = [] if missed else [one for one in taken if not one.lay.alone]
     if under:
         yield bench.segment({one.hand: _withdrawn(bench, one) for one in under})
     up = {}
@@ -240,23 +232,33 @@ def carry(
         raise SkillFailedError(Cause.SLIPPED, f"the {sides} hand missed its corner of the {thing}")
 
 
+def _take(bench: Bench, thing: str, taken: Sequence[Taken]) -> Iterator[Segment]:
+    """Close hands on their points. One that takes a layer alone feels for it where it was not there: what lies hollow
+    gives way to fingers that come down.
+    """
+    yield from _close(bench, taken)
+    points = bench.world.points(thing)
+    for deeper in _DEEPER:
+        felt = [one for one in taken if one.lay.alone and one.hand.side not in bench.world.holders(thing)]
+        if not felt:
+            return
+        opened = {one.hand: Fingers(_WIDE) for one in felt}
+        yield bench.segment({hand: bench.still(hand, _OPEN_TICKS) for hand in opened}, opened)
+        lines = {}
+        for one in felt:
+            # Tips stay off what the cloth lies on.
+            lower = one.T_at.copy()
+            lower[2, 3] -= min(deeper, float(points[one.lay.point][2] - points[..., 2].min()))
+            lines[one.hand] = bench.line(one.hand, lower)
+        yield bench.segment(lines)
+        yield from _close(bench, felt)
+
+
 def _close(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
     """Close hands on what is between their fingers."""
     closing = {one.hand: Fingers(0.0, _FORCE) for one in taken}
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in closing}, closing)
     yield rest(bench)
-
-
-def _high(points: Array, one: Taken) -> float:
-    """How high over the cloth's lowest point the one is that a hand takes, m."""
-    return float(points[one.lay.point][2] - points[..., 2].min())
-
-
-def _lower(T: Array, by: float) -> Array:
-    """A frame (4, 4) that is lower, m."""
-    lower = T.copy()
-    lower[2, 3] -= by
-    return lower
 
 
 def _withdrawn(bench: Bench, one: Taken) -> Array:

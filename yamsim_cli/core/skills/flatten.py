@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..geometry.se3 import Array
-from ..geometry.smoothing import Point, Pull, furthest, height, pulls, unevenness
+from ..geometry.smoothing import Point, Pull, furthest, height, pulls, side_of, unevenness
 from ..goals.cast import Cast
 from ..sim.imagined import pulled
 from ..types import Cause
@@ -26,6 +26,9 @@ _HIGH, _ASIDE = 3.5, 0.06
 # So many pulls, m/s, are made at most. One has to make the sheet flatter by this much of what it is off.
 _PULLS, _SPEED = 6, 0.15
 _WORTH = 0.04
+
+# What is so near to a place lies there, and what is so near to a point comes along with it, in layers' thickness.
+_THERE, _ALONG = 4, 6
 
 # Where a hand missed, none takes hold again within this, m.
 _MISSED = 0.02
@@ -78,10 +81,8 @@ def is_flat(bench: Bench, thing: str) -> bool:
     """Whether a cloth lies flat."""
     cloth, points = bench.world.cloth(thing), bench.world.points(thing)
     thickness = 2 * cloth.radius
-    side = float(np.sqrt(np.prod(np.ptp(cloth.rest[:, :2], axis=0))))
-    return (
-        height(points) + thickness <= _HIGH * thickness and furthest(points, cloth.rest, thickness) <= _ASIDE * side
-    )
+    level = height(points) + thickness <= _HIGH * thickness
+    return level and furthest(points, cloth.rest, thickness) <= _ASIDE * side_of(cloth.rest)
 
 
 def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | None:
@@ -92,7 +93,10 @@ def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | Non
     for pull in pulls(points, cloth.rest, thickness):
         if any(np.linalg.norm(points[point] - place) < _MISSED for point in pull.points for place in missed):
             continue
-        lays = [Lay(point, _at(_over(points, point, to, thickness)), True) for point, to in zip(pull.points, pull.to, strict=True)]
+        lays = [
+            Lay(point, _at(_over(points, point, to, thickness)), alone=True)
+            for point, to in zip(pull.points, pull.to, strict=True)
+        ]
         if (taken := reached(bench, thing, lays)) is None:
             continue
         ways = [lay.where(points) - points[lay.point] for lay in lays]
@@ -107,15 +111,18 @@ def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | Non
 
 
 def _at(place: Array) -> Where:
+    """At a place (3,), wherever the cloth is then."""
     return lambda points: place
 
 
 def _over(points: Array, point: Point, to: Array, thickness: float) -> Array:
-    """A place (3,) on what lies there, seen from above (2,), or on the table; but for the sheet around a point."""
-    flat = points.reshape(-1, 3)
-    lowest = float(flat[:, 2].min())
-    beside = np.linalg.norm(flat[:, :2] - to, axis=1) < 4 * thickness
-    own = np.linalg.norm(flat[:, :2] - points[point][:2], axis=1) < 6 * thickness
-    below = flat[beside & ~own, 2]
-    high = min(float(below.max()) + thickness, float(points[point][2])) if len(below) else lowest
+    """Where a point comes to lie (3,) at a place (2,), seen from above: on the cloth that is there, if any is that does
+    not come along.
+    """
+    flat, place = points.reshape(-1, 3), points[point]
+    there = np.linalg.norm(flat[:, :2] - to, axis=1) < _THERE * thickness
+    along = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _ALONG * thickness
+    below = flat[there & ~along, 2]
+    # A point that is higher already comes down by itself.
+    high = min(float(below.max()) + thickness, float(place[2])) if len(below) else float(flat[:, 2].min())
     return np.array([*to, high])
