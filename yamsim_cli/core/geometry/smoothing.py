@@ -84,7 +84,8 @@ def _fitted(points: Array, rest: Array, thickness: float) -> Array:
         fitted = (flat - centre) @ R.T + middle
         away = np.linalg.norm(fitted - seen, axis=1)
         weights = 1.0 / (1.0 + (away / off) ** 2) ** 2
-    return fitted.reshape(*points.shape[:2], 2)
+    lain: Array = fitted.reshape(*points.shape[:2], 2)
+    return lain
 
 
 def unevenness(points: Array, rest: Array, thickness: float) -> float:
