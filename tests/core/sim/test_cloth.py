@@ -18,8 +18,9 @@ from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.folding import outline_area
+from yamsim_cli.core.sim.imagined import pulled
 from yamsim_cli.core.sim.world import world_of
-from yamsim_cli.core.types import Actions
+from yamsim_cli.core.types import Actions, Cause
 
 
 def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -> None:
@@ -56,6 +57,46 @@ def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path)
             assert points[:, 2].min() > simulator.config.table.top
         assert np.array_equal(starts[0], starts[2])
         assert np.abs(starts[0] - starts[1]).max() > 0.01
+
+
+def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        scene, data = simulator.scene, mujoco.MjData(simulator.scene.model)
+        assert attempt.start is not None
+        scene.reset(data, attempt.start)
+        cloth, before = scene.cloths["napkin"], data.qpos.copy()
+        points = cloth.points(before).reshape(9, 9, 3)
+        inwards = points[4, 4] - points[0, 0]
+        after = pulled(data, scene.model, cloth, [np.array([0])], [0.5 * inwards], arch=0.4, seconds=0.8)
+        assert np.array_equal(data.qpos, before) and data.time == 0.0
+        # The corner lies where it was brought, on the rest; the corner across stays.
+        assert np.allclose(after[0, 0, :2], (points[0, 0] + 0.5 * inwards)[:2], atol=0.01)
+        assert 0.003 < after[0, 0, 2] - points[0, 0, 2] < 0.02
+        assert np.allclose(after[8, 8], points[8, 8], atol=0.005)
+
+
+@pytest.mark.slow
+def test_crumpled_cloth_is_spread_out_by_hands_that_close_on_it(tmp_path: Path) -> None:
+    spread = changed(
+        {
+            ("starts", "napkin", "crumpled"): [0.1, 0.3],
+            ("expert",): [{"flatten": {"thing": "napkin"}}, {"fold": {"thing": "napkin", "how": "half"}}],
+        },
+        FOLD,
+    )
+    with Simulators(session_of(tmp_path, spread)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        cloth = simulator.scene.cloths["napkin"]
+        assert attempt.start is not None and np.ptp(cloth.points(attempt.start)[:, 2]) > 0.015
+        done = demonstrate_program(simulator, attempt)
+        assert done.outcome.success, done.outcome
+        states = [cloth.points(state.qpos) for state in done.states]
+        assert any(np.ptp(points[:, 2]) < 0.01 and _area(points) > 0.95 * 0.2**2 for points in states)
+        again = demonstrate_program(simulator, attempt)
+        assert np.array_equal(done.states[-1].qpos, again.states[-1].qpos)
+        open_fingers = demonstrate_program(simulator, attempt, grips=False)
+        assert open_fingers.outcome.cause is Cause.SLIPPED
 
 
 ONTO: dict[str, Any] = changed(

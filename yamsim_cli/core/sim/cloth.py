@@ -34,6 +34,11 @@ class ClothState:
         self._cloth, self._data = cloth, data
 
     @property
+    def addresses(self) -> SceneCloth:
+        """Where its points lie in MuJoCo's arrays."""
+        return self._cloth
+
+    @property
     def points(self) -> Array:
         """Where its points (n, 3) are in `world`, m."""
         return self._cloth.points(self._data.qpos)

@@ -145,6 +145,10 @@ class SimWorld:
         """See `World`."""
         return self._cloths[thing].rows
 
+    def cloth(self, thing: str) -> SceneCloth:
+        """Where a cloth's points lie in MuJoCo's arrays."""
+        return self._cloths[thing].addresses
+
     def holders(self, thing: str) -> frozenset[str]:
         """See `World`; of cloth, the hands whose constraint holds it."""
         if cloth := self._cloths.get(thing):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.se3 import Array, interpolate_rotation, pose, rotation_from_vector, rotation_z
 from ..types import Cause
@@ -25,6 +26,13 @@ _FORCE = 20.0
 # off what it lies on, m. And so far inwards, so that both pads come down on cloth.
 _HALF_PAD, _HALF_WIDTH, _TIPS = 0.0082, 0.0072, 0.001
 _INWARDS = 0.007
+
+# Of a layer that lies on others, a hand takes hold beside a point on the side of points up to so many cells away.
+_NEXT = 2
+
+# Where it was not there, they feel for it so much lower, m, with fingers that open for so many ticks before.
+_DEEPER = (0.002, 0.004, 0.006, 0.008)
+_OPEN_TICKS = 4
 
 # What is so near, seen from above, lies on each other, m.
 _THERE = 0.012
@@ -53,10 +61,17 @@ Where = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Lay:
-    """A point of cloth that is taken, by row and column, and where it is laid."""
+    """A point of cloth that is taken, and where it is laid.
+
+    Attributes:
+        point: its row and column.
+        where: see `Where`.
+        alone: whether it is taken without the layers below it.
+    """
 
     point: tuple[int, int]
     where: Where
+    alone: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,17 +124,18 @@ def _taken(bench: Bench, hand: Hand, points: Array, lay: Lay) -> Taken | None:
     middle = place[:2] + way[:2] / 2
     away = middle - hand.arm.T_base_in_world[:2, 3]
     heading = math.atan2(away[1], away[0])
-    inwards = points.reshape(-1, 3).mean(axis=0)[:2] - place[:2]
+    inwards = (_around(points, lay.point) if lay.alone else points.reshape(-1, 3)).mean(axis=0)[:2] - place[:2]
     inwards /= np.linalg.norm(inwards)
     ahead = way[:2] / max(float(np.linalg.norm(way[:2])), 1e-9)
-    aside = (inwards @ ahead) * ahead - inwards
+    aside = -inwards if lay.alone else (inwards @ ahead) * ahead - inwards
     # Fingers down and closing across the way from the arm, so that both tips are as high however the hand leans.
     level = rotation_z(heading + math.pi) @ np.diag([1.0, -1.0, -1.0])
     turns = [
         rotation_from_vector((lean * math.sin(heading), -lean * math.cos(heading), 0.0)) @ level for lean in _LEANS
     ]
     for lean, R in zip(_LEANS, turns, strict=True):
-        up = _HALF_PAD * math.cos(lean) + _HALF_WIDTH * math.sin(lean) + _TIPS - _layers(points, place)
+        up = _HALF_PAD * math.cos(lean) + _HALF_WIDTH * math.sin(lean) + _TIPS
+        up -= 0.0 if lay.alone else _layers(points, place)
         T_at = pose((*(place[:2] + _INWARDS * inwards), place[2] + up), R)
         T_near = T_at.copy()
         T_near[2, 3] += _NEAR
@@ -142,6 +158,29 @@ def _layers(points: Array, place: Array) -> float:
     flat = points.reshape(-1, 3)
     there = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _THERE
     return float(place[2] - flat[there, 2].min())
+
+
+def between_pads(points: Array, point: tuple[int, int], spacing: float) -> NDArray[np.int_]:
+    """The numbers (n,) of a cloth's points that a hand takes hold of which takes a point alone, about.
+
+    Args:
+        points: of the cloth (along y, along x, 3), m.
+        spacing: between neighbours, m.
+    """
+    place = points[point]
+    inwards = _around(points, point).mean(axis=0)[:2] - place[:2]
+    middle = place[:2] + _INWARDS * inwards / np.linalg.norm(inwards)
+    off = points.reshape(-1, 3) - [*middle, place[2]]
+    held = (np.abs(off[:, :2]) < max(_HALF_WIDTH, spacing / 2)).all(axis=1) & (np.abs(off[:, 2]) < _HALF_PAD)
+    held[point[0] * points.shape[1] + point[1]] = True
+    return np.flatnonzero(held)
+
+
+def _around(points: Array, point: tuple[int, int]) -> Array:
+    """The points (n, 3) of a cloth that are next to a point in its grid, up to so many cells away."""
+    row, column = point
+    near = points[max(0, row - _NEXT) : row + _NEXT + 1, max(0, column - _NEXT) : column + _NEXT + 1]
+    return near.reshape(-1, 3)
 
 
 def _apart(bench: Bench, taken: Sequence[Taken]) -> bool:
@@ -172,16 +211,16 @@ def carry(
     for one in taken:
         yield bench.segment({one.hand: bench.way(one.hand, one.before, _WIDE)}, {one.hand: Fingers(_WIDE)})
     yield bench.segment({one.hand: bench.line(one.hand, one.T_at) for one in taken})
-    closing = {one.hand: Fingers(0.0, _FORCE) for one in taken}
-    yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in closing}, closing)
-    yield rest(bench)
+    yield from _take(bench, thing, taken)
     missed = [one.hand for one in taken if one.hand.side not in bench.world.holders(thing)]
     if not missed:
         yield bench.segment(_arches(bench, thing, taken, arch, speed))
         yield rest(bench)
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in wide}, wide)
-    if not missed:
-        yield bench.segment({one.hand: _withdrawn(bench, one) for one in taken})
+    # Hands that pulled a layer alone are on it, not under it.
+    under = [] if missed else [one for one in taken if not one.lay.alone]
+    if under:
+        yield bench.segment({one.hand: _withdrawn(bench, one) for one in under})
     up = {}
     for hand in wide:
         T_up = hand.pinch_at(hand.joints)
@@ -191,6 +230,35 @@ def carry(
     if missed:
         sides = " and the ".join(sorted(hand.side for hand in missed))
         raise SkillFailedError(Cause.SLIPPED, f"the {sides} hand missed its corner of the {thing}")
+
+
+def _take(bench: Bench, thing: str, taken: Sequence[Taken]) -> Iterator[Segment]:
+    """Close hands on their points. One that takes a layer alone feels for it where it was not there: what lies hollow
+    gives way to fingers that come down.
+    """
+    yield from _close(bench, taken)
+    points = bench.world.points(thing)
+    for deeper in _DEEPER:
+        felt = [one for one in taken if one.lay.alone and one.hand.side not in bench.world.holders(thing)]
+        if not felt:
+            return
+        opened = {one.hand: Fingers(_WIDE) for one in felt}
+        yield bench.segment({hand: bench.still(hand, _OPEN_TICKS) for hand in opened}, opened)
+        lines = {}
+        for one in felt:
+            # Tips stay off what the cloth lies on.
+            lower = one.T_at.copy()
+            lower[2, 3] -= min(deeper, float(points[one.lay.point][2] - points[..., 2].min()))
+            lines[one.hand] = bench.line(one.hand, lower)
+        yield bench.segment(lines)
+        yield from _close(bench, felt)
+
+
+def _close(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
+    """Close hands on what is between their fingers."""
+    closing = {one.hand: Fingers(0.0, _FORCE) for one in taken}
+    yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in closing}, closing)
+    yield rest(bench)
 
 
 def _withdrawn(bench: Bench, one: Taken) -> Array:

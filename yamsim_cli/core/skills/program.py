@@ -15,6 +15,7 @@ from ..goals.cast import Cast
 from .base import Skill
 from .bench import Bench, Segment
 from .errors import SkillFailedError
+from .flatten import Flatten
 from .fold import Fold
 from .handover import Handover
 from .hang import Hang
@@ -46,6 +47,7 @@ SKILLS: Mapping[str, type[Skill]] = {
     "lift": Lift,
     "hang": Hang,
     "fold": Fold,
+    "flatten": Flatten,
 }
 
 # What goes through the things of a role: `each: {of: cup, do: [...]}`.

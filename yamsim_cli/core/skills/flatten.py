@@ -1,0 +1,128 @@
+"""Flatten cloth that is crumpled: pull it, at its border, where that makes it flatter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..geometry.se3 import Array
+from ..geometry.smoothing import Point, Pull, furthest, height, pulls, side_of, unevenness
+from ..goals.cast import Cast
+from ..sim.imagined import pulled
+from ..types import Cause
+from .base import Skill
+from .bench import Bench, Segment
+from .cloth_hands import Lay, Taken, Where, between_pads, carry, reached
+from .errors import SkillFailedError
+from .moves import recover
+
+# Cloth is flat where no point is higher than so many layers, and none lies farther from where it belongs, as a share of
+# its side.
+_HIGH, _ASIDE = 3.5, 0.06
+
+# So many pulls, m/s, are made at most. One has to make the sheet flatter by this much of what it is off.
+_PULLS, _SPEED = 6, 0.15
+_WORTH = 0.04
+
+# What is so near to a place lies there, and what is so near to a point comes along with it, in layers' thickness.
+_THERE, _ALONG = 4, 6
+
+# Where a hand missed, none takes hold again within this, m.
+_MISSED = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A pull that hands reach, and how far from flat it would leave the sheet."""
+
+    taken: list[Taken]
+    pull: Pull
+    uneven: float
+
+
+class Flatten(Skill):
+    """Flatten cloth: of the pulls at its border, the one that is made would leave it the flattest, in a simulation
+    beside the real one; and so on until it lies flat.
+
+    Attributes:
+        thing: a role, which cloth plays.
+    """
+
+    ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    NEEDS: ClassVar[bool | None] = False
+    OF_CLOTH: ClassVar[bool] = True
+    thing: str
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        """See `Skill`."""
+        thing = cast.one(self.thing)
+        missed: list[Array] = []
+        for _ in range(_PULLS):
+            if is_flat(bench, thing):
+                return
+            points = bench.world.points(thing)
+            found = _flattest(bench, thing, missed)
+            if found is None:
+                break
+            try:
+                yield from carry(bench, thing, found.taken, found.pull.arch, _SPEED)
+            except SkillFailedError:
+                missed += [points[point] for point in found.pull.points]
+                yield from recover(bench)
+        if not is_flat(bench, thing):
+            high = 1000 * height(bench.world.points(thing))
+            raise SkillFailedError(Cause.UNREACHABLE, f"no pull makes the {thing} flatter, which is {high:.0f} mm high")
+
+
+def is_flat(bench: Bench, thing: str) -> bool:
+    """Whether a cloth lies flat."""
+    cloth, points = bench.world.cloth(thing), bench.world.points(thing)
+    thickness = 2 * cloth.radius
+    level = height(points) + thickness <= _HIGH * thickness
+    return level and furthest(points, cloth.rest, thickness) <= _ASIDE * side_of(cloth.rest)
+
+
+def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | None:
+    """The pull that would leave a cloth the flattest; None where none makes it flatter."""
+    cloth, points = bench.world.cloth(thing), bench.world.points(thing)
+    thickness = 2 * cloth.radius
+    best: _Found | None = None
+    for pull in pulls(points, cloth.rest, thickness):
+        if any(np.linalg.norm(points[point] - place) < _MISSED for point in pull.points for place in missed):
+            continue
+        lays = [
+            Lay(point, _at(_over(points, point, to, thickness)), alone=True)
+            for point, to in zip(pull.points, pull.to, strict=True)
+        ]
+        if (taken := reached(bench, thing, lays)) is None:
+            continue
+        ways = [lay.where(points) - points[lay.point] for lay in lays]
+        patches = [between_pads(points, lay.point, cloth.spacing) for lay in lays]
+        seconds = max(float(np.linalg.norm(way[:2])) for way in ways) / _SPEED
+        after = pulled(bench.world.data, bench.model, cloth, patches, ways, pull.arch, seconds)
+        uneven = unevenness(after, cloth.rest, thickness)
+        if best is None or uneven < best.uneven:
+            best = _Found(taken, pull, uneven)
+    now = unevenness(points, cloth.rest, thickness)
+    return None if best is None or best.uneven > (1 - _WORTH) * now else best
+
+
+def _at(place: Array) -> Where:
+    """At a place (3,), wherever the cloth is then."""
+    return lambda points: place
+
+
+def _over(points: Array, point: Point, to: Array, thickness: float) -> Array:
+    """Where a point comes to lie (3,) at a place (2,), seen from above: on the cloth that is there, if any is that does
+    not come along.
+    """
+    flat, place = points.reshape(-1, 3), points[point]
+    there = np.linalg.norm(flat[:, :2] - to, axis=1) < _THERE * thickness
+    along = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _ALONG * thickness
+    below = flat[there & ~along, 2]
+    # A point that is higher already comes down by itself.
+    high = min(float(below.max()) + thickness, float(place[2])) if len(below) else float(flat[:, 2].min())
+    return np.array([*to, high])
