@@ -24,6 +24,7 @@ from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.geometry.tangles import crossings
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.cloth import add_cloth, edges, rest_points, triangles
@@ -54,21 +55,6 @@ class Sheet:
         self.stretch = max(self.stretch, float((lengths[0] / lengths[1]).max()) - 1)
         self.crossings = max(self.crossings, crossings(points, ends, triangles(*self.grid)))
         self.seconds += time.process_time() - began
-
-
-def crossings(points: Array, ends: Array, corners: Array) -> int:
-    """How many edges (m, 2) go through triangles (k, 3) of points (n, 3) with which they share none."""
-    p, q = points[ends[:, 0]], points[ends[:, 1]]
-    a, b, c = (points[corners[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    one, other = (np.einsum("tk,etk->et", normal, at[:, None] - a[None]) for at in (p, q))
-    shared = (ends[:, :, None, None] == corners[None, None]).any(axis=(1, 3))
-    e, t = np.nonzero((one * other < 0) & ~shared)
-    hit = p[e] + (one[e, t] / (one[e, t] - other[e, t]))[:, None] * (q[e] - p[e])
-    sides = [
-        np.einsum("ij,ij->i", np.cross(v[t] - u[t], hit - u[t]), normal[t]) > 0 for u, v in ((a, b), (b, c), (c, a))
-    ]
-    return int(np.all(sides, axis=0).sum())
 
 
 class _Watching:

@@ -18,6 +18,8 @@ from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.folding import outline_area
+from yamsim_cli.core.geometry.tangles import crossings
+from yamsim_cli.core.scene.cloth import edges, triangles
 from yamsim_cli.core.sim.imagined import pulled
 from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.types import Actions, Cause
@@ -44,17 +46,20 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
 
 
 def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path) -> None:
-    crumpled = changed({("starts", "napkin", "crumpled"): [0.3, 0.6]}, FOLD)
+    crumpled = changed({("starts", "napkin", "crumpled"): [0.2, 0.4]}, FOLD)
     with Simulators(session_of(tmp_path, crumpled)) as simulators:
         starts = []
+        # The second one, as it fell first, went through itself, and then was flat.
         for number in (0, 1, 0):
             simulator, attempt = first_attempt(simulators, number)
             assert attempt.start is not None
             starts.append(attempt.start)
             points = simulator.scene.cloths["napkin"].points(attempt.start)
             # Flat, it is 200 mm wide along its sides, and no higher than a layer.
-            assert np.ptp(points[:, 2]) > 0.015
+            assert np.ptp(points[:, 2]) > 0.009
             assert points[:, 2].min() > simulator.config.table.top
+            grid = simulator.scene.cloths["napkin"].grid
+            assert not crossings(points, edges(*grid), triangles(*grid))
         assert np.array_equal(starts[0], starts[2])
         assert np.abs(starts[0] - starts[1]).max() > 0.01
 
