@@ -77,6 +77,14 @@ class StillWorld:
         return self.openings[thing, joint]
 
 
+def flat_sheet(high: float = 0.0) -> Array:
+    """Points (6, 7, 3) of a sheet of 20 cm by 30 that lies flat, but for one of them so high, m."""
+    x, y = np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.2, 6))
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    points[2, 3, 2] = high
+    return points
+
+
 def folded_sheet(apart: float, off: float = 0.0, through: float = 0.0) -> Array:
     """Points (6, 7, 3) of a sheet of 20 cm by 30, its upper half `apart` over the lower one and `off` along y, and one
     corner of it `through` below the lower one, m.

@@ -12,7 +12,7 @@ from yamsim_cli.core.goals.cast import Cast
 from yamsim_cli.core.goals.goal import Goal, judge
 from yamsim_cli.core.goals.predicates import PREDICATES
 
-from .still_world import StillWorld, folded_sheet
+from .still_world import StillWorld, flat_sheet, folded_sheet
 
 CAST = Cast({"cup": ("cup",), "plate": ("plate",), "cube": ("cube_1", "cube_2")}, {"cube_1": "red", "cube_2": "blue"})
 ON_PLATE = StillWorld({"cup": (0.3, 0.01, 0.06), "plate": (0.3, 0.0, 0.02)}, touches=[("cup", "plate")])
@@ -99,6 +99,12 @@ CASES = {
         StillWorld({}, sheets={"cup": folded_sheet(apart=0.004)}),
         0.004,
         StillWorld({}, sheets={"cup": folded_sheet(apart=0.004, through=0.001)}),
+    ),
+    "spread": (
+        {"thing": "cup", "height": 0.01},
+        StillWorld({}, sheets={"cup": flat_sheet(high=0.004)}),
+        0.006,
+        StillWorld({}, sheets={"cup": folded_sheet(apart=0.004)}),
     ),
 }
 

@@ -131,10 +131,19 @@ TASKS: dict[str, dict[str, Any]] = {
         ),
         "timing": {"timestep": 0.004, "physics_steps_per_tick": 8},
     },
+    "flatten": {
+        **_task(
+            [{"flatten": {"thing": "napkin"}}],
+            {"spread": {"thing": "napkin"}},
+            things={"cube": None, "napkin": {"of": "soft_napkin"}},
+            starts={"cube": None, "napkin": {"x": [0.35, 0.37], "y": [-0.01, 0.01], "crumpled": [0.15, 0.15]}},
+        ),
+        "timing": {"timestep": 0.004, "physics_steps_per_tick": 8},
+    },
 }
 
 # What takes more than two seconds.
-SLOW = ("set_upright", "turn", "fold")
+SLOW = ("set_upright", "turn", "fold", "flatten")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from .open import Open
 from .over import Over
 from .piled import Piled
 from .sorted import Sorted
+from .spread import Spread
 from .stacked import Stacked
 from .swapped import Swapped
 from .upright import Upright
@@ -37,4 +38,5 @@ PREDICATES: Mapping[str, type[Predicate]] = {
     "swapped": Swapped,
     "hung": Hung,
     "folded": Folded,
+    "spread": Spread,
 }
