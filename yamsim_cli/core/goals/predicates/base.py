@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from ...documents.base import Config
 from ..cast import Cast
-from ..measure import Measure
+from ..measure import Measure, either
 from ..world import World
 
 
@@ -25,3 +25,9 @@ class Predicate(Config):
     def roles(self) -> tuple[tuple[str, str], ...]:
         """The arguments that name roles, and the roles."""
         return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
+
+
+def still_held(world: World, thing: str, what: str) -> Measure | None:
+    """The measure of a predicate `what` that fails since hands hold a thing; None where none does."""
+    holders = world.holders(thing)
+    return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it") if holders else None

@@ -14,7 +14,7 @@ from ...geometry.se3 import Array
 from ..cast import Cast
 from ..measure import Measure, either
 from ..world import World
-from .base import Predicate
+from .base import Predicate, still_held
 
 
 class Folded(Predicate):
@@ -43,8 +43,8 @@ class Folded(Predicate):
 
     def _measures(self, world: World, thing: str) -> list[Measure]:
         what = f"folded({thing}, {self.how})"
-        if holders := world.holders(thing):
-            return [either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")]
+        if held := still_held(world, thing, what):
+            return [held]
         points = world.points(thing)
         ways = ways_to_fold(self.how, *points.shape[:2])
         if not ways:

@@ -11,7 +11,7 @@ from ...geometry.se3 import inverse
 from ..cast import Cast
 from ..measure import Measure, either
 from ..world import TABLE, World
-from .base import Predicate
+from .base import Predicate, still_held
 
 
 class Hung(Predicate):
@@ -41,8 +41,8 @@ class Hung(Predicate):
 
     def _measure(self, world: World, thing: str, onto: str) -> Measure:
         what = f"hung({thing}, {onto})"
-        if holders := world.holders(thing):
-            return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")
+        if held := still_held(world, thing, what):
+            return held
         if world.touching(thing, TABLE):
             return either(what, False, "it touches the table")
         T_eye_in_peg = inverse(world.mark(onto, self.peg)) @ world.mark(thing, self.eye)

@@ -8,9 +8,9 @@ from pydantic import Field
 
 from ...documents.units import Share
 from ..cast import Cast
-from ..measure import Measure, either
+from ..measure import Measure
 from ..world import World
-from .base import Predicate
+from .base import Predicate, still_held
 
 
 class Inside(Predicate):
@@ -32,7 +32,7 @@ class Inside(Predicate):
 
     def _measure(self, world: World, thing: str, container: str) -> Measure:
         what = f"in({thing}, {container})"
-        if holders := world.holders(thing):
-            return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")
+        if held := still_held(world, thing, what):
+            return held
         share = world.share_inside(thing, container)
         return Measure(what, share - self.share, "share", f"{share:.0%} of it inside, of {self.share:.0%} asked")

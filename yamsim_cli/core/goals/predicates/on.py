@@ -9,7 +9,7 @@ from ..cast import Cast
 from ..measure import Measure, either
 from ..world import TABLE, World
 from ._shapes import overlap_xy
-from .base import Predicate
+from .base import Predicate, still_held
 
 
 class On(Predicate):
@@ -35,8 +35,8 @@ class On(Predicate):
 
     def _measure(self, world: World, thing: str, surface: str) -> Measure:
         what = f"on({thing}, {surface})"
-        if holders := world.holders(thing):
-            return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")
+        if held := still_held(world, thing, what):
+            return held
         if not world.touching(thing, surface):
             return either(what, False, "they do not touch")
         if surface == TABLE:

@@ -10,9 +10,9 @@ from pydantic import Field
 from ...documents.units import Distance, Share
 from ...geometry.folding import outline_area, sheet_area
 from ..cast import Cast
-from ..measure import Measure, either
+from ..measure import Measure
 from ..world import World
-from .base import Predicate
+from .base import Predicate, still_held
 
 
 class Spread(Predicate):
@@ -36,8 +36,8 @@ class Spread(Predicate):
 
     def _measures(self, world: World, thing: str) -> list[Measure]:
         what = f"spread({thing})"
-        if holders := world.holders(thing):
-            return [either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")]
+        if held := still_held(world, thing, what):
+            return [held]
         points = world.points(thing)
         covered = outline_area(points[..., :2].reshape(-1, 2)) / sheet_area(points)
         high = float(np.ptp(points[..., 2]))

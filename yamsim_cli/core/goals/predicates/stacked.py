@@ -9,7 +9,7 @@ from ..cast import Cast
 from ..measure import Measure, either
 from ..world import World
 from ._shapes import bottom, overlap_xy
-from .base import Predicate
+from .base import Predicate, still_held
 
 
 class Stacked(Predicate):
@@ -34,8 +34,8 @@ class Stacked(Predicate):
     @staticmethod
     def _measure(world: World, lower: str, upper: str) -> Measure:
         what = f"stacked({upper} on {lower})"
-        if holders := world.holders(upper):
-            return either(what, False, f"the {' and the '.join(sorted(holders))} hand holds it")
+        if held := still_held(world, upper, what):
+            return held
         if not world.touching(upper, lower):
             return either(what, False, "they do not touch")
         if bottom(world, upper) <= bottom(world, lower):
