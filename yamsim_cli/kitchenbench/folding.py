@@ -16,7 +16,7 @@ from ..core.geometry.se3 import Array
 from ..core.goals.cast import Cast
 from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
-from ..core.skills.cloth_hands import Lay, Taken, carry, reached
+from ..core.skills.cloth_hands import Lay, Taken, at, carry, reached
 from ..core.skills.errors import SkillFailedError
 from ..core.types import Cause
 from .places import T_in_world
@@ -105,7 +105,7 @@ def _nearer(bench: Bench, thing: str) -> list[Taken] | None:
         if way[0] <= 0:
             break
         corners = _fold(points, [low[:2], np.array([low[0], high[1]])], np.array((1.0, 0.0)), 1e-3).corners
-        lays = [Lay(point, lambda points, to=points[point] - way: to) for point, _ in corners]  # type: ignore[misc]
+        lays = [Lay(point, at(points[point] - way)) for point, _ in corners]
         if taken := reached(bench, thing, lays):
             return taken
     return None
@@ -132,7 +132,7 @@ class Fold:
     @property
     def lays(self) -> list[Lay]:
         """The same for hands."""
-        return [Lay(point, lambda points, to=to: to) for point, to in self.corners]  # type: ignore[misc]
+        return [Lay(point, at(to)) for point, to in self.corners]
 
 
 def block_area(points: Array) -> float:

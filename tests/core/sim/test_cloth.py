@@ -46,17 +46,17 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
 
 
 def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path) -> None:
-    crumpled = changed({("starts", "napkin", "crumpled"): [0.2, 0.4]}, FOLD)
+    crumpled = changed({("starts", "napkin", "crumpled"): [0.3, 0.6]}, FOLD)
     with Simulators(session_of(tmp_path, crumpled)) as simulators:
         starts = []
-        # The second one, as it fell first, went through itself, and then was flat.
+        # As they fell first, both went through themselves, or were flat.
         for number in (0, 1, 0):
             simulator, attempt = first_attempt(simulators, number)
             assert attempt.start is not None
             starts.append(attempt.start)
             points = simulator.scene.cloths["napkin"].points(attempt.start)
             # Flat, it is 200 mm wide along its sides, and no higher than a layer.
-            assert np.ptp(points[:, 2]) > 0.009
+            assert np.ptp(points[:, 2]) > 0.015
             assert points[:, 2].min() > simulator.config.table.top
             grid = simulator.scene.cloths["napkin"].grid
             assert not crossings(points, edges(*grid), triangles(*grid))

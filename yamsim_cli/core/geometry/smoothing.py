@@ -104,10 +104,13 @@ def furthest(points: Array, rest: Array, thickness: float) -> float:
     return float(np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1).max())
 
 
-def pulls(points: Array, rest: Array, thickness: float) -> Iterator[Pull]:
-    """Pulls at the border of a sheet that may make it flatter; see `lying`."""
+def pulls(points: Array, rest: Array, thickness: float, spacing: float) -> Iterator[Pull]:
+    """Pulls at the border of a sheet that may make it flatter; see `lying`.
+
+    Args:
+        spacing: the larger of the distances between neighbours, m.
+    """
     side, rows, columns = side_of(rest), *points.shape[:2]
-    spacing = _spacing(points.shape, rest)
     fitted = lying(points, rest, thickness)
     border = [
         (row, column)
@@ -142,12 +145,6 @@ def side_of(rest: Array) -> float:
         rest: its points where it is flat (n, 3), in its own frame.
     """
     return math.sqrt(float(np.prod(np.ptp(rest[:, :2], axis=0))))
-
-
-def _spacing(shape: tuple[int, ...], rest: Array) -> float:
-    """The larger of the distances between neighbours along x and along y, m."""
-    size = np.ptp(rest[:, :2], axis=0)
-    return float(max(size / (np.array([shape[1], shape[0]]) - 1)))
 
 
 def _free(points: Array, point: Point, spacing: float, thickness: float) -> bool:

@@ -159,6 +159,11 @@ class SceneCloth:
     radius: float
     spacing: float
 
+    @property
+    def thickness(self) -> float:
+        """How far apart two layers lie that lie on each other, m."""
+        return 2 * self.radius
+
     def placed(self, qpos: Array, T_in_world: Array) -> None:
         """Lay it flat at a pose (4, 4), in MuJoCo's positions (nq,)."""
         qpos[self.qpos] = self.rest @ T_in_world[:3, :3].T + T_in_world[:3, 3] - self.rest

@@ -147,6 +147,6 @@ def _between_pads(data: mujoco.MjData, arm: SceneArm, cloth: SceneCloth, points:
     site = data.site(f"{arm.prefix}pinch_site")
     across, closing, along = ((points - site.xpos) @ site.xmat.reshape(3, 3)).T
     width = max(_PAD_WIDTH, cloth.spacing / 2)
-    deep = (along > -_PAD_LENGTH) & (along < _PAD_LENGTH + 2 * cloth.radius + _UNDER)
+    deep = (along > -_PAD_LENGTH) & (along < _PAD_LENGTH + cloth.thickness + _UNDER)
     found: NDArray[np.bool_] = (np.abs(across) < width) & (np.abs(closing) < width) & deep
     return found

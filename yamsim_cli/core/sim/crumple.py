@@ -45,7 +45,7 @@ def crumpled(
     while len(tried) < _TRIES and 0 not in faults:
         tried.append(_dropped(scene, start, lying, rng, share, timestep))
         points = lying.points(tried[-1])
-        low = float(np.ptp(points[:, 2])) < (_CRUMPLED - 1) * 2 * lying.radius
+        low = float(np.ptp(points[:, 2])) < (_CRUMPLED - 1) * lying.thickness
         faults.append(crossings(points, ends, corners) + low)
     return tried[int(np.argmin(faults))]
 

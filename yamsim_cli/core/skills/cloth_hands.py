@@ -90,6 +90,11 @@ class Taken:
     aside: Array
 
 
+def at(place: Array) -> Where:
+    """At a place (3,), wherever the cloth is then."""
+    return lambda points: place
+
+
 def onto(point: tuple[int, int]) -> Where:
     """Onto another point."""
     return lambda points: points[point]
@@ -124,8 +129,7 @@ def _taken(bench: Bench, hand: Hand, points: Array, lay: Lay) -> Taken | None:
     middle = place[:2] + way[:2] / 2
     away = middle - hand.arm.T_base_in_world[:2, 3]
     heading = math.atan2(away[1], away[0])
-    inwards = (_around(points, lay.point) if lay.alone else points.reshape(-1, 3)).mean(axis=0)[:2] - place[:2]
-    inwards /= np.linalg.norm(inwards)
+    inwards = _inwards(place, _around(points, lay.point) if lay.alone else points.reshape(-1, 3))
     ahead = way[:2] / max(float(np.linalg.norm(way[:2])), 1e-9)
     aside = -inwards if lay.alone else (inwards @ ahead) * ahead - inwards
     # Fingers down and closing across the way from the arm, so that both tips are as high however the hand leans.
@@ -168,12 +172,18 @@ def between_pads(points: Array, point: tuple[int, int], spacing: float) -> NDArr
         spacing: between neighbours, m.
     """
     place = points[point]
-    inwards = _around(points, point).mean(axis=0)[:2] - place[:2]
-    middle = place[:2] + _INWARDS * inwards / np.linalg.norm(inwards)
+    middle = place[:2] + _INWARDS * _inwards(place, _around(points, point))
     off = points.reshape(-1, 3) - [*middle, place[2]]
     held = (np.abs(off[:, :2]) < max(_HALF_WIDTH, spacing / 2)).all(axis=1) & (np.abs(off[:, 2]) < _HALF_PAD)
     held[point[0] * points.shape[1] + point[1]] = True
     return np.flatnonzero(held)
+
+
+def _inwards(place: Array, others: Array) -> Array:
+    """Which way (2,) the middle of points (n, 3) lies from a place (3,), seen from above."""
+    inwards: Array = others.mean(axis=0)[:2] - place[:2]
+    inwards /= np.linalg.norm(inwards)
+    return inwards
 
 
 def _around(points: Array, point: tuple[int, int]) -> Array:

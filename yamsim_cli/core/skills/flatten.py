@@ -15,7 +15,7 @@ from ..sim.imagined import pulled
 from ..types import Cause
 from .base import Skill
 from .bench import Bench, Segment
-from .cloth_hands import Lay, Taken, Where, between_pads, carry, reached
+from .cloth_hands import Lay, Taken, at, between_pads, carry, reached
 from .errors import SkillFailedError
 from .moves import recover
 
@@ -23,7 +23,7 @@ from .moves import recover
 # its side.
 _HIGH, _ASIDE = 3.5, 0.06
 
-# So many pulls, m/s, are made at most. One has to make the sheet flatter by this much of what it is off.
+# So many pulls are made at most, at so many m/s. One has to make the sheet flatter by this share of what it is off.
 _PULLS, _SPEED = 6, 0.15
 _WORTH = 0.04
 
@@ -80,7 +80,7 @@ class Flatten(Skill):
 def is_flat(bench: Bench, thing: str) -> bool:
     """Whether a cloth lies flat."""
     cloth, points = bench.world.cloth(thing), bench.world.points(thing)
-    thickness = 2 * cloth.radius
+    thickness = cloth.thickness
     level = height(points) + thickness <= _HIGH * thickness
     return level and furthest(points, cloth.rest, thickness) <= _ASIDE * side_of(cloth.rest)
 
@@ -88,19 +88,17 @@ def is_flat(bench: Bench, thing: str) -> bool:
 def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | None:
     """The pull that would leave a cloth the flattest; None where none makes it flatter."""
     cloth, points = bench.world.cloth(thing), bench.world.points(thing)
-    thickness = 2 * cloth.radius
+    thickness = cloth.thickness
     best: _Found | None = None
-    for pull in pulls(points, cloth.rest, thickness):
+    for pull in pulls(points, cloth.rest, thickness, cloth.spacing):
         if any(np.linalg.norm(points[point] - place) < _MISSED for point in pull.points for place in missed):
             continue
-        lays = [
-            Lay(point, _at(_over(points, point, to, thickness)), alone=True)
-            for point, to in zip(pull.points, pull.to, strict=True)
-        ]
+        places = [_over(points, point, to, thickness) for point, to in zip(pull.points, pull.to, strict=True)]
+        lays = [Lay(point, at(place), alone=True) for point, place in zip(pull.points, places, strict=True)]
         if (taken := reached(bench, thing, lays)) is None:
             continue
-        ways = [lay.where(points) - points[lay.point] for lay in lays]
-        patches = [between_pads(points, lay.point, cloth.spacing) for lay in lays]
+        ways = [place - points[point] for point, place in zip(pull.points, places, strict=True)]
+        patches = [between_pads(points, point, cloth.spacing) for point in pull.points]
         seconds = max(float(np.linalg.norm(way[:2])) for way in ways) / _SPEED
         after = pulled(bench.world.data, bench.model, cloth, patches, ways, pull.arch, seconds)
         uneven = unevenness(after, cloth.rest, thickness)
@@ -108,11 +106,6 @@ def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | Non
             best = _Found(taken, pull, uneven)
     now = unevenness(points, cloth.rest, thickness)
     return None if best is None or best.uneven > (1 - _WORTH) * now else best
-
-
-def _at(place: Array) -> Where:
-    """At a place (3,), wherever the cloth is then."""
-    return lambda points: place
 
 
 def _over(points: Array, point: Point, to: Array, thickness: float) -> Array:
