@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,11 +14,16 @@ from kitchenbench.sim.success import FOLD_RATIO_PER_FOLD
 
 from ..core.config.things.cloth import Cloth
 from ..core.geometry.se3 import Array
+from ..core.geometry.smoothing import furthest, height, side_of
 from ..core.goals.cast import Cast
 from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
-from ..core.skills.cloth_hands import Lay, Taken, at, carry, reached
+from ..core.skills.cloth_hands import carry
+from ..core.skills.cloth_reach import Lay, Taken, at, reached
 from ..core.skills.errors import SkillFailedError
+from ..core.skills.flatten import spread
+from ..core.skills.moves import parked, recover
+from ..core.skills.slide import SPEED, slid
 from ..core.types import Cause
 from .places import T_in_world
 
@@ -29,8 +35,9 @@ _FIRST, _LAST = 0.15, 0.52
 # Lines of points are apart by more than this, seen along the crease, m.
 _LINE = 0.008
 
-# A fold has to make the block smaller by this share at least, and there are so many of them at most.
+# A fold has to make the block smaller by this share at least, and there are so many of them at most, and slides before.
 _WORTH, _FOLDS = 0.06, 5
+_SLIDES = 2
 
 # What has several layers is laid so much farther, as a multiple of their height, and by a share of the way at most: the
 # outer ones have the longer way.
@@ -42,6 +49,10 @@ _SPEED, _SLOWLY = 0.2, 0.08
 # A first third is less than this of the whole. A cloth is pulled nearer so that it ends before `_FAR`, and begins after
 # `_NEAR`, ahead of the arms' bases, m.
 _THIRD, _FAR, _NEAR = 0.36, 0.60, 0.16
+
+# Crumpled cloth is spread out until it is no higher than this, m, and no point farther from where it belongs than this
+# share of its side.
+_EVEN, _AMISS = 0.025, 0.12
 
 # About what a layer is high, m.
 _LAYER = 0.005
@@ -58,6 +69,7 @@ class FoldSmall(Skill):
         area: of the block along the axes of `world`, seen from above, at most, m2.
         thirds: whether its first third is folded over first, and it is pulled nearer then, so that hands reach the
             last one.
+        crumpled: whether it is spread out first, and slid to where hands reach what has to be done.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -65,35 +77,80 @@ class FoldSmall(Skill):
     thing: str
     area: float
     thirds: bool = False
+    crumpled: bool = False
 
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        for number in range(_FOLDS):
+        if self.crumpled:
+            yield from spread(bench, thing, lambda: _spread_enough(bench, thing))
+        folds = slides = 0
+        while folds < _FOLDS:
             points = bench.world.points(thing)
             before = block_area(points)
             if before <= self.area:
                 return
-            if self.thirds and number == 1 and (pulled := _nearer(bench, thing)):
+            if self.thirds and folds == 1 and (pulled := _nearer(bench, thing)):
                 yield from carry(bench, thing, pulled, arch=0.0, speed=_SPEED)
                 points = bench.world.points(thing)
-            ways = [way for way in ways_to_fold(points) if way.area < (1 - _WORTH) * before]
-            if self.thirds and not number:
-                ways = [way for way in ways if way.share < _THIRD and len(way.corners) > 1]
-            tried = ((way, reached(bench, thing, way.lays)) for way in self._ordered(ways))
-            way, taken = next(((way, taken) for way, taken in tried if taken), (None, None))
+            way, taken = _reached(bench, thing, points, self._ordered(points, first=not folds))
+            if self.crumpled and not folds and not self._surely(way):
+                if not parked(bench):
+                    # Hands that are over the cloth yet are in each other's way.
+                    yield from recover(bench)
+                    continue
+                slide = slid(bench, thing, _turns(points), partial(self._foldable, bench, thing))
+                if slide is not None and slides < _SLIDES:
+                    yield from carry(bench, thing, slide, arch=0.0, speed=SPEED)
+                    slides += 1
+                    continue
             if way is None or taken is None:
                 break
             yield from carry(bench, thing, taken, speed=_SLOWLY if way.layers else _SPEED)
+            folds += 1
         if block_area(bench.world.points(thing)) > self.area:
             raise SkillFailedError(Cause.UNREACHABLE, f"no hands reach what would make the {thing} smaller")
 
-    def _ordered(self, ways: Sequence[Fold]) -> list[Fold]:
-        """What makes it small enough comes first, then what has few layers, whole sides, and what makes it smallest."""
+    def _ordered(self, points: Array, first: bool) -> list[Fold]:
+        """Ways to fold a cloth. What makes it small enough comes first, then what has few layers, whole sides, and what
+        makes it smallest.
+        """
+        before = block_area(points)
+        ways = [way for way in ways_to_fold(points) if way.area < (1 - _WORTH) * before]
+        if self.thirds and first:
+            ways = [way for way in ways if way.share < _THIRD and len(way.corners) > 1]
         return sorted(
-            ways,
-            key=lambda way: (way.area > _SURELY * self.area, way.layers, len(way.corners) < 2, way.beneath, way.area),
+            ways, key=lambda way: (not self._surely(way), way.layers, len(way.corners) < 2, way.beneath, way.area)
         )
+
+    def _surely(self, way: Fold | None) -> bool:
+        """Whether a way makes it small enough."""
+        return way is not None and way.area <= _SURELY * self.area
+
+    def _foldable(self, bench: Bench, thing: str, points: Array) -> bool:
+        """Whether hands make a cloth small enough at once if its points are there (along y, along x, 3), m."""
+        ways = [way for way in self._ordered(points, first=True) if self._surely(way)]
+        return _reached(bench, thing, points, ways) != (None, None)
+
+
+def _reached(
+    bench: Bench, thing: str, points: Array, ways: Sequence[Fold]
+) -> tuple[Fold, list[Taken]] | tuple[None, None]:
+    """The first way that hands reach of a cloth with points (along y, along x, 3), and how."""
+    tried = ((way, reached(bench, thing, way.lays, points)) for way in ways)
+    return next(((way, taken) for way, taken in tried if taken), (None, None))
+
+
+def _turns(points: Array) -> list[float]:
+    """By what angles a cloth may be turned so that its block becomes smaller, rad."""
+    heading = _heading(points)
+    return [-heading, -1.2 * heading, 0.0]
+
+
+def _spread_enough(bench: Bench, thing: str) -> bool:
+    """Whether a cloth lies as flat as folding asks for."""
+    cloth, points = bench.world.cloth(thing), bench.world.points(thing)
+    return height(points) < _EVEN and furthest(points, cloth.rest, cloth.thickness) < _AMISS * side_of(cloth.rest)
 
 
 def _nearer(bench: Bench, thing: str) -> list[Taken] | None:

@@ -15,7 +15,7 @@ from ..core.skills.handover import Handover
 from ..core.skills.pick import Pick
 from ..core.skills.place import Place
 from .folding import FoldSmall, asked_area
-from .linen import in_thirds
+from .linen import CRUMPLED, in_thirds
 from .places import T_in_world
 from .sorting import Sort
 
@@ -63,7 +63,8 @@ def _folded(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], cloth:
     sheet = items[cloth].cloth
     assert sheet is not None, "folds are of cloth"
     item = next(one for one in blueprint.objects if one.name == cloth)
-    return [FoldSmall(thing=cloth, area=asked_area(blueprint, item, sheet), thirds=in_thirds(blueprint, item))]
+    asked, thirds = asked_area(blueprint, item, sheet), in_thirds(blueprint, item)
+    return [FoldSmall(thing=cloth, area=asked, thirds=thirds, crumpled=CRUMPLED in blueprint.conditions)]
 
 
 def _put(thing: str, placing: Skill) -> list[Skill]:

@@ -21,6 +21,7 @@ from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.geometry.tangles import crossings
 from yamsim_cli.core.scene.cloth import edges, triangles
 from yamsim_cli.core.sim.imagined import pulled
+from yamsim_cli.core.sim.led import led
 from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.types import Actions, Cause
 
@@ -79,6 +80,30 @@ def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
         assert np.allclose(after[0, 0, :2], (points[0, 0] + 0.5 * inwards)[:2], atol=0.01)
         assert 0.003 < after[0, 0, 2] - points[0, 0, 2] < 0.02
         assert np.allclose(after[8, 8], points[8, 8], atol=0.005)
+
+
+def test_a_point_that_is_led_takes_the_cloth_along(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        scene, data = simulator.scene, mujoco.MjData(simulator.scene.model)
+        assert attempt.start is not None
+        scene.reset(data, attempt.start)
+        model, cloth = scene.model, scene.cloths["napkin"]
+        masses, inertias = model.body_mass.copy(), model.dof_M0.copy()
+        corner, ends = np.array([0]), edges(*cloth.grid)
+        at, most = cloth.points(data.qpos)[corner], 0.0
+        rest = np.linalg.norm(np.diff(cloth.rest[ends], axis=1)[:, 0], axis=1)
+        with led(model, data, cloth, corner) as lead:
+            for _ in range(250):
+                at = at + [0.0, 0.0, 0.3 * model.opt.timestep]
+                lead(at)
+                lengths = np.linalg.norm(np.diff(cloth.points(data.qpos)[ends], axis=1)[:, 0], axis=1)
+                most = max(most, float((lengths / rest).max()) - 1)
+        points = cloth.points(data.qpos)
+        # It is 0.3 m up, higher than the napkin is long, which hangs from it and did not stretch.
+        assert np.allclose(points[corner], at) and points[:, 2].min() > 0.003
+        assert most < 0.08
+        assert np.array_equal(model.body_mass, masses) and np.array_equal(model.dof_M0, inertias)
 
 
 @pytest.mark.slow

@@ -155,6 +155,7 @@ def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectCo
         ),
         radius=cloth.radius,
         spacing=cloth.spacing,
+        by_layers=cloth.held == "layers",
     )
 
 

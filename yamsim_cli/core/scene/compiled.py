@@ -148,6 +148,7 @@ class SceneCloth:
         grips: ids (arms, n) of the equalities by which each hand can hold each point.
         radius: half its thickness, m.
         spacing: the larger of the distances between neighbours, m.
+        by_layers: whether hands hold it by layers, see `Cloth.held`.
     """
 
     flex: int
@@ -158,6 +159,7 @@ class SceneCloth:
     grips: Ids
     radius: float
     spacing: float
+    by_layers: bool
 
     @property
     def thickness(self) -> float:

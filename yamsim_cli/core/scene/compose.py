@@ -17,7 +17,7 @@ from ..resources import Locations, Meshes
 from ..robots.dynamics import Dynamics
 from .blueprint import Blueprint, TaskPhysics
 from .cameras import add_camera
-from .cloth import add_cloth_grips
+from .cloth import add_cloth_grips, set_options
 from .compiling import compile_spec
 from .fiducials import add_base_board
 from .quality import apply_quality
@@ -78,8 +78,7 @@ def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
     for item in blueprint.objects:
         add_object(spec, item, meshes)
         if item.cloth is not None:
-            # Others do not load the elasticity of sheets.
-            spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+            set_options(spec, item.cloth)
             add_cloth_grips(spec, item, rig)
     _add_surroundings(spec, blueprint, bases)
     add_variable_parts(spec, blueprint.randomization, meshes)

@@ -6,8 +6,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.se3 import Array
-from ..scene.compiled import CompiledScene, Kind, SceneArm, SceneCloth
+from ..geometry.pinching import between, nearest_of_layers
+from ..geometry.se3 import Array, pose
+from ..scene.cloth import triangles
+from ..scene.compiled import CompiledScene, Kind, SceneCloth
 
 # A hand takes cloth only with fingers that are closed so far, each, and that press at least so hard; it lets go once
 # they are told to open by so much more than they are. m, N, m.
@@ -20,6 +22,8 @@ _OPENING = 0.002
 _PAD_WIDTH = 0.0072
 _PAD_LENGTH = 0.0082
 _UNDER = 0.002
+# Where a layer goes through between pads, it is held: looked at in the middle, and at both sides of the pads, m.
+_LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
 
 
 class ClothState:
@@ -130,23 +134,25 @@ class ClothGrips:
             return False
         arm = self._scene.arms[number]
         points = cloth.points(data.qpos)
-        between = np.flatnonzero(_between_pads(data, arm, cloth, points))
+        site = data.site(f"{arm.prefix}pinch_site")
+        taken = between_pads(cloth, points, pose(site.xpos, site.xmat.reshape(3, 3)))
         hand = data.body(arm.flange)
-        for k in between:
+        for k in taken:
             # The point's own origin, and where that is in the hand's frame.
             there = hand.xmat.reshape(3, 3).T @ (points[k] - hand.xpos)
             self._scene.model.eq_data[cloth.grips[number, k], :6] = [0.0, 0.0, 0.0, *there]
             data.eq_active[cloth.grips[number, k]] = True
-        return len(between) > 0
+        return len(taken) > 0
 
 
-def _between_pads(data: mujoco.MjData, arm: SceneArm, cloth: SceneCloth, points: Array) -> NDArray[np.bool_]:
-    """Which points (n, 3) of a cloth are between a hand's pads, which are closed. Where points are farther apart than
-    the pads are wide, a point counts that is nearer than its neighbours.
+def between_pads(cloth: SceneCloth, points: Array, T_pinch_in_world: Array) -> NDArray[np.int_]:
+    """The numbers of a cloth's points (n, 3) that a hand takes hold of whose pads close at a pose (4, 4): those between
+    the pads. Where points are farther apart than the pads are wide, a point counts that is nearer than its neighbours.
+    Of a cloth that is held by layers, the nearest point of every layer that goes through between the pads counts too.
     """
-    site = data.site(f"{arm.prefix}pinch_site")
-    across, closing, along = ((points - site.xpos) @ site.xmat.reshape(3, 3)).T
-    width = max(_PAD_WIDTH, cloth.spacing / 2)
-    deep = (along > -_PAD_LENGTH) & (along < _PAD_LENGTH + cloth.thickness + _UNDER)
-    found: NDArray[np.bool_] = (np.abs(across) < width) & (np.abs(closing) < width) & deep
+    seen = (points - T_pinch_in_world[:3, 3]) @ T_pinch_in_world[:3, :3]
+    deep = (-_PAD_LENGTH, _PAD_LENGTH + cloth.thickness + _UNDER)
+    found = np.flatnonzero(between(seen, max(_PAD_WIDTH, cloth.spacing / 2), deep))
+    if cloth.by_layers:
+        found = np.union1d(found, nearest_of_layers(seen, triangles(*cloth.grid), _LINES, deep))
     return found

@@ -9,6 +9,7 @@ from ..geometry.se3 import Array, rotation_z
 from ..geometry.tangles import crossings
 from ..scene.cloth import edges, triangles
 from ..scene.compiled import CompiledScene, SceneCloth
+from .led import led
 from .watched import settle
 
 # What lifts a point of cloth moves so fast, m/s, and by so much up at least, m. It misses the way to the middle by
@@ -20,7 +21,7 @@ _ASIDE = 0.5
 # Fabric does not pass through itself. Cloth that does after it was dropped, or that is not as high as so many layers,
 # is taken anew, so often at most.
 _TRIES = 12
-_CRUMPLED = 3.0
+_CRUMPLED = 4.0
 
 # Crumpled cloth goes on sinking for so many times as long as other things take to come to rest, at most.
 _SETTLINGS = 3
@@ -64,13 +65,13 @@ def _dropped(
     ways = [np.array([0.0, 0.0, up]), np.array([*across, 0.0]), np.array([0.0, 0.0, -up / 2])]
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
-    at = data.qpos[lying.qpos[k]].copy()
-    for way in ways:
-        steps = max(1, int(np.linalg.norm(way) / _SPEED / timestep))
-        for _ in range(steps):
-            at += way / steps
-            data.qpos[lying.qpos[k]], data.qvel[lying.dof[k]] = at, way / (steps * timestep)
-            mujoco.mj_step(scene.model, data)
+    at = points[[k]]
+    with led(scene.model, data, lying, np.array([k])) as lead:
+        for way in ways:
+            steps = max(1, int(np.linalg.norm(way) / _SPEED / timestep))
+            for _ in range(steps):
+                at = at + way / steps
+                lead(at)
     dropped = start.copy()
     dropped[lying.qpos] = data.qpos[lying.qpos]
     for _ in range(_SETTLINGS):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..geometry.se3 import Array
 from ..scene.compiled import SceneCloth
+from .led import led
 
 # What is let go comes to rest for so long, s.
 _REST = 0.5
@@ -39,14 +40,12 @@ def pulled(
     points = np.concatenate(patches)
     way = np.concatenate([np.tile(way, (len(patch), 1)) for patch, way in zip(patches, ways, strict=True)])
     up = np.array([0.0, 0.0, arch * float(np.linalg.norm(way[:, :2], axis=1).max())])
-    start, timestep = imagined.qpos[cloth.qpos[points]].copy(), model.opt.timestep
-    steps, before = max(1, math.ceil(seconds / timestep)), start
-    for step in range(1, steps + 1):
-        share = (1 - math.cos(math.pi * step / steps)) / 2
-        at = start + share * way + math.sin(math.pi * share) * up
-        imagined.qpos[cloth.qpos[points]], imagined.qvel[cloth.dof[points]] = at, (at - before) / timestep
-        before = at
-        mujoco.mj_step(model, imagined)
+    start, timestep = cloth.points(imagined.qpos)[points], model.opt.timestep
+    steps = max(1, math.ceil(seconds / timestep))
+    with led(model, imagined, cloth, points) as lead:
+        for step in range(1, steps + 1):
+            share = (1 - math.cos(math.pi * step / steps)) / 2
+            lead(start + share * way + math.sin(math.pi * share) * up)
     for _ in range(math.ceil(_REST / timestep)):
         mujoco.mj_step(model, imagined)
     columns, rows = cloth.grid

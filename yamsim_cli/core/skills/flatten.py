@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -11,13 +12,13 @@ import numpy as np
 from ..geometry.se3 import Array
 from ..geometry.smoothing import Point, Pull, furthest, height, pulls, side_of, unevenness
 from ..goals.cast import Cast
-from ..sim.imagined import pulled
 from ..types import Cause
 from .base import Skill
 from .bench import Bench, Segment
-from .cloth_hands import Lay, Taken, at, between_pads, carry, reached
+from .cloth_hands import carry, outcome
+from .cloth_reach import Lay, Taken, at, reached
 from .errors import SkillFailedError
-from .moves import recover
+from .moves import parked, recover
 
 # Cloth is flat where no point is higher than so many layers, and none lies farther from where it belongs, as a share of
 # its side.
@@ -26,6 +27,9 @@ _HIGH, _ASIDE = 3.5, 0.06
 # So many pulls are made at most, at so many m/s. One has to make the sheet flatter by this share of what it is off.
 _PULLS, _SPEED = 6, 0.15
 _WORTH = 0.04
+
+# What hands do not reach, they do in part: by these shares of the way.
+_PART = (1.0, 0.7, 0.45)
 
 # What is so near to a place lies there, and what is so near to a point comes along with it, in layers' thickness.
 _THERE, _ALONG = 4, 6
@@ -59,22 +63,34 @@ class Flatten(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        missed: list[Array] = []
-        for _ in range(_PULLS):
-            if is_flat(bench, thing):
-                return
-            points = bench.world.points(thing)
-            found = _flattest(bench, thing, missed)
-            if found is None:
-                break
-            try:
-                yield from carry(bench, thing, found.taken, found.pull.arch, _SPEED)
-            except SkillFailedError:
-                missed += [points[point] for point in found.pull.points]
-                yield from recover(bench)
+        yield from spread(bench, thing, partial(is_flat, bench, thing))
         if not is_flat(bench, thing):
             high = 1000 * height(bench.world.points(thing))
             raise SkillFailedError(Cause.UNREACHABLE, f"no pull makes the {thing} flatter, which is {high:.0f} mm high")
+
+
+def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Segment]:
+    """Pull a cloth until it lies flat `enough`, or no pull makes it flatter."""
+    cloth, missed = bench.world.cloth(thing), list[Array]()
+    for _ in range(_PULLS):
+        if enough():
+            return
+        points = bench.world.points(thing)
+        found = _flattest(bench, thing, missed)
+        if found is None and not parked(bench):
+            yield from recover(bench)
+            found = _flattest(bench, thing, missed)
+        if found is None:
+            return
+        before, tried = unevenness(points, cloth.rest, cloth.thickness), [points[point] for point in found.pull.points]
+        try:
+            yield from carry(bench, thing, found.taken, found.pull.arch, _SPEED)
+        except SkillFailedError:
+            missed += tried
+            yield from recover(bench)
+        if unevenness(bench.world.points(thing), cloth.rest, cloth.thickness) > (1 - _WORTH) * before:
+            # What did not help once would be found again.
+            missed += tried
 
 
 def is_flat(bench: Bench, thing: str) -> bool:
@@ -93,19 +109,26 @@ def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | Non
     for pull in pulls(points, cloth.rest, thickness, cloth.spacing):
         if any(np.linalg.norm(points[point] - place) < _MISSED for point in pull.points for place in missed):
             continue
-        places = [_over(points, point, to, thickness) for point, to in zip(pull.points, pull.to, strict=True)]
-        lays = [Lay(point, at(place), alone=True) for point, place in zip(pull.points, places, strict=True)]
-        if (taken := reached(bench, thing, lays)) is None:
+        taken = next(
+            filter(None, (reached(bench, thing, _lays(points, pull, share, thickness)) for share in _PART)), None
+        )
+        if taken is None:
             continue
-        ways = [place - points[point] for point, place in zip(pull.points, places, strict=True)]
-        patches = [between_pads(points, point, cloth.spacing) for point in pull.points]
-        seconds = max(float(np.linalg.norm(way[:2])) for way in ways) / _SPEED
-        after = pulled(bench.world.data, bench.model, cloth, patches, ways, pull.arch, seconds)
+        after = outcome(bench, thing, taken, pull.arch, _SPEED)
         uneven = unevenness(after, cloth.rest, thickness)
         if best is None or uneven < best.uneven:
             best = _Found(taken, pull, uneven)
     now = unevenness(points, cloth.rest, thickness)
     return None if best is None or best.uneven > (1 - _WORTH) * now else best
+
+
+def _lays(points: Array, pull: Pull, share: float, thickness: float) -> list[Lay]:
+    """What hands are to do of a pull: a share of its way."""
+    lays = []
+    for point, to in zip(pull.points, pull.to, strict=True):
+        place = _over(points, point, points[point][:2] + share * (to - points[point][:2]), thickness)
+        lays.append(Lay(point, at(place), alone=True))
+    return lays
 
 
 def _over(points: Array, point: Point, to: Array, thickness: float) -> Array:

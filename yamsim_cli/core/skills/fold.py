@@ -14,7 +14,8 @@ from ..goals.cast import Cast
 from ..types import Cause
 from .base import Skill
 from .bench import Bench, Segment
-from .cloth_hands import SPEED, Lay, Taken, carry, onto, reached
+from .cloth_hands import SPEED, carry
+from .cloth_reach import Lay, Taken, onto, reached
 from .errors import SkillFailedError
 
 # Several layers come apart where they are hurried, m/s.

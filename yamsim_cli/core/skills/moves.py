@@ -53,8 +53,17 @@ def bring(bench: Bench, hand: Hand, T_thing: Array, speed: float) -> Array:
 
 def park(bench: Bench, hand: Hand) -> Iterator[Segment]:
     """Bring a hand that holds nothing out of the way."""
-    if abs(hand.joints - hand.ready).max() > 1e-6:
+    if not _parked(hand):
         yield bench.segment({hand: bench.way(hand, hand.ready)}, arrives=False)
+
+
+def parked(bench: Bench) -> bool:
+    """Whether all hands that hold nothing are out of the way."""
+    return all(hand.held is not None or _parked(hand) for hand in bench.hands)
+
+
+def _parked(hand: Hand) -> bool:
+    return bool(abs(hand.joints - hand.ready).max() <= 1e-6)
 
 
 def park_others(bench: Bench, hand: Hand) -> Iterator[Segment]:

@@ -1,0 +1,50 @@
+"""Cloth that two hands slide and turn, flat."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.programs import FOLD, first_attempt, session_of
+from yamsim_cli.core.attempt.expert import sides
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.geometry.smoothing import height
+from yamsim_cli.core.planning.demonstration import start_stands
+from yamsim_cli.core.sim.world import world_of
+from yamsim_cli.core.skills.cloth_hands import outcome
+from yamsim_cli.core.skills.slide import SPEED, slid
+
+
+def _turned(points: Array) -> float:
+    """How far the rows of a sheet are turned from x, degrees."""
+    along = points[:, -1] - points[:, 0]
+    return float(np.degrees(np.arctan2(along[:, 1].mean(), along[:, 0].mean())))
+
+
+def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        data = mujoco.MjData(simulator.scene.model)
+        assert attempt.start is not None
+        simulator.scene.reset(data, attempt.start)
+        world = world_of(simulator.scene, data, sides(simulator.config))
+        stands = list(start_stands(simulator.config))
+        bench = simulator.expert_tools.bench(world, stands, np.random.default_rng(0))
+        turned = _turned(world.points("napkin"))
+        assert 10 <= turned <= 20
+
+        def wanted(points: Array) -> bool:
+            return abs(_turned(points)) < 4
+
+        taken = slid(bench, "napkin", [np.radians(-turned)], wanted)
+        assert taken is not None and len(taken) == 2 and all(one.lay.alone for one in taken)
+        after = outcome(bench, "napkin", taken, 0.0, SPEED)
+        assert wanted(after) and height(after) < 0.01
+        # It comes nearer to the arms by 10 cm, since what is pulled comes along straight.
+        assert np.ptp(after[..., 0]) < 0.22
+        assert after[..., 0].mean() == pytest.approx(world.points("napkin")[..., 0].mean() - 0.1, abs=0.02)
+        assert slid(bench, "napkin", [0.0], lambda points: False) is None
