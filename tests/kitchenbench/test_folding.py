@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -16,11 +17,12 @@ from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
 
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.scene.cloth import edges
 from yamsim_cli.kitchenbench.embodiment import YamsimEmbodiment
 from yamsim_cli.kitchenbench.folding import asked_area, block_area, ways_to_fold
 from yamsim_cli.kitchenbench.motion import Motion
 from yamsim_cli.kitchenbench.opening import open_base
-from yamsim_cli.kitchenbench.policy import YamsimExpert
+from yamsim_cli.kitchenbench.policy import Twin, YamsimExpert
 from yamsim_cli.kitchenbench.scene import Realization, realize
 from yamsim_cli.kitchenbench.world import KitchenWorld
 
@@ -116,6 +118,9 @@ def test_crumpled_cloth_starts_the_same_way_each_time_and_not_folded() -> None:
     try:
         assert np.array_equal(first.start, again.start)
         (cloth,) = first.simulator.scene.cloths.values()
+        # Its cells are half as wide as those of cloth that lies flat, and hands hold it by layers.
+        assert cloth.grid == (17, 25) and cloth.by_layers
+        assert first.simulator.scene.model.opt.solver == mujoco.mjtSolver.mjSOL_CG
         points = cloth.points(first.start)
         assert np.ptp(points[:, 2]) > 0.02
         lengths = np.linalg.norm(np.diff(points.reshape(*cloth.grid[::-1], 3), axis=1), axis=-1)
@@ -135,3 +140,25 @@ def test_a_napkin_is_folded(tmp_path: object) -> None:
     (log,) = evaluate(task, policy=YamsimExpert(), embodiment=YamsimEmbodiment(images=False), log_dir=str(tmp_path))
     assert log.status == "success"
     assert [scene.reduced["task_success"] for scene in log.samples] == [1.0]
+
+
+@pytest.mark.slow
+def test_crumpled_cloth_is_spread_out_slid_and_folded() -> None:
+    """By the benchmark's checker, within its 120 actions."""
+    scene = realized("fold-cloth-crumpled-start", epoch=1)
+    seed = derive_seed(0, SCENES["fold-cloth-crumpled-start"].init_seed, 1)
+    twin = Twin(scene, seed, 10)
+    try:
+        world = KitchenWorld(scene, twin.motion)
+        checker = make_success_checker(scene.blueprint, world)
+        assert not checker(world).success
+        actions = 0
+        while actions < 120 and not checker(world).success:
+            actions += len(twin.next_actions())
+        assert checker(world).success and actions <= 120
+        (cloth,) = scene.simulator.scene.cloths.values()
+        points, ends = cloth.points(twin.motion.data.qpos), edges(*cloth.grid)
+        lengths, rest = (np.linalg.norm(np.diff(x[ends], axis=1)[:, 0], axis=1) for x in (points, cloth.rest))
+        assert (lengths / rest).max() < 1.08
+    finally:
+        twin.close()

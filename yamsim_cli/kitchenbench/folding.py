@@ -52,7 +52,7 @@ _THIRD, _FAR, _NEAR = 0.36, 0.60, 0.16
 
 # Crumpled cloth is spread out until it is no higher than this, m, and no point farther from where it belongs than this
 # share of its side.
-_EVEN, _AMISS = 0.025, 0.12
+_EVEN, _AMISS = 0.035, 0.2
 
 # About what a layer is high, m.
 _LAYER = 0.005

@@ -60,3 +60,20 @@ def test_what_lies_under_another_layer_or_stands_up_is_not_taken() -> None:
     standing[:9, 2] = 0.04
     taken = {point for pull in pulls(_placed(standing), _rest(), _THICK, _SPACING) for point in pull.points}
     assert taken and not any(row == 0 for row, _ in taken)
+
+
+def test_bold_pulls_go_farther() -> None:
+    ridge = _rest()
+    # A ridge stands up along the middle.
+    ridge[ridge[:, 0] == 0.0, 2] = 0.012
+    points = _placed(ridge)
+    ways = [
+        max(
+            float(np.linalg.norm(to - points[point][:2]))
+            for pull in pulls(points, _rest(), _THICK, _SPACING, bold)
+            if not pull.arch
+            for point, to in zip(pull.points, pull.to, strict=True)
+        )
+        for bold in (1.0, 3.0)
+    ]
+    assert 0.02 < ways[0] < 0.03 and ways[1] == pytest.approx(3 * ways[0])

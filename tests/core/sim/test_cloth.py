@@ -95,7 +95,7 @@ def test_a_point_that_is_led_takes_the_cloth_along(tmp_path: Path) -> None:
         rest = np.linalg.norm(np.diff(cloth.rest[ends], axis=1)[:, 0], axis=1)
         with led(model, data, cloth, corner) as lead:
             for _ in range(250):
-                at = at + [0.0, 0.0, 0.3 * model.opt.timestep]
+                at[:, 2] += 0.3 * model.opt.timestep
                 lead(at)
                 lengths = np.linalg.norm(np.diff(cloth.points(data.qpos)[ends], axis=1)[:, 0], axis=1)
                 most = max(most, float((lengths / rest).max()) - 1)

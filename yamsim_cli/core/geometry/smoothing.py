@@ -104,11 +104,12 @@ def furthest(points: Array, rest: Array, thickness: float) -> float:
     return float(np.linalg.norm(lying(points, rest, thickness) - points[..., :2], axis=-1).max())
 
 
-def pulls(points: Array, rest: Array, thickness: float, spacing: float) -> Iterator[Pull]:
+def pulls(points: Array, rest: Array, thickness: float, spacing: float, bold: float = 1.0) -> Iterator[Pull]:
     """Pulls at the border of a sheet that may make it flatter; see `lying`.
 
     Args:
         spacing: the larger of the distances between neighbours, m.
+        bold: so many times as far what straightens goes, and as high may be, or stand around, what is taken.
     """
     side, rows, columns = side_of(rest), *points.shape[:2]
     fitted = lying(points, rest, thickness)
@@ -116,7 +117,8 @@ def pulls(points: Array, rest: Array, thickness: float, spacing: float) -> Itera
         (row, column)
         for row in range(rows)
         for column in range(columns)
-        if (row in (0, rows - 1) or column in (0, columns - 1)) and _free(points, (row, column), spacing, thickness)
+        if (row in (0, rows - 1) or column in (0, columns - 1))
+        and _free(points, (row, column), spacing, bold * thickness, thickness)
     ]
     # What is off is brought to where it belongs, one point or two.
     off = np.linalg.norm(fitted - points[..., :2], axis=-1)
@@ -131,11 +133,11 @@ def pulls(points: Array, rest: Array, thickness: float, spacing: float) -> Itera
         ridge = high[:, :2].mean(axis=0)
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
         for point in _spread(points, beside, side):
-            yield Pull((point,), (_away(points[point][:2], ridge, side),), 0.0)
+            yield Pull((point,), (_away(points[point][:2], ridge, bold * side),), 0.0)
     middle = points.reshape(-1, 3)[:, :2].mean(axis=0)
     corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
     for pair in itertools.combinations(corners, 2):
-        yield Pull(pair, tuple(_away(points[point][:2], middle, side) for point in pair), 0.0)
+        yield Pull(pair, tuple(_away(points[point][:2], middle, bold * side) for point in pair), 0.0)
 
 
 def side_of(rest: Array) -> float:
@@ -147,16 +149,18 @@ def side_of(rest: Array) -> float:
     return math.sqrt(float(np.prod(np.ptp(rest[:, :2], axis=0))))
 
 
-def _free(points: Array, point: Point, spacing: float, thickness: float) -> bool:
-    """Whether a hand can take a point: no layer lies over it, it is not high, and nothing around it stands up."""
+def _free(points: Array, point: Point, spacing: float, high: float, thickness: float) -> bool:
+    """Whether a hand can take a point: no layer lies over it, it is not many times as high as `high` (m), and nothing
+    around it stands up so much.
+    """
     place, lowest = points[point], float(points[..., 2].min())
     away = np.linalg.norm(points[..., :2] - place[:2], axis=-1)
     over = points[..., 2] - place[2]
     rows, columns = np.indices(points.shape[:2])
     other = np.maximum(abs(rows - point[0]), abs(columns - point[1])) > _NEXT
     covered = (other & (away < spacing) & (over > _LAYER * thickness)).any()
-    hemmed = (over[away < _FOOTPRINT] > _ABOVE * thickness).any()
-    return not (covered or hemmed) and float(place[2]) - lowest < _LAYERS * thickness
+    hemmed = (over[away < _FOOTPRINT] > _ABOVE * high).any()
+    return not (covered or hemmed) and float(place[2]) - lowest < _LAYERS * high
 
 
 def _spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:

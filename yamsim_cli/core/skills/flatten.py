@@ -18,7 +18,7 @@ from .bench import Bench, Segment
 from .cloth_hands import carry, outcome
 from .cloth_reach import Lay, Taken, at, reached
 from .errors import SkillFailedError
-from .moves import parked, recover
+from .moves import recover
 
 # Cloth is flat where no point is higher than so many layers, and none lies farther from where it belongs, as a share of
 # its side.
@@ -27,6 +27,9 @@ _HIGH, _ASIDE = 3.5, 0.06
 # So many pulls are made at most, at so many m/s. One has to make the sheet flatter by this share of what it is off.
 _PULLS, _SPEED = 6, 0.15
 _WORTH = 0.04
+
+# Where no pull helps, hands pull so many times as far, and take what is as high, if it is worth as much more.
+_BOLD = 3.0
 
 # What hands do not reach, they do in part: by these shares of the way.
 _PART = (1.0, 0.7, 0.45)
@@ -77,9 +80,10 @@ def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Seg
             return
         points = bench.world.points(thing)
         found = _flattest(bench, thing, missed)
-        if found is None and not parked(bench):
+        if found is None:
+            # Hands that are over the cloth yet are in each other's way.
             yield from recover(bench)
-            found = _flattest(bench, thing, missed)
+            found = _flattest(bench, thing, missed, _BOLD)
         if found is None:
             return
         before, tried = unevenness(points, cloth.rest, cloth.thickness), [points[point] for point in found.pull.points]
@@ -101,12 +105,12 @@ def is_flat(bench: Bench, thing: str) -> bool:
     return level and furthest(points, cloth.rest, thickness) <= _ASIDE * side_of(cloth.rest)
 
 
-def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | None:
-    """The pull that would leave a cloth the flattest; None where none makes it flatter."""
+def _flattest(bench: Bench, thing: str, missed: Sequence[Array], bold: float = 1.0) -> _Found | None:
+    """The pull that would leave a cloth the flattest; None where none makes it flatter. See `pulls`."""
     cloth, points = bench.world.cloth(thing), bench.world.points(thing)
     thickness = cloth.thickness
     best: _Found | None = None
-    for pull in pulls(points, cloth.rest, thickness, cloth.spacing):
+    for pull in pulls(points, cloth.rest, thickness, cloth.spacing, bold):
         if any(np.linalg.norm(points[point] - place) < _MISSED for point in pull.points for place in missed):
             continue
         taken = next(
@@ -118,8 +122,8 @@ def _flattest(bench: Bench, thing: str, missed: Sequence[Array]) -> _Found | Non
         uneven = unevenness(after, cloth.rest, thickness)
         if best is None or uneven < best.uneven:
             best = _Found(taken, pull, uneven)
-    now = unevenness(points, cloth.rest, thickness)
-    return None if best is None or best.uneven > (1 - _WORTH) * now else best
+    now, worth = unevenness(points, cloth.rest, thickness), bold * _WORTH
+    return None if best is None or best.uneven > (1 - worth) * now else best
 
 
 def _lays(points: Array, pull: Pull, share: float, thickness: float) -> list[Lay]:

@@ -79,9 +79,22 @@ def rest(bench: Bench) -> Segment:
 
 
 def recover(bench: Bench) -> Iterator[Segment]:
-    """Bring hands that hold nothing out of the way, their fingers open."""
-    for hand in bench.hands:
-        if hand.held is None:
-            if hand.opening < hand.widest / 4:
-                yield from let_go(bench, hand, hand.widest / 2)
-            yield from park(bench, hand)
+    """Bring hands that hold nothing out of the way, their fingers open. Where one is in another one's way, that goes
+    first.
+
+    Raises:
+        SkillFailedError: there is no free way for any of those that are left.
+    """
+    left = [hand for hand in bench.hands if hand.held is None]
+    while left:
+        before, faults = len(left), list[SkillFailedError]()
+        for hand in tuple(left):
+            try:
+                if hand.opening < hand.widest / 4:
+                    yield from let_go(bench, hand, hand.widest / 2)
+                yield from park(bench, hand)
+                left.remove(hand)
+            except SkillFailedError as fault:
+                faults.append(fault)
+        if len(left) == before:
+            raise faults[0]
