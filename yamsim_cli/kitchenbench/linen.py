@@ -32,7 +32,7 @@ _CRUMPLED = {"light": 0.2, "moderate": 0.4}
 _EDGE = 0.05
 
 
-# Crumpled cloth has so many cells for one of what lies flat: larger ones stand up in tents of 7 to 16 cm.
+# Crumpled cloth has so many cells along a side for one of cloth that lies flat: larger ones stand up in tents.
 _FINER = 2
 
 # What is folded in thirds has so many points along that side: three cells, four and four. A sheet bends along lines of
@@ -61,7 +61,7 @@ def sheet_of(item: SceneObject, blueprint: SceneBlueprint, where: Locations) -> 
     factor = (item.size_cm or nominal) / nominal
     grown: dict[str, Any] = {"size_mm": [side * factor for side in ours.size_mm], "mass_g": ours.mass_g * factor**2}
     if CRUMPLED in blueprint.conditions:
-        grown |= {"grid": [_FINER * (count - 1) + 1 for count in ours.grid], "solver": "cg", "held": "layers"}
+        grown |= {"grid": [_FINER * (count - 1) + 1 for count in ours.grid], "solver": "cg"}
     if in_thirds(blueprint, item):
         grown["grid"] = [ours.grid[0], _IN_THIRDS]
     cloth = Cloth.model_validate({**ours.model_dump(mode="json"), **grown})

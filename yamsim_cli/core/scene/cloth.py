@@ -25,7 +25,7 @@ _FIRM = (0.999, 0.9999)
 _CONDIM = 3
 
 # The solver that takes many small steps stops where one gains less than this, as MuJoCo scales it. With MuJoCo's own
-# 1e-8 it takes 2.5 times as long, and cloth comes to lie the same.
+# 1e-8 a fold of 21 x 21 points takes a third longer, and ends within 0.02 mm of the same place.
 _TOLERANCE = 1e-6
 
 # A body needs some inertia, though nothing turns it: that of a ball of a millimetre, m2.

@@ -12,10 +12,10 @@ from ..scene.compiled import CompiledScene, SceneCloth
 from .led import led
 from .watched import settle
 
-# What lifts a point of cloth moves so fast, m/s, and by so much up at least, m. It misses the way to the middle by
-# so much at most, rad.
+# What lifts a point of cloth moves so fast, m/s, and so high at least: by the smaller one of so many m, and so much of
+# the cloth's half diagonal. It misses the way to the middle by so much at most, rad.
 _SPEED = 0.3
-_LOWEST = 0.08
+_LOWEST, _OF_SMALL = 0.08, 0.3
 _ASIDE = 0.5
 
 # Fabric does not pass through itself. Cloth that does after it was dropped, or that is not as high as so many layers,
@@ -61,7 +61,7 @@ def _dropped(
     k = int(rng.choice(np.flatnonzero(away > 0.5 * away.max())))
     heading = rng.uniform(-_ASIDE, _ASIDE)
     across = 2 * share * rotation_z(heading)[:2, :2] @ (middle - points[k])[:2]
-    up = max(_LOWEST, share * float(away.max()))
+    up = max(min(_LOWEST, _OF_SMALL * float(away.max())), share * float(away.max()))
     ways = [np.array([0.0, 0.0, up]), np.array([*across, 0.0]), np.array([0.0, 0.0, -up / 2])]
     data = mujoco.MjData(scene.model)
     scene.reset(data, start)
