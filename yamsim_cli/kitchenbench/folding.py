@@ -94,13 +94,13 @@ class FoldSmall(Skill):
                 yield from carry(bench, thing, pulled, arch=0.0, speed=_SPEED)
                 points = bench.world.points(thing)
             way, taken = _reached(bench, thing, points, self._ordered(points, first=not folds))
-            if self.crumpled and not folds and not self._surely(way):
+            if self.crumpled and not folds and slides < _SLIDES and not self._surely(way):
                 if not parked(bench):
                     # Hands that are over the cloth yet are in each other's way.
                     yield from recover(bench)
                     continue
                 slide = slid(bench, thing, _turns(points), partial(self._foldable, bench, thing))
-                if slide is not None and slides < _SLIDES:
+                if slide is not None:
                     yield from carry(bench, thing, slide, arch=0.0, speed=SPEED)
                     slides += 1
                     continue

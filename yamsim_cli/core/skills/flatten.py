@@ -73,8 +73,13 @@ class Flatten(Skill):
 
 
 def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Segment]:
-    """Pull a cloth until it lies flat `enough`, or no pull makes it flatter."""
+    """Pull a cloth until it lies flat `enough`, or no pull makes it flatter.
+
+    Raises:
+        SkillFailedError: hands missed the last point that a pull would have helped at.
+    """
     cloth, missed = bench.world.cloth(thing), list[Array]()
+    miss: SkillFailedError | None = None
     for _ in range(_PULLS):
         if enough():
             return
@@ -85,11 +90,15 @@ def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Seg
             yield from recover(bench)
             found = _flattest(bench, thing, missed, _BOLD)
         if found is None:
+            if miss is not None:
+                raise miss
             return
         before, tried = unevenness(points, cloth.rest, cloth.thickness), [points[point] for point in found.pull.points]
         try:
             yield from carry(bench, thing, found.taken, found.pull.arch, _SPEED)
-        except SkillFailedError:
+            miss = None
+        except SkillFailedError as error:
+            miss = error
             missed += tried
             yield from recover(bench)
         if unevenness(bench.world.points(thing), cloth.rest, cloth.thickness) > (1 - _WORTH) * before:
