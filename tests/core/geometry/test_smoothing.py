@@ -77,3 +77,12 @@ def test_bold_pulls_go_farther() -> None:
         for bold in (1.0, 3.0)
     ]
     assert 0.02 < ways[0] < 0.03 and ways[1] == pytest.approx(3 * ways[0])
+
+
+def test_two_corners_are_drawn_apart_by_a_twentieth_more_than_the_sheet_is_long() -> None:
+    points = _placed(_rest() * [0.9, 0.97, 1.0])
+    pairs = [pull for pull in pulls(points, _rest(), _THICK, _SPACING, 3.0) if len(pull.points) == 2 and not pull.arch]
+    assert len(pairs) == 6
+    for pull in pairs:
+        one, other = (_rest().reshape(9, 9, 3)[point] for point in pull.points)
+        assert np.linalg.norm(pull.to[0] - pull.to[1]) <= 1.05 * np.linalg.norm(one - other) + 1e-9

@@ -36,6 +36,9 @@ _LAYER, _NEXT = 0.3, 2
 # What is as many layers high, and as high as this share of the highest point, stands up.
 _RIDGE, _UPPER = 2.0, 0.4
 
+# Two points are drawn apart by so much more than they are in the flat sheet at most: it stretches by that much.
+_TAUT = 1.05
+
 # So many points are tried of each kind.
 _MOST = 3
 
@@ -134,10 +137,11 @@ def pulls(points: Array, rest: Array, thickness: float, spacing: float, bold: fl
         beside = sorted(border, key=lambda point: float(np.linalg.norm(points[point][:2] - ridge)))
         for point in _spread(points, beside, side):
             yield Pull((point,), (_away(points[point][:2], ridge, bold * side),), 0.0)
-    middle = points.reshape(-1, 3)[:, :2].mean(axis=0)
+    middle, flat = points.reshape(-1, 3)[:, :2].mean(axis=0), rest.reshape(points.shape)
     corners = [point for point in border if point[0] in (0, rows - 1) and point[1] in (0, columns - 1)]
     for pair in itertools.combinations(corners, 2):
-        yield Pull(pair, tuple(_away(points[point][:2], middle, bold * side) for point in pair), 0.0)
+        to = tuple(_away(points[point][:2], middle, bold * side) for point in pair)
+        yield Pull(pair, _no_farther(to, _TAUT * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0)
 
 
 def side_of(rest: Array) -> float:
@@ -178,3 +182,10 @@ def _away(place: Array, other: Array, side: float) -> Array:
     """A place (2,) that is farther away from another one."""
     way = place - other
     return place + _STRAIGHTEN * side * way / max(float(np.linalg.norm(way)), 1e-9)
+
+
+def _no_farther(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
+    """Two places (2,), or nearer ones between them that are so far apart: what is taut is not to be stretched."""
+    one, other = places
+    share = max(0.0, 1 - length / max(float(np.linalg.norm(other - one)), 1e-9)) / 2
+    return one + share * (other - one), other + share * (one - other)
