@@ -22,7 +22,7 @@ from ..core.skills.cloth_hands import carry
 from ..core.skills.cloth_reach import Lay, Taken, at, reached
 from ..core.skills.errors import SkillFailedError
 from ..core.skills.flatten import spread
-from ..core.skills.moves import parked, recover
+from ..core.skills.moves import idle, recover
 from ..core.skills.slide import SPEED, slid
 from ..core.types import Cause
 from .places import T_in_world
@@ -95,7 +95,7 @@ class FoldSmall(Skill):
                 points = bench.world.points(thing)
             way, taken = _reached(bench, thing, points, self._ordered(points, first=not folds))
             if self.crumpled and not folds and slides < _SLIDES and not self._surely(way):
-                if not parked(bench):
+                if idle(bench):
                     # Hands that are over the cloth yet are in each other's way.
                     yield from recover(bench)
                     continue

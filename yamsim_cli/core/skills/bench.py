@@ -96,6 +96,12 @@ class Bench:
         site = self.world.data.site(f"{hand.arm.prefix}pinch_site")
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
+    def opening(self, hand: Hand) -> float:
+        """How far each finger of a hand really is open, m."""
+        fingers = hand.arm.fingers
+        assert fingers is not None, "skills are for hands with fingers"
+        return float(self.qpos[fingers.qpos[0]] * fingers.sign[0])
+
     def look_at(self, hand: Hand) -> Held:
         """What a hand holds, and how, now.
 

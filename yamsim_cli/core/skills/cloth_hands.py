@@ -17,7 +17,7 @@ from .bench import Bench, Fingers, Segment
 from .cloth_reach import APPROACH, WIDE, Taken, clear_of
 from .errors import SkillFailedError
 from .hand import Hand
-from .moves import GRIP_TICKS, rest
+from .moves import GRIP_TICKS, idle, rest
 
 # Fingers press on cloth so hard, N.
 _FORCE = 20.0
@@ -25,6 +25,9 @@ _FORCE = 20.0
 # Where it was not there, they feel for it so much lower, m, with fingers that open for so many ticks before.
 _DEEPER = (0.002, 0.004, 0.006, 0.008)
 _OPEN_TICKS = 4
+
+# Fingers are closed that are open less than this each, m: far less than they open before, and more than cloth is thick.
+_SHUT = 0.006
 
 # A hand that let go is under what it laid, and leaves it by so much, m.
 _OUT = 0.04
@@ -96,14 +99,19 @@ def carry(
 
 
 def _approached(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
-    """Bring hands to before their points: at once, where their ways are free of each other."""
-    ways = {one.hand: bench.way(one.hand, one.before, WIDE) for one in taken}
+    """Bring hands to before their points, and those that have none out of the way: at once, where their ways are free
+    of each other.
+    """
+    wide = {one.hand: Fingers(WIDE) for one in taken}
+    goals = {hand: hand.ready for hand in idle(bench) if hand not in wide}
+    goals |= {one.hand: one.before for one in taken}
+    ways = {hand: bench.way(hand, goal, WIDE) for hand, goal in goals.items()}
     if _free_together(bench, ways):
-        yield bench.segment(ways, {hand: Fingers(WIDE) for hand in ways}, arrives=False)
+        yield bench.segment(ways, wide, arrives=False)
         return
-    for one in taken:
-        way = {one.hand: bench.way(one.hand, one.before, WIDE)}
-        yield bench.segment(way, {one.hand: Fingers(WIDE)}, arrives=False)
+    for hand, goal in goals.items():
+        fingers = {hand: wide[hand]} if hand in wide else {}
+        yield bench.segment({hand: bench.way(hand, goal, WIDE)}, fingers, arrives=False)
 
 
 def _free_together(bench: Bench, ways: Mapping[Hand, Array]) -> bool:
@@ -117,13 +125,14 @@ def _free_together(bench: Bench, ways: Mapping[Hand, Array]) -> bool:
 
 
 def _take(bench: Bench, thing: str, taken: Sequence[Taken]) -> Iterator[Segment]:
-    """Close hands on their points. One that takes a layer alone feels for it where it was not there: what lies hollow
-    gives way to fingers that come down.
+    """Close hands on their points. One that takes a layer alone feels for it where nothing was between its fingers:
+    what lies hollow gives way to fingers that come down.
     """
     yield from _close(bench, taken)
     points = bench.world.points(thing)
     for deeper in _DEEPER:
-        felt = [one for one in taken if one.lay.alone and one.hand.side not in bench.world.holders(thing)]
+        holders = bench.world.holders(thing)
+        felt = [one for one in taken if one.lay.alone and one.hand.side not in holders and _closed(bench, one.hand)]
         if not felt:
             return
         opened = {one.hand: Fingers(WIDE) for one in felt}
@@ -143,6 +152,11 @@ def _close(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
     closing = {one.hand: Fingers(0.0, _FORCE) for one in taken}
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in closing}, closing)
     yield rest(bench)
+
+
+def _closed(bench: Bench, hand: Hand) -> bool:
+    """Whether fingers that were told to close did: others press cloth down that they do not take."""
+    return bench.opening(hand) < _SHUT
 
 
 def _withdrawn(bench: Bench, one: Taken) -> Array:

@@ -76,7 +76,7 @@ def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Seg
     """Pull a cloth until it lies flat `enough`, or no pull makes it flatter.
 
     Raises:
-        SkillFailedError: hands missed the last point that a pull would have helped at.
+        SkillFailedError: hands missed the last point that they were to pull.
     """
     cloth, missed = bench.world.cloth(thing), list[Array]()
     miss: SkillFailedError | None = None
@@ -90,9 +90,7 @@ def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Seg
             yield from recover(bench)
             found = _flattest(bench, thing, missed, _BOLD)
         if found is None:
-            if miss is not None:
-                raise miss
-            return
+            break
         before, tried = unevenness(points, cloth.rest, cloth.thickness), [points[point] for point in found.pull.points]
         try:
             yield from carry(bench, thing, found.taken, found.pull.arch, _SPEED)
@@ -104,6 +102,8 @@ def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Seg
         if unevenness(bench.world.points(thing), cloth.rest, cloth.thickness) > (1 - _WORTH) * before:
             # What did not help once would be found again.
             missed += tried
+    if miss is not None and not enough():
+        raise miss
 
 
 def is_flat(bench: Bench, thing: str) -> bool:

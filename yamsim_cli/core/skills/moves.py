@@ -57,9 +57,9 @@ def park(bench: Bench, hand: Hand) -> Iterator[Segment]:
         yield bench.segment({hand: bench.way(hand, hand.ready)}, arrives=False)
 
 
-def parked(bench: Bench) -> bool:
-    """Whether all hands that hold nothing are out of the way."""
-    return all(hand.held is not None or _parked(hand) for hand in bench.hands)
+def idle(bench: Bench) -> list[Hand]:
+    """The hands that hold nothing, and are not out of the way."""
+    return [hand for hand in bench.hands if hand.held is None and not _parked(hand)]
 
 
 def _parked(hand: Hand) -> bool:
