@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
@@ -87,3 +89,12 @@ def first_attempt(simulators: Simulators, number: int = 0) -> tuple[Simulator, A
     job = EpisodeJob(0, number)
     simulator = simulators.of(job)
     return simulator, sample(simulator, job)
+
+
+def started(simulators: Simulators) -> tuple[Simulator, Attempt, mujoco.MjData]:
+    """The first attempt, and MuJoCo's state where it begins."""
+    simulator, attempt = first_attempt(simulators)
+    assert attempt.start is not None
+    data = mujoco.MjData(simulator.scene.model)
+    simulator.scene.reset(data, attempt.start)
+    return simulator, attempt, data

@@ -14,7 +14,6 @@ from kitchenbench.sim.success import FOLD_RATIO_PER_FOLD
 
 from ..core.config.things.cloth import Cloth
 from ..core.geometry.se3 import Array
-from ..core.geometry.smoothing import furthest, height, side_of
 from ..core.goals.cast import Cast
 from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
@@ -50,9 +49,9 @@ _SPEED, _SLOWLY = 0.2, 0.08
 # `_NEAR`, ahead of the arms' bases, m.
 _THIRD, _FAR, _NEAR = 0.36, 0.60, 0.16
 
-# Crumpled cloth is spread out until it is no higher than this, m, and no point farther from where it belongs than this
-# share of its side.
-_EVEN, _AMISS = 0.035, 0.2
+# Crumpled cloth is spread out until it is no more layers high than this, and no point of it farther from where it
+# belongs than this share of its side.
+_EVEN, _AMISS = 8.0, 0.2
 
 # About what a layer is high, m.
 _LAYER = 0.005
@@ -83,7 +82,7 @@ class FoldSmall(Skill):
         """See `Skill`."""
         thing = cast.one(self.thing)
         if self.crumpled:
-            yield from spread(bench, thing, lambda: _spread_enough(bench, thing))
+            yield from spread(bench, thing, _EVEN, _AMISS)
         folds = slides = 0
         while folds < _FOLDS:
             points = bench.world.points(thing)
@@ -145,12 +144,6 @@ def _turns(points: Array) -> list[float]:
     """By what angles a cloth may be turned so that its block becomes smaller, rad."""
     heading = _heading(points)
     return [-heading, -1.2 * heading, 0.0]
-
-
-def _spread_enough(bench: Bench, thing: str) -> bool:
-    """Whether a cloth lies as flat as folding asks for."""
-    cloth, points = bench.world.cloth(thing), bench.world.points(thing)
-    return height(points) < _EVEN and furthest(points, cloth.rest, cloth.thickness) < _AMISS * side_of(cloth.rest)
 
 
 def _nearer(bench: Bench, thing: str) -> list[Taken] | None:

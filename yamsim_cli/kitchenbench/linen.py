@@ -31,7 +31,6 @@ _CRUMPLED = {"light": 0.2, "moderate": 0.4}
 # The table goes on for so far around cloth, m.
 _EDGE = 0.05
 
-
 # Crumpled cloth has so many cells along a side for one of cloth that lies flat: larger ones stand up in tents.
 _FINER = 2
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.programs import FOLD, changed, first_attempt, session_of
+from tests.programs import FOLD, changed, first_attempt, session_of, started
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
@@ -28,10 +28,9 @@ from yamsim_cli.core.types import Actions, Cause
 
 def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
-        simulator, attempt = first_attempt(simulators)
-        scene, data = simulator.scene, mujoco.MjData(simulator.scene.model)
-        assert attempt.start is not None and attempt.layout is not None
-        scene.reset(data, attempt.start)
+        simulator, attempt, data = started(simulators)
+        scene = simulator.scene
+        assert attempt.layout is not None
         world = world_of(scene, data, sides(simulator.config))
         points = world.points("napkin")
         assert points.shape == (9, 9, 3)
@@ -67,10 +66,8 @@ def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path)
 
 def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
-        simulator, attempt = first_attempt(simulators)
-        scene, data = simulator.scene, mujoco.MjData(simulator.scene.model)
-        assert attempt.start is not None
-        scene.reset(data, attempt.start)
+        simulator, _, data = started(simulators)
+        scene = simulator.scene
         cloth, before = scene.cloths["napkin"], data.qpos.copy()
         points = cloth.points(before).reshape(9, 9, 3)
         inwards = points[4, 4] - points[0, 0]
@@ -84,11 +81,8 @@ def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
 
 def test_a_point_that_is_led_takes_the_cloth_along(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
-        simulator, attempt = first_attempt(simulators)
-        scene, data = simulator.scene, mujoco.MjData(simulator.scene.model)
-        assert attempt.start is not None
-        scene.reset(data, attempt.start)
-        model, cloth = scene.model, scene.cloths["napkin"]
+        simulator, _, data = started(simulators)
+        model, cloth = simulator.scene.model, simulator.scene.cloths["napkin"]
         masses, inertias = model.body_mass.copy(), model.dof_M0.copy()
         corner, ends = np.array([0]), edges(*cloth.grid)
         at, most = cloth.points(data.qpos)[corner], 0.0

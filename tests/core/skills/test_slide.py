@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
-from tests.programs import FOLD, first_attempt, session_of
+from tests.programs import FOLD, session_of, started
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.geometry.se3 import Array
@@ -27,10 +26,7 @@ def _turned(points: Array) -> float:
 
 def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
-        simulator, attempt = first_attempt(simulators)
-        data = mujoco.MjData(simulator.scene.model)
-        assert attempt.start is not None
-        simulator.scene.reset(data, attempt.start)
+        simulator, _, data = started(simulators)
         world = world_of(simulator.scene, data, sides(simulator.config))
         stands = list(start_stands(simulator.config))
         bench = simulator.expert_tools.bench(world, stands, np.random.default_rng(0))

@@ -25,6 +25,9 @@ def nearest_of_layers(
 ) -> NDArray[np.int_]:
     """Of every layer of a sheet that a pinch takes hold of, the point next to it: their numbers, in order.
 
+    A layer that is held where one line goes through is left alone by those after it. It turns about one point, as
+    fabric bends beside pads, and would not turn about two that are a cell apart.
+
     Args:
         points: in the frame of a pinch (n, 3), m.
         corners: the numbers of the points at the corners of each triangle of the sheet (k, 3).
@@ -40,9 +43,9 @@ def nearest_of_layers(
         whole = shares.sum(axis=1)
         through = np.flatnonzero((shares * whole[:, None] >= 0.0).all(axis=1) & (np.abs(whole) > 0.0))
         z = (shares[through] * points[corners[through], 2]).sum(axis=1) / whole[through]
-        for triangle in through[(z > deep[0]) & (z < deep[1])]:
-            own = corners[triangle]
-            found.add(int(own[np.argmin(np.linalg.norm(points[own, :2] - line, axis=1))]))
+        own = corners[through[(z > deep[0]) & (z < deep[1])]]
+        own = own[~np.isin(own, list(found)).any(axis=1)]
+        found |= {int(three[np.argmin(np.linalg.norm(points[three, :2] - line, axis=1))]) for three in own}
     return np.array(sorted(found), dtype=int)
 
 

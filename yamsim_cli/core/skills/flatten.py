@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -20,9 +19,9 @@ from .cloth_reach import Lay, Taken, at, reached
 from .errors import SkillFailedError
 from .moves import recover
 
-# Cloth is flat where no point is higher than so many layers, and none lies farther from where it belongs, as a share of
-# its side.
-_HIGH, _ASIDE = 3.5, 0.06
+#: Cloth is flat where it is no more layers high than this, and no point lies farther from where it belongs than this
+#: share of its side.
+LAYERS, ASIDE = 3.5, 0.06
 
 # So many pulls are made at most, at so many m/s. One has to make the sheet flatter by this share of what it is off.
 _PULLS, _SPEED = 6, 0.15
@@ -66,14 +65,18 @@ class Flatten(Skill):
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
-        yield from spread(bench, thing, partial(is_flat, bench, thing))
-        if not is_flat(bench, thing):
+        yield from spread(bench, thing)
+        if not _is_flat(bench, thing, LAYERS, ASIDE):
             high = 1000 * height(bench.world.points(thing))
             raise SkillFailedError(Cause.UNREACHABLE, f"no pull makes the {thing} flatter, which is {high:.0f} mm high")
 
 
-def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Segment]:
-    """Pull a cloth until it lies flat `enough`, or no pull makes it flatter.
+def spread(bench: Bench, thing: str, layers: float = LAYERS, aside: float = ASIDE) -> Iterator[Segment]:
+    """Pull a cloth until it lies flat, or no pull makes it flatter.
+
+    Args:
+        layers: how many it is high at most where it counts as flat.
+        aside: how far a point of it is from where it belongs then at most, as a share of its side.
 
     Raises:
         SkillFailedError: hands missed the last point that they were to pull.
@@ -81,7 +84,7 @@ def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Seg
     cloth, missed = bench.world.cloth(thing), list[Array]()
     miss: SkillFailedError | None = None
     for _ in range(_PULLS):
-        if enough():
+        if _is_flat(bench, thing, layers, aside):
             return
         points = bench.world.points(thing)
         found = _flattest(bench, thing, missed)
@@ -102,16 +105,15 @@ def spread(bench: Bench, thing: str, enough: Callable[[], bool]) -> Iterator[Seg
         if unevenness(bench.world.points(thing), cloth.rest, cloth.thickness) > (1 - _WORTH) * before:
             # What did not help once would be found again.
             missed += tried
-    if miss is not None and not enough():
+    if miss is not None and not _is_flat(bench, thing, layers, aside):
         raise miss
 
 
-def is_flat(bench: Bench, thing: str) -> bool:
-    """Whether a cloth lies flat."""
+def _is_flat(bench: Bench, thing: str, layers: float, aside: float) -> bool:
+    """Whether a cloth lies flat; see `spread`."""
     cloth, points = bench.world.cloth(thing), bench.world.points(thing)
-    thickness = cloth.thickness
-    level = height(points) + thickness <= _HIGH * thickness
-    return level and furthest(points, cloth.rest, thickness) <= _ASIDE * side_of(cloth.rest)
+    level = height(points) + cloth.thickness <= layers * cloth.thickness
+    return level and furthest(points, cloth.rest, cloth.thickness) <= aside * side_of(cloth.rest)
 
 
 def _flattest(bench: Bench, thing: str, missed: Sequence[Array], bold: float = 1.0) -> _Found | None:
