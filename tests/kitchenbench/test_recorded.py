@@ -33,7 +33,7 @@ from yamsim_cli.core.record.executors import ThisProcess
 from yamsim_cli.core.record.recorder import record
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.sim.world import SimWorld
+from yamsim_cli.core.sim.world import SimWorld, world_of
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.verify.remake import EpisodeVerifier, Limits
 from yamsim_cli.core.workers.stop import Stop
@@ -53,6 +53,10 @@ def task() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def session(task: dict[str, Any], locations: Locations) -> Session:
+    return _session(task, locations)
+
+
+def _session(task: dict[str, Any], locations: Locations) -> Session:
     opener = Opener(os.environ, lambda text: None, "--{}".format)
     config = opener.config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
     return Session(config, locations).without_meshes()
@@ -143,6 +147,26 @@ def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: Simulato
         agreed.append(ours)
     assert not agreed[0] and agreed[-1]
     assert len(all_actions(done.states).ctrl) > 100
+
+
+@pytest.mark.slow
+def test_cutlery_is_put_onto_a_napkin_that_bends(locations: Locations) -> None:
+    scene = next(scene for scene in tasks.TASK_FACTORIES["place_cutlery"]().scenes if scene.id.endswith("napkin-soft"))
+    task = task_of("kitchenbench/place_cutlery/napkin-soft")
+    assert isinstance(task, dict) and task["things"]["napkin"]["of"][0]["cloth"]["size_mm"] == [200.0, 200.0]
+    with Simulators(_session(task, locations)) as simulators:
+        simulator = simulators.of(EpisodeJob(0, 0))
+        attempt = sample(simulator, EpisodeJob(0, 0))
+        done = demonstrate_program(simulator, attempt)
+        assert done.outcome.success, done.outcome
+        data = mujoco.MjData(simulator.scene.model)
+        simulator.scene.reset(data, done.states[-1].qpos)
+        world = world_of(simulator.scene, data, sides(simulator.config))
+        checker = make_success_checker(build_blueprint(scene, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
+        assert checker(Queries(world)).success  # type: ignore[arg-type]
+        # The fork lies on the fabric, let go, and did not go through it.
+        assert world.touching("cutlery", "napkin") and not world.holders("cutlery")
+        assert not world.touching("cutlery", "table")
 
 
 @pytest.mark.slow

@@ -12,11 +12,11 @@ from ..core.config.things.made import made_object
 from ..core.config.things.thing import ObjectConfig
 from ..core.resources import Locations
 
-# Asset -> our object. Compartments are no things: they are parts of the tray.
+# Asset -> our object. Compartments are no things: they are parts of the tray. Cloth is in `linen`.
 _THINGS = {
     name: f"kitchen_{name}"
     for name in (
-        "spoon", "fork", "knife", "plate", "bowl", "cup", "napkin", "tray", "dish_rack", "utensil", "produce_item",
+        "spoon", "fork", "knife", "plate", "bowl", "cup", "tray", "dish_rack", "utensil", "produce_item",
         "distractor",
     )
 }  # fmt: skip

@@ -22,7 +22,7 @@ from ..core.skills.program import SKILLS
 from .opening import STATION, open_base
 from .places import free_places
 from .programs import program_of
-from .scene import STEPS, TIMESTEP, realize, table_of
+from .scene import realize, table_of
 
 # A task has at most so many of a scene's realizations, among so many of the benchmark's epochs.
 _MOST, _EPOCHS = 100, 600
@@ -70,7 +70,7 @@ def task_of(name: str) -> dict[str, Any]:
                 break
     finally:
         realized.simulator.close()
-    items = realized.items
+    items, timing = realized.items, realized.simulator.config.task.timing
     return {
         "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
         "kind": PROGRAM,
@@ -81,7 +81,7 @@ def task_of(name: str) -> dict[str, Any]:
         "phrasings": {"training": [first.instruction]},
         "goal": {"all": [_goal(first)], "for_s": _FOR_S},
         "expert": [_step(skill) for skill in program_of(first, items, realized.bases)],
-        "timing": {"physics_steps_per_tick": STEPS, "timestep": TIMESTEP},
+        "timing": {"physics_steps_per_tick": timing.physics_steps_per_tick, "timestep": timing.timestep},
     }
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
@@ -25,7 +24,7 @@ from ..core.sim.watched import settle
 from ..core.sim.world import Region
 from ..core.types import Layout
 from .catalog import COMPARTMENT, thing_of
-from .linen import CRUMPLED, FOLD, crumpled_start, laid, sheet_of
+from .linen import CRUMPLED, FOLD, SHEETS, crumpled_start, laid, sheet_of
 from .places import BESIDE, T_in_world, free_places, origin
 
 #: Kinds of goals that are realized.
@@ -34,12 +33,10 @@ KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
 # The kind of goal for which a cup goes into nothing.
 _HANDED_OVER = "handoff"
 
-#: The rate of control ticks, Hz, and what makes one of them, physics steps and s.
+#: The rate of control ticks, Hz.
 TICK_HZ = 30
-STEPS = 16
-TIMESTEP = 1.0 / (TICK_HZ * STEPS)
-# Physics steps a tick of scenes with cloth.
-_CLOTH_STEPS = 8
+# Physics steps a tick, and of scenes with cloth.
+_STEPS, _CLOTH_STEPS = 16, 8
 
 # A table that a scene needs wider than it is ends so far beside its things, m.
 _EDGE = 0.10
@@ -110,7 +107,7 @@ def realize(blueprint: SceneBlueprint, base: Session) -> Realization:
     nests = blueprint.target_kind != _HANDED_OVER
     objects = [
         sheet_of(item, blueprint, base.locations)
-        if blueprint.target_kind == FOLD
+        if item.asset in SHEETS or blueprint.target_kind == FOLD
         else thing_of(item, blueprint.conditions, base.locations, nests)
         for item in things
     ]
@@ -138,11 +135,11 @@ def _place(scene: CompiledScene, qpos: Array, name: str) -> Array:
     return qpos[address : address + 2]
 
 
-def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, Any]) -> ProgramTask:
+def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, ObjectConfig]) -> ProgramTask:
     """The scene as a task of ours. Its goal and its expert are never asked: the benchmark's checker judges."""
     first = next(iter(objects))
-    cloth = blueprint.target_kind == FOLD
-    steps = _CLOTH_STEPS if cloth else STEPS
+    folds = objects[first].cloth is not None
+    steps = _CLOTH_STEPS if any(item.cloth is not None for item in objects.values()) else _STEPS
     place = {"x": (0.0, 0.0), "y": (0.0, 0.0)}
     return ProgramTask.model_validate(
         {
@@ -152,8 +149,8 @@ def _task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str,
             "things": {name: {"of": (item,)} for name, item in objects.items()},
             "starts": dict.fromkeys(objects, place),
             "phrasings": {"training": (blueprint.instruction,)},
-            "goal": {"all": [{"folded" if cloth else "upright": {"thing": first}}]},
-            "expert": ({"fold" if cloth else "pick": {"thing": first}},),
+            "goal": {"all": [{"folded" if folds else "upright": {"thing": first}}]},
+            "expert": ({"fold" if folds else "pick": {"thing": first}},),
             "timing": {"physics_steps_per_tick": steps, "timestep": 1.0 / (TICK_HZ * steps)},
             "start_joints": config.start_joints,
         }
