@@ -18,9 +18,10 @@ _SPEED = 0.3
 _LOWEST, _OF_SMALL = 0.08, 0.3
 _ASIDE = 0.5
 
-# Fabric does not pass through itself. Cloth that does after it was dropped, or that is not as high as so many layers,
-# is taken anew, so often at most.
-_TRIES = 12
+# Fabric does not pass through itself, nor into what it lies on. Cloth that does after it was dropped, by this share of
+# its thickness, or that is not as high as so many layers, is taken anew, so often at most.
+_TRIES = 40
+_SUNK = 0.5
 _CRUMPLED = 4.0
 
 # Crumpled cloth goes on sinking for so many times as long as other things take to come to rest, at most.
@@ -41,13 +42,14 @@ def crumpled(
     """
     lying = scene.cloths[cloth]
     ends, corners = edges(*lying.grid), triangles(*lying.grid)
+    lowest = float(lying.points(start)[:, 2].min()) - _SUNK * lying.thickness
     faults: list[int] = []
     tried: list[Array] = []
     while len(tried) < _TRIES and 0 not in faults:
         tried.append(_dropped(scene, start, lying, rng, share, timestep))
         points = lying.points(tried[-1])
         low = float(np.ptp(points[:, 2])) < (_CRUMPLED - 1) * lying.thickness
-        faults.append(crossings(points, ends, corners) + low)
+        faults.append(crossings(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
     return tried[int(np.argmin(faults))]
 
 

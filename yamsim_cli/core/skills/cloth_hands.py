@@ -32,9 +32,6 @@ _SHUT = 0.006
 # A hand that let go is under what it laid, and leaves it by so much, m.
 _OUT = 0.04
 
-# Two hands that move at once are looked at every so many ticks.
-_LOOK = 3
-
 #: A fold goes on an arch so high, as a share of its way.
 ARCH = 0.45
 
@@ -117,7 +114,7 @@ def _approached(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
 def _free_together(bench: Bench, ways: Mapping[Hand, Array]) -> bool:
     """Whether hands that go their ways (n + 1, dof) at once do not touch each other."""
     ticks = max(len(way) for way in ways.values())
-    for tick in range(0, ticks, _LOOK):
+    for tick in range(ticks):
         there = [(hand, way[min(tick, len(way) - 1)]) for hand, way in ways.items()]
         if not all(clear_of(bench, one, other) for one, other in itertools.combinations(there, 2)):
             return False

@@ -170,6 +170,9 @@ def _apart(bench: Bench, taken: Sequence[Taken]) -> bool:
 
 
 def clear_of(bench: Bench, one: tuple[Hand, Array], other: tuple[Hand, Array]) -> bool:
-    """Whether two hands with given joints (dof,), about to take cloth, do not touch each other."""
-    there = bench.imagined(*one, WIDE, None)
-    return bench.obstacles.touched(there, other[0].number, other[1], WIDE) is None
+    """Whether two hands with given joints (dof,), about to take cloth, do not touch each other. Their fingers may be as
+    far open as they are yet.
+    """
+    (hand, joints), (beside, its_joints) = one, other
+    there = bench.imagined(hand, joints, max(WIDE, hand.opening), None)
+    return bench.obstacles.touched(there, beside.number, its_joints, max(WIDE, beside.opening)) is None
