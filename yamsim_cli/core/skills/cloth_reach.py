@@ -21,6 +21,12 @@ WIDE = 0.012
 _HALF_PAD, _HALF_WIDTH, _TIPS = 0.0082, 0.0072, 0.001
 _INWARDS = 0.007
 
+# Around the middle between its open fingers a hand takes so much room, of which they leave so much for cloth between
+# them, along x and along y. Cloth beside them that stands higher over their tips than this would end up on a finger.
+# All in m.
+_ROOM, _BETWEEN = 0.024, (0.009, 0.011)
+_STANDING = 0.03
+
 # Of a layer that lies on others, a hand takes hold beside a point on the side of points up to so many cells away.
 _NEXT = 2
 
@@ -124,6 +130,8 @@ def _taken(bench: Bench, hand: Hand, points: Array, lay: Lay) -> Taken | None:
         up = _HALF_PAD * math.cos(lean) + _HALF_WIDTH * math.sin(lean) + _TIPS
         up -= 0.0 if lay.alone else _layers(points, place)
         T_at = pose((*(place[:2] + _INWARDS * inwards), place[2] + up), R)
+        if lay.alone and _stands_beside(points, T_at):
+            continue
         T_near = T_at.copy()
         T_near[2, 3] += _NEAR
         near = hand.reach(T_near, (hand.ready,), PASSING)
@@ -138,6 +146,14 @@ def _taken(bench: Bench, hand: Hand, points: Array, lay: Lay) -> Taken | None:
             if end is not None and not bench.obstacles.meets_itself(hand.number, end):
                 return Taken(hand, lay, T_at, R_end, before, end, ahead, aside)
     return None
+
+
+def _stands_beside(points: Array, T_at: Array) -> bool:
+    """Whether cloth stands up beside the fingers of a hand that comes down on it to a pose (4, 4)."""
+    seen = (points.reshape(-1, 3) - T_at[:3, 3]) @ T_at[:3, :3]
+    across = np.abs(seen[:, :2])
+    beside = (across < _ROOM).all(axis=1) & ~(across < _BETWEEN).all(axis=1)
+    return bool((_HALF_PAD - seen[beside, 2] > _STANDING).any())
 
 
 def _layers(points: Array, place: Array) -> float:
