@@ -7,13 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 
+from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.session import Session
+from yamsim_cli.core.sim.world import world_of
+from yamsim_cli.core.skills.bench import Bench
 from yamsim_cli.core.types import Attempt, EpisodeJob
 
 STATION = "yam_station_linear_4310_d405"
@@ -98,3 +103,11 @@ def started(simulators: Simulators) -> tuple[Simulator, Attempt, mujoco.MjData]:
     data = mujoco.MjData(simulator.scene.model)
     simulator.scene.reset(data, attempt.start)
     return simulator, attempt, data
+
+
+def bench_at_start(simulators: Simulators) -> Bench:
+    """What skills find where the first attempt begins."""
+    simulator, _, data = started(simulators)
+    world = world_of(simulator.scene, data, sides(simulator.config))
+    stands = list(start_stands(simulator.config))
+    return simulator.expert_tools.bench(world, stands, np.random.default_rng(0))

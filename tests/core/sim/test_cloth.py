@@ -20,6 +20,7 @@ from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.geometry.tangles import crossings
 from yamsim_cli.core.scene.cloth import edges, triangles
+from yamsim_cli.core.sim import crumple
 from yamsim_cli.core.sim.imagined import pulled
 from yamsim_cli.core.sim.led import led
 from yamsim_cli.core.sim.world import world_of
@@ -62,6 +63,23 @@ def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path)
             assert not crossings(points, edges(*grid), triangles(*grid))
         assert np.array_equal(starts[0], starts[2])
         assert np.abs(starts[0] - starts[1]).max() > 0.01
+
+
+def test_cloth_that_fell_into_the_table_is_taken_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, attempt, _ = started(simulators)
+        assert attempt.start is not None
+        height = simulator.scene.cloths["napkin"].qpos[0, 2]
+        sunk, standing = attempt.start.copy(), attempt.start.copy()
+        sunk[height] -= 0.017
+        standing[height] += 0.017
+        falls = iter([sunk, standing])
+        monkeypatch.setattr(crumple, "_dropped", lambda *given: next(falls))
+        rng = np.random.default_rng(0)
+        again = crumple.crumpled(
+            simulator.scene, attempt.start, "napkin", rng, 0.3, simulator.config.task.timing.timestep
+        )
+        assert np.array_equal(again, standing)
 
 
 def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:

@@ -7,13 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.programs import FOLD, session_of, started
-from yamsim_cli.core.attempt.expert import sides
+from tests.programs import FOLD, bench_at_start, session_of
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.smoothing import height
-from yamsim_cli.core.planning.demonstration import start_stands
-from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.skills.cloth_hands import outcome
 from yamsim_cli.core.skills.slide import SPEED, slid
 
@@ -26,11 +23,9 @@ def _turned(points: Array) -> float:
 
 def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
-        simulator, _, data = started(simulators)
-        world = world_of(simulator.scene, data, sides(simulator.config))
-        stands = list(start_stands(simulator.config))
-        bench = simulator.expert_tools.bench(world, stands, np.random.default_rng(0))
-        turned = _turned(world.points("napkin"))
+        bench = bench_at_start(simulators)
+        points = bench.world.points("napkin")
+        turned = _turned(points)
         assert 10 <= turned <= 20
 
         def wanted(points: Array) -> bool:
@@ -42,5 +37,5 @@ def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: 
         assert wanted(after) and height(after) < 0.01
         # It comes nearer to the arms by 10 cm, since what is pulled comes along straight.
         assert np.ptp(after[..., 0]) < 0.22
-        assert after[..., 0].mean() == pytest.approx(world.points("napkin")[..., 0].mean() - 0.1, abs=0.02)
+        assert after[..., 0].mean() == pytest.approx(points[..., 0].mean() - 0.1, abs=0.02)
         assert slid(bench, "napkin", [0.0], lambda points: False) is None
