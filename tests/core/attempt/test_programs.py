@@ -111,6 +111,15 @@ def test_fingers_that_never_close_reach_nothing(simulators: Simulators) -> None:
     assert not outcome.success and outcome.cause in (Cause.SLIPPED, Cause.DROPPED, Cause.GOAL)
 
 
+def test_all_tries_are_told_of_what_no_arm_reaches(tmp_path: Path) -> None:
+    away = changed({("starts", "cube"): {"x": [0.70, 0.72], "y": [0.30, 0.32]}})
+    with Simulators(session_of(tmp_path, away)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate_program(simulator, attempt).outcome
+    assert outcome.cause is Cause.UNREACHABLE
+    assert [(one.step, one.skill, one.frame) for one in outcome.recoveries] == [(0, "pick", 0), (0, "pick", 0)]
+
+
 def test_standing_still_reaches_nothing_and_what_is_said_reaches_the_policy(session: Session, tmp_path: Path) -> None:
     with TrialRunner(session, PolicyChoice("hold_still", tmp_path, time_limit=1.0)) as runner:
         result = runner.run(EpisodeJob(0, 0))

@@ -81,18 +81,23 @@ def demonstrate_program(simulator: Simulator, attempt: Attempt, *, grips: bool =
     rng = generator(attempt.job, Stream.SEARCH)
     bench = simulator.expert_tools.bench(loop.world, list(start_stands(config)), rng)
     diary, noted = Diary(), list[Recovery]()
+
+    def note() -> None:
+        noted.extend(Recovery(one.step, one.skill, one.detail, loop.frames) for one in diary.recoveries[len(noted) :])
+
     failure: tuple[Cause, str] | None = None
     # What comes after the program has to act as well.
     most = task.most_ticks - task.timing.settle_ticks - task.hold_ticks
     try:
         for segment in run_program(_program(task, cast), bench, cast, diary):
-            noted += [Recovery(one.step, one.skill, one.detail, loop.frames) for one in diary.recoveries[len(noted) :]]
+            note()
             if loop.ticks + segment.ticks > most:
                 failure = Cause.TIME, f"not done after {loop.ticks * task.timing.tick:.0f} s"
                 break
             loop.act(_opened(scene, path_actions(scene, segment.paths), grips))
     except SkillFailedError as error:
         failure = error.cause, str(error)
+    note()
     last = bench.wait(max(1, task.timing.settle_ticks + task.hold_ticks))
     loop.act(_opened(scene, path_actions(scene, last.paths), grips), last=True)
     watched = loop.result()
