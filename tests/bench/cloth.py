@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,6 +21,7 @@ import numpy as np
 from yamsim_cli.core.attempt.planned import demonstrate
 from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
 from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
@@ -29,12 +31,14 @@ from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.cloth import add_cloth, edges, rest_points, triangles
 from yamsim_cli.core.sim.cloth import ClothGrips
-from yamsim_cli.core.types import Actions, EpisodeJob
+from yamsim_cli.core.types import Actions, EpisodeJob, StepState
 
 # A drop or a pull takes so many steps of so long, s; the thing pulled at is let go after so many.
 _STEPS, _STEP, _LET_GO = 300, 0.004, 225
 # Faster than this is no motion of cloth, m/s.
 _TOO_FAST = 20.0
+# Fingers that hold nothing are open so far each, m.
+_OPEN = 0.02
 
 
 @dataclass
@@ -94,21 +98,24 @@ def fold(task: str, count: int, first: int, spoilt: int) -> None:
                 flush=True,
             )
             if number - first < spoilt and outcome.success:
-                open_fingers = demonstrate_program(simulator, done.attempt, grips=False).outcome
-                let_go = repeat_program(
-                    simulator, done.attempt, _let_go_half_way(simulator, done.states), planned=False
-                ).outcome
-                said = "; ".join(measure.detail for measure in let_go.measures if measure.detail)
-                print(f"   fingers open: {open_fingers.cause}; let go half-way: {let_go.cause}, {said}", flush=True)
+                stuck = demonstrate_program(simulator, done.attempt, grips=False).outcome
+                print(f"   the expert's fingers do not close: {stuck.cause or 'folded'}", flush=True)
+                for what, share in (("the same motion, fingers open", 0.0), ("let go half-way", 0.5)):
+                    opened = _opened(simulator, done.states, share)
+                    spoilt_one = repeat_program(simulator, done.attempt, opened, planned=False).outcome
+                    said = "; ".join(measure.detail for measure in spoilt_one.measures if measure.detail)
+                    print(f"   {what}: {spoilt_one.cause or 'folded'}, {said}", flush=True)
 
 
-def _let_go_half_way(simulator: Any, states: Any) -> Actions:
+def _opened(simulator: Simulator, states: Sequence[StepState], share: float) -> Actions:
+    """An episode's actions, with fingers open after a share of what is held, or throughout for 0."""
     acting = Actions(
         *(np.concatenate([getattr(s.actions, key) for s in states]) for key in ("ctrl", "magnet", "joints"))
     )
     held, ctrl = np.flatnonzero(acting.magnet.any(axis=1)), acting.ctrl.copy()
+    since = held[0] + int(share * (held[-1] - held[0])) if share else 0
     for arm in simulator.scene.arms:
-        ctrl[(held[0] + held[-1]) // 2 :, arm.fingers.ctrl] = 0.02
+        ctrl[since:, arm.fingers.ctrl] = _OPEN
     return replace(acting, ctrl=ctrl)
 
 

@@ -26,6 +26,9 @@ _FORCE = 20.0
 _DEEPER = (0.002, 0.004, 0.006, 0.008)
 _OPEN_TICKS = 4
 
+# Fingers that were told to open by `WIDE` each are stuck if they are open more than this, m.
+_STUCK = 2 * WIDE
+
 # Fingers are closed that are open less than this each, m: far less than they open before, and more than cloth is thick.
 _SHUT = 0.006
 
@@ -69,10 +72,11 @@ def carry(
         speed: m/s.
 
     Raises:
-        SkillFailedError: a hand missed its point.
+        SkillFailedError: a hand missed its point, or its fingers do not close.
     """
     wide = {one.hand: Fingers(WIDE) for one in taken}
     yield from _approached(bench, taken)
+    _check_fingers(bench, taken)
     yield bench.segment({one.hand: bench.line(one.hand, one.T_at) for one in taken})
     yield from _take(bench, thing, taken)
     missed = [one.hand for one in taken if one.hand.side not in bench.world.holders(thing)]
@@ -109,6 +113,15 @@ def _approached(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:
     for hand, goal in goals.items():
         fingers = {hand: wide[hand]} if hand in wide else {}
         yield bench.segment({hand: bench.way(hand, goal, WIDE)}, fingers, arrives=False)
+
+
+def _check_fingers(bench: Bench, taken: Sequence[Taken]) -> None:
+    """Raise `SkillFailedError` where fingers did not come nearer to each other: so far open they would go through cloth
+    that stands up beside a point, and take it along.
+    """
+    for one in taken:
+        if bench.opening(one.hand) > _STUCK:
+            raise SkillFailedError(Cause.SLIPPED, f"the {one.hand.side} hand's fingers do not close")
 
 
 def _free_together(bench: Bench, ways: Mapping[Hand, Array]) -> bool:
