@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .commands.signals import noted_signals
+from .terminal.signals import noted_signals
 
 
 def main() -> None:

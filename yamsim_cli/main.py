@@ -30,12 +30,12 @@ from .commands.render_views import render_views
 from .commands.replay import replay
 from .commands.serve_policy import serve_policy
 from .commands.serve_robot import serve_robot
-from .commands.signals import raise_signals
 from .commands.summarize import summarize
 from .commands.teleop import teleop
 from .commands.verify import verify
 from .commands.view import view
 from .core.errors import ResourceError, YamsimError
+from .terminal.signals import raise_signals
 
 app = typer.Typer(
     name="yamsim",

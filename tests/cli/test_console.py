@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
-from yamsim_cli.commands import console
-from yamsim_cli.commands.console import progress_bar
+from yamsim_cli.terminal import console
+from yamsim_cli.terminal.console import progress_bar
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_without_a_pace_there_is_no_time_left(at: Callable[[float], None], capsy
 
 def test_a_command_tells_its_progress_on_stderr_beside_json() -> None:
     code = (
-        "import sys; from yamsim_cli.commands import console; console._LOG_SECONDS = 0.0\n"
+        "import sys; from yamsim_cli.terminal import console; console._LOG_SECONDS = 0.0\n"
         "sys.argv = ['yamsim', 'pickplace', 'batch', '--n', '2', '--workers', '1', '--json']\n"
         "from yamsim_cli.main import main; main()"
     )

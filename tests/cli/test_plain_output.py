@@ -16,9 +16,9 @@ from rich.console import Console
 
 from tests.cli.run_cli import yamsim
 from tests.cli.test_docs import COMMANDS
-from yamsim_cli.commands.console import print_table, print_text
-from yamsim_cli.commands.tables import facts, listing
-from yamsim_cli.commands.trials import evaluation_table, trials_table
+from yamsim_cli.terminal.console import print_table, print_text
+from yamsim_cli.terminal.tables import facts, listing
+from yamsim_cli.terminal.trial_tables import evaluation_table, trials_table
 
 LONG = "/data/" + "a_very_long_name/" * 8 + "[bold]x"
 SPREAD = {"median": 0.1234, "p95": 0.2345, "max": 0.3456}

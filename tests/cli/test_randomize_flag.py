@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from yamsim_cli.commands.session import opener
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.flags.session import opener
 
 MINE = "{lens_deg: [-1, 1]}"
 

@@ -82,7 +82,7 @@ def test_an_import_is_not_broken_off(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nwhole = True\n")
     code = """
 import time
-from yamsim_cli.commands.signals import raise_signals
+from yamsim_cli.terminal.signals import raise_signals
 raise_signals()
 try:
     import slow

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import ConfigError, ResourceError
+from yamsim_cli.terminal.tables import Listing, file_size, listing
 
 from .certify_object import certify_object
 from .import_object import import_object
-from .tables import Listing, file_size, listing
 
 if TYPE_CHECKING:
     from yamsim_cli.core.assets import AssetLock, AssetSet, AssetStore, FetchReport, ReducedSet
@@ -32,7 +32,7 @@ def list_assets(json: Json = False) -> None:
 
     Example: yamsim assets list --json
     """
-    from .console import print_json, print_line, print_table
+    from yamsim_cli.terminal.console import print_json, print_line, print_table
 
     lock, store = _open()
     items = [item for assets in lock.sets.values() for item in _files(assets, store)]
@@ -58,7 +58,7 @@ def fetch(
 
     Example: yamsim assets fetch ycb
     """
-    from .console import print_json, print_line, print_table
+    from yamsim_cli.terminal.console import print_json, print_line, print_table
 
     lock, store = _open()
     report, reduced = _fetch_with_progress(lock, store, names or [])
@@ -137,8 +137,7 @@ def _fetch_with_progress(
     from rich.progress import BarColumn, Progress, TextColumn
 
     from yamsim_cli.core.assets import default_sources, fetch, make_reduced
-
-    from .console import console, note
+    from yamsim_cli.terminal.console import console, note
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[done]}"))
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:

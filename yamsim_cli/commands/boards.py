@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
-
-from .console import print_json, print_line
-from .session import Json, opener
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.console import print_json, print_line
 
 if TYPE_CHECKING:
     from yamsim_cli.core.boards.sheet import Sheet

@@ -10,8 +10,7 @@ import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.serve.places import default_folder
-
-from .console import print_json
+from yamsim_cli.terminal.console import print_json
 
 Folder = Annotated[
     Path | None, typer.Option(metavar="DIRECTORY", help="Where the buses' sockets lie.  [default: one of yours]")

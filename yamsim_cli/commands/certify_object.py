@@ -10,11 +10,10 @@ import typer
 
 from yamsim_cli import __version__
 from yamsim_cli.core.errors import ResourceError
-
-from .console import note, print_json, print_table, progress_bar
-from .report_path import require_free
-from .session import Json, opener
-from .tables import listing
+from yamsim_cli.flags.report_path import require_free
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
+from yamsim_cli.terminal.tables import listing
 
 if TYPE_CHECKING:
     from yamsim_cli.core.certify.run import Certified

@@ -8,10 +8,9 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
-
-from .console import note, print_json, print_line
-from .session import Json, Margin, Revision, Robot, opener
-from .settings import Grasp, Rig
+from yamsim_cli.flags.session import Json, Margin, Revision, Robot, opener
+from yamsim_cli.flags.settings import Grasp, Rig
+from yamsim_cli.terminal.console import note, print_json, print_line
 
 
 def compose_xml(

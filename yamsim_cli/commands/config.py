@@ -8,10 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-
-from .console import print_json, print_line, print_table
-from .session import Json, opener
-from .tables import facts
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.console import print_json, print_line, print_table
+from yamsim_cli.terminal.tables import facts
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 

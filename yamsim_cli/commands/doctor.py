@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError
-
-from .console import print_json, print_line, print_text
-from .session import Json, opener
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.console import print_json, print_line, print_text
 
 if TYPE_CHECKING:
     from yamsim_cli.core.doctor import Check

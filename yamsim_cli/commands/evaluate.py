@@ -8,11 +8,8 @@ from typing import Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError
-
-from .console import note, print_json, print_table, progress_bar
-from .films import film, films_at
-from .session import Json, Revision, Robot, opener
-from .settings import (
+from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.settings import (
     Arm,
     ConfigOption,
     Grasp,
@@ -30,7 +27,9 @@ from .settings import (
     Threshold,
     Workers,
 )
-from .trials import evaluation_table
+from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
+from yamsim_cli.terminal.films import film, films_at
+from yamsim_cli.terminal.trial_tables import evaluation_table
 
 
 def evaluate(

@@ -8,9 +8,8 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
-
-from .console import print_json, print_line
-from .session import Json, Margin, Revision, RigName, Robot, opener
+from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
+from yamsim_cli.terminal.console import print_json, print_line
 
 
 def excite(

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError, counted
-
-from .console import note, print_json, print_line, progress_bar
-from .session import Json, opener
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.export.raiden_options import RaidenOptions

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-
-from .console import note, print_json, print_table, progress_bar
-from .report_path import require_free
-from .session import Json, Margin, Revision, Robot, opener
-from .settings import ReportFile
+from yamsim_cli.flags.report_path import require_free
+from yamsim_cli.flags.session import Json, Margin, Revision, Robot, opener
+from yamsim_cli.flags.settings import ReportFile
+from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
@@ -190,6 +189,6 @@ def _tell(
     if json:
         print_json(report)
     else:
-        from .gap_table import gap_tables
+        from yamsim_cli.terminal.gap_table import gap_tables
 
         print_table(gap_tables(report))

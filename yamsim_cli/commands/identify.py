@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from yamsim_cli.core.errors import SimulationError, UsageError
-
-from .console import note, print_json, print_line, print_table, progress_bar
-from .session import Json, Margin, Revision, RigName, Robot, opener
-from .tables import listing
+from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
+from yamsim_cli.terminal.console import note, print_json, print_line, print_table, progress_bar
+from yamsim_cli.terminal.tables import listing
 
 if TYPE_CHECKING:
     from yamsim_cli.core.identify.identify import Identified

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
 from .certify_object import brief, certify_named, failure
-from .console import note, print_json, print_line, progress_bar
-from .session import Json, opener
 
 if TYPE_CHECKING:
     from yamsim_cli.core.import_thing.from_file import ImportedFile

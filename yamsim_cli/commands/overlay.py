@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError
-
-from .console import note, print_json, print_line, progress_bar
-from .session import Json, Margin, Revision, opener
+from yamsim_cli.flags.session import Json, Margin, Revision, opener
+from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig

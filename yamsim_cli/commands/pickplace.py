@@ -8,12 +8,9 @@ from typing import Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError
-
-from .console import note, print_json, print_table, progress_bar
-from .films import film, films_at
-from .report_path import require_free
-from .session import Json, Revision, Robot, opener
-from .settings import (
+from yamsim_cli.flags.report_path import require_free
+from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.settings import (
     Arm,
     ConfigOption,
     Grasp,
@@ -27,7 +24,9 @@ from .settings import (
     Threshold,
     Workers,
 )
-from .trials import trials_table
+from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
+from yamsim_cli.terminal.films import film, films_at
+from yamsim_cli.terminal.trial_tables import trials_table
 
 app = typer.Typer(help="Run pick-and-place trials.", no_args_is_help=True)
 

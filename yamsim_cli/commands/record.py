@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-
-from .console import note, print_json, print_line, progress_bar
-from .session import Json, Revision, Robot, opener
-from .settings import (
+from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.settings import (
     Arm,
     Cameras,
     ConfigOption,
@@ -29,7 +27,8 @@ from .settings import (
     Workers,
     Wrist,
 )
-from .signals import stoppable
+from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
+from yamsim_cli.terminal.signals import stoppable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.dataset.writing.opening import OpenMode

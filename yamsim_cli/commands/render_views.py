@@ -8,10 +8,9 @@ from typing import Annotated
 import typer
 
 from yamsim_cli.core.opener import parse_size
-
-from .console import print_json, print_line
-from .session import Json, Margin, Revision, RigName, Robot, opener
-from .settings import Quality
+from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
+from yamsim_cli.flags.settings import Quality
+from yamsim_cli.terminal.console import print_json, print_line
 
 
 def render_views(

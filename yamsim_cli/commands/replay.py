@@ -11,11 +11,10 @@ import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.opener import parse_size
-
-from .console import note, print_json, print_line
-from .session import Json, opener
-from .signals import noted_signals
-from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.terminal.console import note, print_json, print_line
+from yamsim_cli.terminal.signals import noted_signals
 
 if TYPE_CHECKING:
     from yamsim_cli.core.dataset.reader import RecordedEpisode, StoredEpisode

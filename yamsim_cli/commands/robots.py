@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from .items import print_item, print_items
-from .session import Json, opener
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.items import print_item, print_items
 
 app = typer.Typer(help="List the arms, grippers and stations, and show one.", no_args_is_help=True)
 

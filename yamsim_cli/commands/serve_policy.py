@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from .console import note, print_json, print_line
-from .session import Json
+from yamsim_cli.flags.session import Json
+from yamsim_cli.terminal.console import note, print_json, print_line
 
 
 def serve_policy(

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.settings import ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task
+from yamsim_cli.terminal.console import note, print_json, print_line
+from yamsim_cli.terminal.signals import stoppable
+
 from .can_run import Folder, bus_folder
-from .console import note, print_json, print_line
-from .session import Json, Revision, Robot, opener
-from .settings import ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task
-from .signals import stoppable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.serve.arms import Served

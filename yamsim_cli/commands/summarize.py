@@ -9,10 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-
-from .console import note, print_json, print_table, progress_bar
-from .report_path import require_free
-from .session import Json, opener
+from yamsim_cli.flags.report_path import require_free
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
 
 
 def summarize(
@@ -56,7 +55,7 @@ def summarize(
     if json:
         print_json(report)
     else:
-        from .summary_table import findings
+        from yamsim_cli.terminal.summary_table import findings
 
         print_table(findings(report))
         if html:

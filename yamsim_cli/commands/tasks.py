@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from .items import print_item, print_items
-from .session import Json, opener
-from .settings import ConfigOption, Rig, Seed, Workers
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.settings import ConfigOption, Rig, Seed, Workers
+from yamsim_cli.terminal.items import print_item, print_items
 
 app = typer.Typer(help="List the tasks, show one, and check one.", no_args_is_help=True)
 
@@ -64,9 +64,8 @@ def check(
 
     from yamsim_cli.core.config.pairs import require_program
     from yamsim_cli.core.task_proof.proof import prove, require_proof
-
-    from .console import print_json, print_table, progress_bar
-    from .tables import listing
+    from yamsim_cli.terminal.console import print_json, print_table, progress_bar
+    from yamsim_cli.terminal.tables import listing
 
     require_program(session.config, "`yamsim tasks check`")
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
+from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist
+from yamsim_cli.flags.viewing import Host, Port, page_address, quiet_page
+from yamsim_cli.terminal.console import note, print_json, print_line
+from yamsim_cli.terminal.signals import stoppable
 
-from .console import note, print_json, print_line
 from .record import mode_of
-from .session import Json, Revision, Robot, opener
-from .settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist
-from .signals import stoppable
-from .viewing import Host, Port, page_address, quiet_page
 
 if TYPE_CHECKING:
     from yamsim_cli.core.teleop.loop import TeleopReport

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
+from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.terminal.console import print_json, print_table, progress_bar
+from yamsim_cli.terminal.tables import facts
 
-from .console import print_json, print_table, progress_bar
 from .divergence import WAYS, sentence, trouble, verdict
-from .session import Json, opener
-from .tables import facts
 
 if TYPE_CHECKING:
     from rich.text import Text

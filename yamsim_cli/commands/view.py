@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-
-from .console import print_json, print_line
-from .session import Json, Margin, Revision, Robot, opener
-from .settings import Rig, Seed, Task
-from .signals import noted_signals
-from .viewing import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.flags.session import Json, Margin, Revision, Robot, opener
+from yamsim_cli.flags.settings import Rig, Seed, Task
+from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
+from yamsim_cli.terminal.console import print_json, print_line
+from yamsim_cli.terminal.signals import noted_signals
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.pictures import RenderConfig

@@ -17,12 +17,12 @@ from ..core.geometry.se3 import Array
 from ..core.goals.cast import Cast
 from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
-from ..core.skills.cloth_hands import carry
-from ..core.skills.cloth_reach import Lay, Taken, at, reached
+from ..core.skills.cloth.flatten import spread
+from ..core.skills.cloth.hands import carry
+from ..core.skills.cloth.reach import Lay, Taken, at, reached
+from ..core.skills.cloth.slide import SPEED, slid
 from ..core.skills.errors import SkillFailedError
-from ..core.skills.flatten import spread
 from ..core.skills.moves import idle, recover
-from ..core.skills.slide import SPEED, slid
 from ..core.types import Cause
 from .places import T_in_world
 

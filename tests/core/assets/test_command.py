@@ -16,7 +16,7 @@ from yamsim_cli.core.errors import UsageError
 @pytest.fixture
 def run(world, local_pip, monkeypatch):
     """Call the sub-command with a console of its own; the error boundary is not part of it."""
-    console = types.ModuleType("yamsim_cli.commands.console")
+    console = types.ModuleType("yamsim_cli.terminal.console")
     console.console = Console(stderr=True)
     console.print_json = lambda value: sys.stdout.write(json.dumps(value) + "\n")
     console.note = lambda text: sys.stderr.write(text + "\n")

@@ -14,7 +14,7 @@ from ..goals.cast import Cast
 from ..goals.predicates.hung import Hung
 from ..goals.world import TABLE
 from ..scene.robot import bare_arm
-from .fold import Fold
+from .cloth.fold import Fold
 from .hang import Hang
 from .operate import Operate
 from .program import read_steps

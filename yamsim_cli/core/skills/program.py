@@ -14,9 +14,9 @@ from ..errors import suggest
 from ..goals.cast import Cast
 from .base import Skill
 from .bench import Bench, Segment
+from .cloth.flatten import Flatten
+from .cloth.fold import Fold
 from .errors import SkillFailedError
-from .flatten import Flatten
-from .fold import Fold
 from .handover import Handover
 from .hang import Hang
 from .insert import Insert

@@ -9,15 +9,15 @@ from functools import partial
 
 import numpy as np
 
-from ..geometry.se3 import Array, interpolate_rotation, pose
-from ..sim.cloth import between_pads
-from ..sim.imagined import pulled
-from ..types import Cause
-from .bench import Bench, Fingers, Segment
-from .cloth_reach import APPROACH, WIDE, Taken, clear_of
-from .errors import SkillFailedError
-from .hand import Hand
-from .moves import GRIP_TICKS, idle, rest
+from ...geometry.se3 import Array, interpolate_rotation, pose
+from ...sim.cloth import between_pads
+from ...sim.imagined import pulled
+from ...types import Cause
+from ..bench import Bench, Fingers, Segment
+from ..errors import SkillFailedError
+from ..hand import Hand
+from ..moves import GRIP_TICKS, idle, rest
+from .reach import APPROACH, WIDE, Taken, clear_of
 
 # Fingers press on cloth so hard, N.
 _FORCE = 20.0

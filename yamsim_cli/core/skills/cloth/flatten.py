@@ -8,16 +8,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..geometry.se3 import Array
-from ..geometry.smoothing import Point, Pull, furthest, height, pulls, side_of, unevenness
-from ..goals.cast import Cast
-from ..types import Cause
-from .base import Skill
-from .bench import Bench, Segment
-from .cloth_hands import carry, outcome
-from .cloth_reach import Lay, Taken, at, reached
-from .errors import SkillFailedError
-from .moves import recover
+from ...geometry.se3 import Array
+from ...geometry.smoothing import Point, Pull, furthest, height, pulls, side_of, unevenness
+from ...goals.cast import Cast
+from ...types import Cause
+from ..base import Skill
+from ..bench import Bench, Segment
+from ..errors import SkillFailedError
+from ..moves import recover
+from .hands import carry, outcome
+from .reach import Lay, Taken, at, reached
 
 #: Cloth is flat where it is no more layers high than this, and no point lies farther from where it belongs than this
 #: share of its side.

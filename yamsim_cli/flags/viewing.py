@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.terminal.console import note
 
-from .console import note
 from .session import opener
 
 if TYPE_CHECKING:

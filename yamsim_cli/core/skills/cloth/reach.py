@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
-from .bench import Bench
-from .hand import PASSING, Hand
+from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ..bench import Bench
+from ..hand import PASSING, Hand
 
 #: Fingers open so far each before they close on cloth, m.
 WIDE = 0.012

@@ -7,16 +7,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..geometry.folding import Fold as Way
-from ..geometry.folding import Move, ways_to_fold
-from ..geometry.se3 import Array
-from ..goals.cast import Cast
-from ..types import Cause
-from .base import Skill
-from .bench import Bench, Segment
-from .cloth_hands import SPEED, carry
-from .cloth_reach import Lay, Taken, onto, reached
-from .errors import SkillFailedError
+from ...geometry.folding import Fold as Way
+from ...geometry.folding import Move, ways_to_fold
+from ...geometry.se3 import Array
+from ...goals.cast import Cast
+from ...types import Cause
+from ..base import Skill
+from ..bench import Bench, Segment
+from ..errors import SkillFailedError
+from .hands import SPEED, carry
+from .reach import Lay, Taken, onto, reached
 
 # Several layers come apart where they are hurried, m/s.
 _SLOWLY = 0.08

@@ -11,8 +11,8 @@ from tests.programs import FOLD, bench_at_start, session_of
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.smoothing import height
-from yamsim_cli.core.skills.cloth_hands import outcome
-from yamsim_cli.core.skills.slide import SPEED, slid
+from yamsim_cli.core.skills.cloth.hands import outcome
+from yamsim_cli.core.skills.cloth.slide import SPEED, slid
 
 
 def _turned(points: Array) -> float:

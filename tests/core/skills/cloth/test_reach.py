@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.programs import FOLD, bench_at_start, session_of
 from yamsim_cli.core.attempt.simulators import Simulators
-from yamsim_cli.core.skills.cloth_reach import Lay, at, reached
+from yamsim_cli.core.skills.cloth.reach import Lay, at, reached
 
 
 def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ import typer
 from yamsim_cli.core.import_thing.named import config_of
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.kitchen_scenes import task_of
-
-from .console import note
+from yamsim_cli.terminal.console import note
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
 RigName = Annotated[

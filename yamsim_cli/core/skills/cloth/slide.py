@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 
-from ..geometry.se3 import Array, rotation_z
-from ..geometry.smoothing import height
-from .bench import Bench
-from .cloth_hands import outcome
-from .cloth_reach import Lay, Taken, at, reached
+from ...geometry.se3 import Array, rotation_z
+from ...geometry.smoothing import height
+from ..bench import Bench
+from .hands import outcome
+from .reach import Lay, Taken, at, reached
 
 # Cloth is slid aside to the middle between the arms, or not, and by these ways to them, m: what is pulled by its nearer
 # side comes along straight.

@@ -1,0 +1,1 @@
+"""Flags that commands share, and what comes of them before a command starts."""
