@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import shutil
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,12 +20,15 @@ from tests.core.unrendered import SIZE, change_frame, change_record, read_frame,
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
+from yamsim_cli.core.dataset.recorded_images import RecordedImages
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.replay import positions, repeat, shown_again
+from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.player import EpisodePlayer
+from yamsim_cli.core.viewers.viewpoint import Viewpoint
 
 av = pytest.importorskip("av", reason="yamsim[video] is not installed")
 
@@ -212,6 +217,27 @@ def test_a_paused_player_stands_still_and_goes_on_where_it_was(player: EpisodePl
     player.paused = False
     player.advance(6.064)
     assert player.frame == 21
+
+
+def test_a_page_does_not_undo_what_a_user_does_with_its_slider(player: EpisodePlayer, original: Path) -> None:
+    page_module = pytest.importorskip("yamsim_cli.core.viewers.episode_page", reason="yamsim[view] is not installed")
+    viewpoint = Viewpoint(np.zeros(3), 1.0, 0.0, -30.0)
+    page = page_module.EpisodePage(
+        player, viewpoint, PageAddress(), RecordedImages(open_episode(original / "ep_000001"))
+    )
+    try:
+        player.seek(5)
+        page.update()
+        assert page.slider.value == 5
+        # Viser sets it before it tells the page.
+        page.slider.value = 30
+        page.update()
+        assert page.slider.value == 30
+        asyncio.run(page._seek(SimpleNamespace(client=object())))
+        page.update()
+        assert (player.frame, page.slider.value) == (30, 30)
+    finally:
+        page.close()
 
 
 def test_the_page_comes_up_and_a_signal_ends_it(original: Path) -> None:

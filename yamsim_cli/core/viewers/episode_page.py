@@ -37,6 +37,7 @@ class EpisodePage(BodiesPage):
         self._player = player
         self._images = images
         self._pictured: int | None = None
+        self._slid = 0
         self.slider = self._server.gui.add_slider("frame", 0, player.frames - 1, step=1, initial_value=0)
         self.slider.on_update(self._seek)
         self.pictures: dict[str, viser.GuiImageHandle] = {}
@@ -45,9 +46,12 @@ class EpisodePage(BodiesPage):
     def update(self) -> None:
         """Send what has changed since the last call to all clients."""
         super().update()
-        frame = self._player.frame
-        # viser's setter takes more types than its getter returns, which mypy cannot express.
-        self.slider.value = frame  # type: ignore[misc]
+        with self._player.lock:
+            frame = self._player.frame
+            if frame != self._slid:
+                # Only where playing moved the frame: what a user has just done with the slider would be undone.
+                # viser's setter takes more types than its getter returns, which mypy cannot express.
+                self.slider.value = self._slid = frame  # type: ignore[misc]
         state = ", paused" if self._player.paused else ""
         self._status.content = f"{frame * self._player.frame_period:.2f} s{state}"
         # Images are read only if somebody watches, and once at the start.
@@ -68,7 +72,10 @@ class EpisodePage(BodiesPage):
             else:
                 self.pictures[camera] = self._server.gui.add_image(image, label=camera, format="jpeg", jpeg_quality=80)
 
-    def _seek(self, event: Any) -> None:
-        # Without a client, the page itself has moved the slider.
+    async def _seek(self, event: Any) -> None:
+        # Viser awaits this at once. In a thread of its own, it would often come after playing moved the slider on.
+        # Without a client, the page itself has moved it.
         if event.client is not None:
-            self._player.seek(self.slider.value)
+            with self._player.lock:
+                self._slid = self.slider.value
+                self._player.seek(self._slid)
