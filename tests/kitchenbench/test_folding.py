@@ -52,7 +52,7 @@ def folded(points: Array) -> Array:
 @pytest.mark.parametrize("turned_deg", [0.0, 30.0, 77.0])
 def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> None:
     points = sheet(turned_deg)
-    whole = [way for way in ways_to_fold(points) if len(way.corners) == 2 and way.share > 0.49]
+    whole = [way for way in ways_to_fold(points, single=True) if len(way.corners) == 2 and way.share > 0.49]
     assert len(whole) == 4 and all(way.layers == way.beneath == 0 for way in whole)
     corners = {point for way in whole for point, _ in way.corners}
     assert corners == {(0, 0), (0, 8), (12, 0), (12, 8)}
@@ -67,12 +67,25 @@ def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> No
 
 
 def test_of_several_layers_all_are_counted() -> None:
-    ways = ways_to_fold(folded(sheet()))
+    ways = ways_to_fold(folded(sheet()), single=False)
     halves = {frozenset(point for point, _ in way.corners): way for way in ways if way.share > 0.49}
     crease, opening = halves[frozenset({(6, 0), (6, 8)})], halves[frozenset({(0, 0), (0, 8)})]
     assert (crease.layers, crease.beneath) == (1, 0)
     assert (opening.layers, opening.beneath) == (1, 2)
     assert crease.area == pytest.approx(0.4 * 0.15)
+
+
+def test_layers_are_laid_farther_than_what_has_a_wrinkle() -> None:
+    wrinkled = sheet()
+    wrinkled[2, 3, 2] = 0.02
+
+    def farther(single: bool) -> list[float]:
+        """How much farther along y than its mirrored points each end of a whole side is laid."""
+        ways = [way for way in ways_to_fold(wrinkled, single) if way.points == ((0, 0), (0, 8)) and way.share > 0.49]
+        return [float(to[1] - wrinkled[12, 0, 1]) for way in ways for _, to in way.corners]
+
+    assert farther(single=True) == pytest.approx([0.01, 0.01])
+    assert farther(single=False) == pytest.approx([0.04, 0.04])
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from kitchenbench.sim.success import FOLD_RATIO_PER_FOLD
 
 from ..core.config.things.cloth import Cloth
 from ..core.geometry.se3 import Array
+from ..core.geometry.smoothing import Point
 from ..core.goals.cast import Cast
 from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
@@ -37,10 +38,13 @@ _LINE = 0.008
 # A fold has to make the block smaller by this share at least, and there are so many of them at most, and slides before.
 _WORTH, _FOLDS = 0.06, 5
 _SLIDES = 2
+# So many times hands may miss what is to be folded: other points are taken then.
+_MISSES = 2
 
 # What has several layers is laid so much farther, as a multiple of their height, and by a share of the way at most: the
-# outer ones have the longer way.
+# outer ones have the longer way. And so much farther what has one: that takes up a wrinkle.
 _TAUT, _FARTHER = 2.0, 0.08
+_EVENED = 0.5
 
 # Of hands with cloth, m/s: there are only so many actions. Several layers come apart where they are hurried.
 _SPEED, _SLOWLY = 0.2, 0.08
@@ -52,6 +56,8 @@ _THIRD, _FAR, _NEAR = 0.36, 0.60, 0.16
 # Crumpled cloth is spread out until it is no more layers high than this, and no point of it farther from where it
 # belongs than this share of its side.
 _EVEN, _AMISS = 8.0, 0.2
+# There is only time for so many pulls, and for so many more where a slide left it uneven.
+_PULLS, _PULLS_AFTER = 4, 2
 
 # About what a layer is high, m.
 _LAYER = 0.005
@@ -82,8 +88,9 @@ class FoldSmall(Skill):
         """See `Skill`."""
         thing = cast.one(self.thing)
         if self.crumpled:
-            yield from spread(bench, thing, _EVEN, _AMISS)
+            yield from spread(bench, thing, _EVEN, _AMISS, _PULLS)
         folds = slides = 0
+        missed: list[tuple[Point, ...]] = []
         while folds < _FOLDS:
             points = bench.world.points(thing)
             before = block_area(points)
@@ -92,7 +99,8 @@ class FoldSmall(Skill):
             if self.thirds and folds == 1 and (pulled := _nearer(bench, thing)):
                 yield from carry(bench, thing, pulled, arch=0.0, speed=_SPEED)
                 points = bench.world.points(thing)
-            way, taken = _reached(bench, thing, points, self._ordered(points, first=not folds))
+            ways = [way for way in self._ordered(points, first=not folds) if way.points not in missed]
+            way, taken = _reached(bench, thing, points, ways)
             if self.crumpled and not folds and slides < _SLIDES and not self._surely(way):
                 if idle(bench):
                     # Hands that are over the cloth yet are in each other's way.
@@ -102,10 +110,19 @@ class FoldSmall(Skill):
                 if slide is not None:
                     yield from carry(bench, thing, slide, arch=0.0, speed=SPEED)
                     slides += 1
+                    yield from spread(bench, thing, _EVEN, _AMISS, _PULLS_AFTER)
                     continue
             if way is None or taken is None:
                 break
-            yield from carry(bench, thing, taken, speed=_SLOWLY if way.layers else _SPEED)
+            try:
+                yield from carry(bench, thing, taken, speed=_SLOWLY if folds and way.layers else _SPEED)
+            except SkillFailedError:
+                # Begun anew, all of it would be spread out again.
+                missed.append(way.points)
+                if len(missed) > _MISSES:
+                    raise
+                yield from recover(bench)
+                continue
             folds += 1
         if block_area(bench.world.points(thing)) > self.area:
             raise SkillFailedError(Cause.UNREACHABLE, f"no hands reach what would make the {thing} smaller")
@@ -115,7 +132,7 @@ class FoldSmall(Skill):
         makes it smallest.
         """
         before = block_area(points)
-        ways = [way for way in ways_to_fold(points) if way.area < (1 - _WORTH) * before]
+        ways = [way for way in ways_to_fold(points, first) if way.area < (1 - _WORTH) * before]
         if self.thirds and first:
             ways = [way for way in ways if way.share < _THIRD and len(way.corners) > 1]
         return sorted(
@@ -154,7 +171,9 @@ def _nearer(bench: Bench, thing: str) -> list[Taken] | None:
         way = np.array([share * min(high[0] - _FAR, low[0] - _NEAR), 0.0, 0.0])
         if way[0] <= 0:
             break
-        corners = _fold(points, [low[:2], np.array([low[0], high[1]])], np.array((1.0, 0.0)), 1e-3).corners
+        corners = _fold(
+            points, [low[:2], np.array([low[0], high[1]])], np.array((1.0, 0.0)), 1e-3, single=False
+        ).corners
         lays = [Lay(point, at(points[point] - way)) for point, _ in corners]
         if taken := reached(bench, thing, lays):
             return taken
@@ -173,11 +192,16 @@ class Fold:
         share: of what is seen of the cloth, across the crease.
     """
 
-    corners: tuple[tuple[tuple[int, int], Array], ...]
+    corners: tuple[tuple[Point, Array], ...]
     area: float
     layers: int
     beneath: int
     share: float
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """The points that are taken."""
+        return tuple(point for point, _ in self.corners)
 
     @property
     def lays(self) -> list[Lay]:
@@ -190,11 +214,12 @@ def block_area(points: Array) -> float:
     return float(np.prod(np.ptp(points.reshape(-1, 3)[:, :2], axis=0)))
 
 
-def ways_to_fold(points: Array) -> list[Fold]:
+def ways_to_fold(points: Array, single: bool) -> list[Fold]:
     """The ways to fold a cloth as it lies: each side of it over, or each corner, more or less far.
 
     Args:
         points: of the cloth (along y, along x, 3), in `world`, m.
+        single: whether it has one layer yet, so that it is high only where it is uneven.
     """
     turned = _heading(points)
     axes = np.array([[math.cos(turned), math.sin(turned)], [-math.sin(turned), math.cos(turned)]])
@@ -206,21 +231,22 @@ def ways_to_fold(points: Array) -> list[Fold]:
             ends = [end.copy(), end.copy()]
             for corner, bound in zip(ends, (low, high), strict=True):
                 corner[1 - axis] = bound[1 - axis]
-            found += _creased(points, [corner @ axes for corner in ends], inwards * axes[axis])
+            found += _creased(points, [corner @ axes for corner in ends], inwards * axes[axis], single)
     for corner in (np.array((x, y)) for x in (low[0], high[0]) for y in (low[1], high[1])):
         inwards = np.sign(low + high - 2 * corner) / math.sqrt(2)
-        found += _creased(points, [corner @ axes], inwards @ axes)
+        found += _creased(points, [corner @ axes], inwards @ axes, single)
     return found
 
 
-def _creased(points: Array, corners: Sequence[Array], normal: Array) -> list[Fold]:
+def _creased(points: Array, corners: Sequence[Array], normal: Array, single: bool) -> list[Fold]:
     """Folds of corners (2,) over creases with a normal (2,), through lines of points: a sheet bends nowhere else."""
     along = np.sort((points.reshape(-1, 3)[:, :2] - corners[0]) @ normal)
     lines = [float(line.mean()) for line in np.split(along, np.flatnonzero(np.diff(along) > _LINE) + 1)]
-    return [_fold(points, corners, normal, line) for line in lines if 0 < _FIRST * along[-1] < line < _LAST * along[-1]]
+    lines = [line for line in lines if 0 < _FIRST * along[-1] < line < _LAST * along[-1]]
+    return [_fold(points, corners, normal, line, single) for line in lines]
 
 
-def _fold(points: Array, corners: Sequence[Array], normal: Array, depth: float) -> Fold:
+def _fold(points: Array, corners: Sequence[Array], normal: Array, depth: float, single: bool) -> Fold:
     """What lies less than `depth` (m) from given corners (2,), along the crease's normal (2,), is folded over."""
     flat = points.reshape(-1, 3)
     beyond = depth - (flat[:, :2] - corners[0]) @ normal
@@ -234,7 +260,8 @@ def _fold(points: Array, corners: Sequence[Array], normal: Array, depth: float) 
         apart = np.linalg.norm(flat[:, :2] - corner, axis=1)
         near = np.flatnonzero(apart < apart.min() + _AS_NEAR)
         k = int(near[np.argmax(flat[near, 2])])
-        farther = min(_TAUT * thick, _FARTHER * float(np.linalg.norm(mirrored[k] - flat[k, :2])))
+        way = float(np.linalg.norm(mirrored[k] - flat[k, :2]))
+        farther = min((_EVENED if single else _TAUT) * thick, _FARTHER * way)
         to = np.array([*(mirrored[k] + farther * normal), top])
         beneath += len(near) - 1
         row, column = divmod(k, points.shape[1])

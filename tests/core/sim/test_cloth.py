@@ -23,6 +23,7 @@ from yamsim_cli.core.scene.cloth import edges, triangles
 from yamsim_cli.core.sim import crumple
 from yamsim_cli.core.sim.imagined import pulled
 from yamsim_cli.core.sim.led import led
+from yamsim_cli.core.sim.shapes import geom_bounds
 from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.types import Actions, Cause
 
@@ -80,6 +81,23 @@ def test_cloth_that_fell_into_the_table_is_taken_anew(tmp_path: Path, monkeypatc
             simulator.scene, attempt.start, "napkin", rng, 0.3, simulator.config.task.timing.timestep
         )
         assert np.array_equal(again, standing)
+
+
+def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, _, data = started(simulators)
+        scene, model = simulator.scene, simulator.scene.model
+        world = world_of(scene, data, sides(simulator.config))
+        cloth = scene.cloths["napkin"]
+        assert not world.lifters("napkin")
+        # Around the tip that is lowest now.
+        tips = [k for k in range(model.ngeom) if "finger_collide" in model.geom(k).name]
+        tip = min((geom_bounds(model, data, k)[0][2], k) for k in tips)
+        for over, expected in ((0.001, 1), (-0.001, 0)):
+            data.qpos[cloth.qpos] = [*(data.geom_xpos[tip[1], :2] + 0.005), tip[0] + over]
+            mujoco.mj_forward(model, data)
+            assert (data.contact.flex >= 0).any()
+            assert len(world.lifters("napkin")) == expected
 
 
 def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:

@@ -18,6 +18,9 @@ from .shapes import body_block, geom_bounds, geom_points
 # How finely the volume of a thing is sampled. One point more or less is a thousandth of it.
 _POINTS = 1000
 
+# A finger is under cloth that it pushes so steeply up, as the height of a vector of length 1.
+_UNDER = 0.5
+
 
 @dataclass(frozen=True)
 class Region:
@@ -160,6 +163,19 @@ class SimWorld:
             side
             for side, fingers in zip(self.sides, self._fingers, strict=True)
             if len(fingers) and all(np.isin(touching, finger).any() for finger in fingers)
+        )
+
+    def lifters(self, thing: str) -> frozenset[str]:
+        """The sides of the hands that have a finger under a cloth: it would come up with them."""
+        contact = self._data.contact
+        flexes = self._cloths[thing].contacts
+        # The normal points from the first side to the second.
+        up = np.where(flexes[:, 1], 1.0, -1.0) * contact.frame[:, 2]
+        lifted = contact.geom[flexes.any(axis=1) & (up > _UNDER)]
+        return frozenset(
+            side
+            for side, fingers in zip(self.sides, self._fingers, strict=True)
+            if any(np.isin(lifted, finger).any() for finger in fingers)
         )
 
     def passed_to(self, thing: str) -> tuple[str, ...]:

@@ -71,19 +71,22 @@ class Flatten(Skill):
             raise SkillFailedError(Cause.UNREACHABLE, f"no pull makes the {thing} flatter, which is {high:.0f} mm high")
 
 
-def spread(bench: Bench, thing: str, layers: float = LAYERS, aside: float = ASIDE) -> Iterator[Segment]:
+def spread(
+    bench: Bench, thing: str, layers: float = LAYERS, aside: float = ASIDE, most: int = _PULLS
+) -> Iterator[Segment]:
     """Pull a cloth until it lies flat, or no pull makes it flatter.
 
     Args:
         layers: how many it is high at most where it counts as flat.
         aside: how far a point of it is from where it belongs then at most, as a share of its side.
+        most: so many pulls are made at most.
 
     Raises:
         SkillFailedError: hands missed the last point that they were to pull.
     """
     cloth, missed = bench.world.cloth(thing), list[Array]()
     miss: SkillFailedError | None = None
-    for _ in range(_PULLS):
+    for _ in range(most):
         if _is_flat(bench, thing, layers, aside):
             return
         points = bench.world.points(thing)

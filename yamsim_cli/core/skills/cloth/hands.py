@@ -17,13 +17,14 @@ from ..bench import Bench, Fingers, Segment
 from ..errors import SkillFailedError
 from ..hand import Hand
 from ..moves import GRIP_TICKS, idle, rest
-from .reach import APPROACH, WIDE, Taken, clear_of
+from .reach import APPROACH, TIPS, WIDE, Taken, clear_of
 
 # Fingers press on cloth so hard, N.
 _FORCE = 20.0
 
 # Where it was not there, they feel for it so much lower, m, with fingers that open for so many ticks before.
-_DEEPER = (0.002, 0.004, 0.006, 0.008)
+_STEP = 0.002
+_DEEPER = (_STEP, 2 * _STEP, 3 * _STEP, 4 * _STEP)
 _OPEN_TICKS = 4
 
 # Fingers that were told to open by `WIDE` each are stuck if they are open more than this, m.
@@ -84,8 +85,9 @@ def carry(
         yield bench.segment(_arches(bench, thing, taken, arch, speed))
         yield rest(bench)
     yield bench.segment({hand: bench.still(hand, GRIP_TICKS) for hand in wide}, wide, arrives=False)
-    # Hands that pulled a layer alone are on it, not under it.
-    under = [] if missed else [one for one in taken if not one.lay.alone]
+    # Hands that pulled a layer alone are on it, but for fingers that came to be under its edge.
+    lifters = bench.world.lifters(thing)
+    under = [] if missed else [one for one in taken if not one.lay.alone or one.hand.side in lifters]
     if under:
         yield bench.segment({one.hand: _withdrawn(bench, one) for one in under}, arrives=False)
     up = {}
@@ -135,26 +137,38 @@ def _free_together(bench: Bench, ways: Mapping[Hand, Array]) -> bool:
 
 
 def _take(bench: Bench, thing: str, taken: Sequence[Taken]) -> Iterator[Segment]:
-    """Close hands on their points. One that takes a layer alone feels for it where nothing was between its fingers:
-    what lies hollow gives way to fingers that come down.
+    """Close hands on their points. They feel for these where nothing was between their fingers: an arm comes to rest a
+    little too high, and what lies hollow gives way to fingers that come down.
     """
     yield from _close(bench, taken)
     points = bench.world.points(thing)
+    room = {one.hand: _room(points, one) for one in taken}
     for deeper in _DEEPER:
         holders = bench.world.holders(thing)
-        felt = [one for one in taken if one.lay.alone and one.hand.side not in holders and _closed(bench, one.hand)]
+        felt = [
+            one
+            for one in taken
+            if one.hand.side not in holders and deeper - _STEP < room[one.hand] and _closed(bench, one.hand)
+        ]
         if not felt:
             return
         opened = {one.hand: Fingers(WIDE) for one in felt}
         yield bench.segment({hand: bench.still(hand, _OPEN_TICKS) for hand in opened}, opened)
         lines = {}
         for one in felt:
-            # Tips stay off what the cloth lies on.
             lower = one.T_at.copy()
-            lower[2, 3] -= min(deeper, float(points[one.lay.point][2] - points[..., 2].min()))
+            lower[2, 3] -= min(deeper, room[one.hand])
             lines[one.hand] = bench.line(one.hand, lower)
         yield bench.segment(lines)
         yield from _close(bench, felt)
+
+
+def _room(points: Array, one: Taken) -> float:
+    """How much lower a hand at its point may feel, m: its tips do not go into what the cloth (along y, along x, 3) lies
+    on.
+    """
+    hollow = float(points[one.lay.point][2] - points[..., 2].min()) if one.lay.alone else 0.0
+    return hollow + TIPS
 
 
 def _close(bench: Bench, taken: Sequence[Taken]) -> Iterator[Segment]:

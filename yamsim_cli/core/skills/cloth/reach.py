@@ -16,9 +16,10 @@ from ..hand import PASSING, Hand
 #: Fingers open so far each before they close on cloth, m.
 WIDE = 0.012
 
-# The pinch frame is so high over a point that is taken: half a pad, and what lets the tips press on the cloth and stay
-# off what it lies on, m. And so far inwards, so that both pads come down on cloth.
-_HALF_PAD, _HALF_WIDTH, _TIPS = 0.0082, 0.0072, 0.001
+#: Tips are so much over a point that is taken: they press on the cloth, and stay off what it lies on, m.
+TIPS = 0.001
+# The pinch frame is half a pad over them, m. And so far inwards, so that both pads come down on cloth.
+_HALF_PAD, _HALF_WIDTH = 0.0082, 0.0072
 _INWARDS = 0.007
 
 # Around the middle between its open fingers a hand takes so much room, of which they leave so much for cloth between
@@ -127,7 +128,7 @@ def _taken(bench: Bench, hand: Hand, points: Array, lay: Lay) -> Taken | None:
         rotation_from_vector((lean * math.sin(heading), -lean * math.cos(heading), 0.0)) @ level for lean in _LEANS
     ]
     for lean, R in zip(_LEANS, turns, strict=True):
-        up = _HALF_PAD * math.cos(lean) + _HALF_WIDTH * math.sin(lean) + _TIPS
+        up = _HALF_PAD * math.cos(lean) + _HALF_WIDTH * math.sin(lean) + TIPS
         up -= 0.0 if lay.alone else _layers(points, place)
         T_at = pose((*(place[:2] + _INWARDS * inwards), place[2] + up), R)
         if lay.alone and _stands_beside(points, T_at):
