@@ -44,7 +44,7 @@ _MISSES = 2
 # What has several layers is laid so much farther, as a multiple of their height, and by a share of the way at most: the
 # outer ones have the longer way. And so much farther what has one: that takes up a wrinkle.
 _TAUT, _FARTHER = 2.0, 0.08
-_EVENED = 0.5
+_EVENED = 1.0
 
 # Of hands with cloth, m/s: there are only so many actions. Several layers come apart where they are hurried.
 _SPEED, _SLOWLY = 0.2, 0.08
