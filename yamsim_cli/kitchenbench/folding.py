@@ -167,15 +167,12 @@ def _nearer(bench: Bench, thing: str) -> list[Taken] | None:
     """How hands pull a cloth nearer, at the side that is nearest; None where it is near, or they do not reach it."""
     points = bench.world.points(thing)
     low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
+    ends = [_at_corner(points, np.array([low[0], y]))[0] for y in (low[1], high[1])]
     for share in (1.0, 0.75, 0.5):
         way = np.array([share * min(high[0] - _FAR, low[0] - _NEAR), 0.0, 0.0])
         if way[0] <= 0:
             break
-        corners = _fold(
-            points, [low[:2], np.array([low[0], high[1]])], np.array((1.0, 0.0)), 1e-3, single=False
-        ).corners
-        lays = [Lay(point, at(points[point] - way)) for point, _ in corners]
-        if taken := reached(bench, thing, lays):
+        if taken := reached(bench, thing, [Lay(point, at(points[point] - way)) for point in ends]):
             return taken
     return None
 
@@ -257,18 +254,23 @@ def _fold(points: Array, corners: Sequence[Array], normal: Array, depth: float, 
     top = float(flat[~moves, 2].max() + thick)
     taken, beneath = [], 0
     for corner in corners:
-        apart = np.linalg.norm(flat[:, :2] - corner, axis=1)
-        near = np.flatnonzero(apart < apart.min() + _AS_NEAR)
-        k = int(near[np.argmax(flat[near, 2])])
-        way = float(np.linalg.norm(mirrored[k] - flat[k, :2]))
+        point, under = _at_corner(points, corner)
+        end = mirrored.reshape(*points.shape[:2], 2)[point]
+        way = float(np.linalg.norm(end - points[point][:2]))
         farther = min((_EVENED if single else _TAUT) * thick, _FARTHER * way)
-        to = np.array([*(mirrored[k] + farther * normal), top])
-        beneath += len(near) - 1
-        row, column = divmod(k, points.shape[1])
-        taken.append(((row, column), to))
+        taken.append((point, np.array([*(end + farther * normal), top])))
+        beneath += under
     layers = round(thick / _LAYER)
     share = depth / float(((flat[:, :2] - corners[0]) @ normal).max())
     return Fold(tuple(taken), float(np.prod(np.ptp(mirrored, axis=0))), layers, beneath, share)
+
+
+def _at_corner(points: Array, corner: Array) -> tuple[Point, int]:
+    """The uppermost point of a cloth at a corner (2,), by row and column, and how many lie under it."""
+    apart = np.linalg.norm(points[..., :2] - corner, axis=-1)
+    near = np.argwhere(apart < apart.min() + _AS_NEAR)
+    row, column = max(near, key=lambda one: float(points[tuple(one)][2]))
+    return (int(row), int(column)), len(near) - 1
 
 
 def _heading(points: Array) -> float:
