@@ -46,13 +46,16 @@ def evaluate(
     workers: Workers = None,
     policy_arg: Annotated[
         list[str] | None,
-        typer.Option(help="A keyword for your own policy's class; may be repeated.", metavar="KEY=VALUE"),
+        typer.Option(
+            help="A keyword for your own policy's class, and for compared classes that take it; may be repeated.",
+            metavar="KEY=VALUE",
+        ),
     ] = None,
     policy_config: Annotated[
         str | None,
         typer.Option(
-            help="What a policy of another program calls things: a config of the kind policies.  "
-            "[default: by its protocol]"
+            help="What policies of other programs call things: a config of the kind policies.  "
+            "[default: by the policy's protocol]"
         ),
     ] = None,
     execute: Annotated[
@@ -166,13 +169,13 @@ def evaluate(
         with progress_bar("trials", "trials") as advance:
             return evaluation.evaluate(session, choice, advance, trial_timeout)
 
-    limits = (Path.cwd(), policy_timeout, time_limit)
-    found = run(PolicyChoice(policy, *limits, arguments, policy_config, chunking))
+    choice = PolicyChoice(policy, Path.cwd(), policy_timeout, time_limit, arguments, policy_config, chunking)
+    found = run(choice)
     report = evaluation.summary(found, session.config, THRESHOLDS)
     reports = [report]
     for name in others:
-        again = PolicyChoice(name, *limits, chunking=chunking)
-        reports.append(known.get(name) or evaluation.summary(run(again), session.config, THRESHOLDS))
+        other = known.get(name) or evaluation.summary(run(choice.compared_with(name)), session.config, THRESHOLDS)
+        reports.append(other)
     if others:
         report["compared"] = [compared(report, other) for other in reports[1:]]
     if films:

@@ -187,6 +187,34 @@ def test_what_is_for_other_policies_is_refused(
         make_policy(choice, Session(config, locations))
 
 
+@pytest.mark.parametrize(
+    ("other", "arguments", "mapping"),
+    [
+        ("act://127.0.0.1:9", {}, "mine"),
+        ("lerobot:checkpoint", {}, "mine"),
+        ("mine.py:Policy", {"gain": 2}, None),
+        ("scripted", {}, None),
+        ("http://127.0.0.1:9", {}, None),
+    ],
+)
+def test_a_compared_policy_gets_the_same_config_and_keywords_where_it_takes_them(
+    other: str, arguments: dict[str, int], mapping: str | None
+) -> None:
+    compared = PolicyChoice("a:B", HERE, 3.0, 4.0, {"gain": 2}, "mine").compared_with(other)
+    assert (compared.name, compared.arguments, compared.mapping) == (other, arguments, mapping)
+    assert (compared.folder, compared.call_seconds, compared.time_limit) == (HERE, 3.0, 4.0)
+
+
+def test_a_compared_class_is_made_with_the_keywords_that_it_has(config: RecordConfig, locations: Locations) -> None:
+    choice = PolicyChoice("a:B", HERE, arguments={"step": 0.5})
+    samples = "tests.core.policies.sample_policies"
+    made: Any = make_policy(choice.compared_with(f"{samples}:Chunked"), Session(config, locations))
+    assert made._step == 0.5
+    make_policy(choice.compared_with(f"{samples}:Still"), Session(config, locations))
+    with pytest.raises(UsageError, match=r"Still\(\) takes no arguments"):
+        make_policy(PolicyChoice(f"{samples}:Still", HERE, arguments={"step": 0.5}), Session(config, locations))
+
+
 @pytest.mark.parametrize("rig", ["single", "single_linear", "russet", "yam_station_linear_4310_d405"])
 def test_every_picture_of_an_export_is_known(
     rig: str, make_config: Callable[..., RecordConfig], locations: Locations

@@ -18,13 +18,13 @@ from ..dataset.reader import open_episode
 from ..errors import UsageError
 from ..geometry.se3 import Array
 from ..policies.base import Observation, Policy
-from ..policies.loading import ELSEWHERE, FORMS, check_policy, load_policy
+from ..policies.loading import ELSEWHERE, FORMS, check_policy, is_elsewhere, load_policy, takes_keywords
 from ..policies.remote import RemotePolicy
 from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..types import Attempt, EpisodeJob, Holds
 from .choice import PolicyChoice
-from .elsewhere import is_elsewhere, make_elsewhere
+from .elsewhere import make_elsewhere
 
 
 class Trial:
@@ -155,7 +155,7 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
     elsewhere = is_elsewhere(name)
     if choice.mapping is not None and not elsewhere:
         raise UsageError(f"--policy-config is for policies of other programs: {', '.join(ELSEWHERE)}")
-    if choice.arguments and (kind in ("scripted", "hold_still", "replay", "http", "https") or elsewhere):
+    if choice.arguments and not takes_keywords(name):
         raise UsageError(f"--policy-arg is for a policy of your own, module:Class or file.py:Class, and not for {name}")
     if elsewhere:
         return make_elsewhere(choice, session)
@@ -168,4 +168,4 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
     if kind in ("http", "https"):
         remote: Any = RemotePolicy(name, choice.call_seconds)
         return check_policy(remote, name)
-    return load_policy(name, folder, FORMS, choice.arguments)
+    return load_policy(name, folder, FORMS, choice.arguments, known_only=choice.known_only)

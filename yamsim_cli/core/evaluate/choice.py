@@ -1,12 +1,13 @@
-"""Which policy is evaluated, and how."""
+"""Which policy is evaluated, and how its answers are used."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..policies.chunks import Chunking
+from ..policies.loading import is_elsewhere, takes_keywords
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,7 @@ class PolicyChoice:
         arguments: keywords that the user's own policy is made with.
         mapping: name or file of a config of `policies`, for a policy from elsewhere; None for its protocol's own.
         chunking: how chunks of actions are used.
+        known_only: whether a class is made with only those of `arguments` that it takes.
     """
 
     name: str
@@ -29,3 +31,20 @@ class PolicyChoice:
     arguments: Mapping[str, int | float | str] = field(default_factory=dict)
     mapping: str | None = None
     chunking: Chunking = field(default_factory=Chunking)
+    known_only: bool = False
+
+    def compared_with(self, name: str) -> PolicyChoice:
+        """Return the choice of another policy that is compared with this one, under the same conditions.
+
+        A class of the user's gets those keywords that it takes, and a policy of another program the same config.
+
+        Args:
+            name: the other policy's, see `make_policy`.
+        """
+        return replace(
+            self,
+            name=name,
+            arguments=self.arguments if takes_keywords(name) else {},
+            mapping=self.mapping if is_elsewhere(name) else None,
+            known_only=True,
+        )

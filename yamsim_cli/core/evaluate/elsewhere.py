@@ -18,11 +18,6 @@ from .observation import offered_cameras
 _CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}
 
 
-def is_elsewhere(name: str) -> bool:
-    """Whether a policy's name is one of another program's policy."""
-    return name.partition(":")[0] in _CONFIGS and ":" in name
-
-
 def make_elsewhere(choice: PolicyChoice, session: Session) -> MappedPolicy:
     """A policy of another program. Raises as `make_policy`."""
     kind, _, rest = choice.name.partition(":")

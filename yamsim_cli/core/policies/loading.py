@@ -6,7 +6,7 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -30,16 +30,33 @@ def sees_images(name: str) -> bool:
     return name.partition(":")[0] not in _BLIND
 
 
+def is_elsewhere(name: str) -> bool:
+    """Return whether a policy of this name belongs to another program."""
+    kind, colon, _ = name.partition(":")
+    return bool(colon) and kind in (form.partition(":")[0] for form in ELSEWHERE)
+
+
+def takes_keywords(name: str) -> bool:
+    """Return whether a policy of this name is a class of the user's, which is made with keywords."""
+    return name.partition(":")[0] not in (*_BLIND, "http", "https") and not is_elsewhere(name)
+
+
 def load_policy(
-    name: str, folder: Path, forms: str = f"give {_OWN}", arguments: Mapping[str, Any] | None = None
+    name: str,
+    folder: Path,
+    forms: str = f"give {_OWN}",
+    arguments: Mapping[str, Any] | None = None,
+    *,
+    known_only: bool = False,
 ) -> Policy:
-    """A policy of the user's.
+    """Load a policy of the user's.
 
     Args:
         name: `module:Class`, `file.py:Class`, or `file.py` if it has a single class that can be called.
         folder: where modules and files are searched first.
         forms: the forms of a name that the caller accepts, for the error message.
         arguments: keywords that the class is made with.
+        known_only: leave out the keywords that the class does not have.
 
     Raises:
         UsageError: there is no such policy, or it cannot be loaded or made.
@@ -50,13 +67,22 @@ def load_policy(
         raise UsageError(f"--policy {name!r} is not valid: {forms}")
     try:
         module = _load_file(folder / place) if is_file else _load_module(place, folder)
-        made = _find(module, attribute, name)(**(arguments or {}))
+        found, keywords = _find(module, attribute, name), dict(arguments or {})
+        made = found(**(_known(found, keywords) if known_only else keywords))
     except UsageError:
         raise
     # The user's code may raise anything, which the message names.
     except Exception as error:
         raise UsageError(f"--policy {name}: it cannot be loaded: {fault_of(error, folder).text}") from error
     return check_policy(made, name)
+
+
+def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords that a function has parameters for."""
+    parameters = inspect.signature(function).parameters
+    if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
+        return dict(keywords)
+    return {key: value for key, value in keywords.items() if key in parameters}
 
 
 def read_arguments(given: Sequence[str]) -> dict[str, int | float | str]:
