@@ -123,13 +123,22 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
         )
     except TyperException as error:
         if message := error.format_message():
-            _fail(f"{message.rstrip('.')}{_decimal_point(error)}; see yamsim --help", error.exit_code)
+            _fail(f"{message.rstrip('.')}{_decimal_point(error)}; see {_command(error)} --help", error.exit_code)
         sys.exit(error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         if len(sys.argv) > 1 and sys.argv[1] in _ENDED_BY_SIGNAL:
             sys.exit(0)
         _fail("interrupted", _INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _command(error: TyperException) -> str:
+    """The command whose options an error is about, such as `yamsim export mp4`."""
+    names, context = list[str](), getattr(error, "ctx", None)
+    while context is not None and context.parent is not None:
+        names.insert(0, context.info_name)
+        context = context.parent
+    return " ".join(("yamsim", *names))
 
 
 def _decimal_point(error: TyperException) -> str:

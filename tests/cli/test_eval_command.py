@@ -83,7 +83,7 @@ def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: in
     [
         (("--policy", "nothing"), 2, "give scripted, hold_still, replay:DATASET"),
         (("--policy", "scripted", "--task", "handover"), 2, "--task: task 'handover' needs two arms"),
-        (("--policy", "scripted", "--overwrite"), 2, "give --video"),
+        (("--policy", "scripted", "--video-all"), 2, "give --video"),
         (("--policy", "http://127.0.0.1:9"), 4, "no policy answers there"),
         (("--policy", "replay:nowhere"), 2, "there are no episodes"),
         (("--policy", "scripted", "--min-success", "90"), 2, "'--min-success'"),

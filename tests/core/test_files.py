@@ -3,12 +3,13 @@ import hashlib
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
 from yamsim_cli.core import files
-from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files import (
     append_line,
     exclusive_lock,
@@ -19,6 +20,7 @@ from yamsim_cli.core.files import (
     sha256_bytes,
     sha256_file,
     write_file,
+    write_outputs,
 )
 
 EPISODE = {"episode.json": b"{}", "rgb/cam/000000.jpg": b"jpeg", "lowdim/000000.pkl": b"pickle", "empty": b""}
@@ -278,3 +280,32 @@ def test_a_lock_is_let_go_when_its_block_fails(tmp_path):
         raise RuntimeError
     with exclusive_lock(tmp_path / "lock"):
         pass
+
+
+@pytest.fixture
+def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A folder in which there is room for one file only."""
+    folder, write, written = tmp_path / "full", files._write_and_fsync, list[Path]()
+    folder.mkdir()
+
+    def write_or_fail(path: Path, data: bytes) -> None:
+        if path.parent == folder:
+            if written:
+                raise OSError(errno.ENOSPC, "No space left on device", str(path))
+            written.append(path)
+        write(path, data)
+
+    monkeypatch.setattr(files, "_write_and_fsync", write_or_fail)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return folder
+
+
+def test_of_several_files_all_are_written_or_none_and_the_result_is_kept_elsewhere(full: Path) -> None:
+    wanted = {full / "a.png": b"a", full / "b.png": b"b"}
+    with pytest.raises(
+        ResourceError, match=r"No space left on device; choose another --out\. The result is kept"
+    ) as told:
+        write_outputs(wanted)
+    assert list(full.iterdir()) == []
+    kept = Path(str(told.value).rpartition(" ")[2])
+    assert {path.name: path.read_bytes() for path in kept.iterdir()} == {"a.png": b"a", "b.png": b"b"}

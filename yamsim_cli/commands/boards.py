@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+from yamsim_cli.core.errors import ConfigError, UsageError
+from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import print_json, print_line
 
@@ -29,6 +30,7 @@ def boards(
         "boards.pdf"
     ),
     paper: Annotated[PaperSize, typer.Option(case_sensitive=False, help="Paper in the printer.")] = PaperSize.A4,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Write a rig's fiducial boards as pages that print at true size. Of .png files, each is named after its arm.
@@ -37,26 +39,22 @@ def boards(
     """
     if out.suffix.lower() not in (".pdf", ".png"):
         raise UsageError(f"--out {out} is not valid: end it in .pdf or .png")
-    if not out.parent.is_dir():
-        raise UsageError(f"--out {out}: there is no directory {out.parent}; make it, or choose another")
 
     from yamsim_cli.core.boards.sheet import PAPERS, board_sheet
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rig import RigConfig
-    from yamsim_cli.core.files import write_file
+    from yamsim_cli.core.files import write_outputs
 
     arms = load_config(RigConfig, "rigs", rig, opener.locations()).arms
     owned = {arm.name: arm.board for arm in arms if arm.board}
     if not owned:
         raise ConfigError(f"rig {rig!r} has no boards to print; give one of its arms a `board`, or choose another rig")
 
+    for path in dict.fromkeys(_file(out, name) for name in owned):
+        require_free("--out", path, overwrite=overwrite)
     sheets = {name: board_sheet(config.board, name, PAPERS[paper]) for name, config in owned.items()}
     files = _files(sheets, out)
-    for path, data in files.items():
-        try:
-            write_file(path, data)
-        except OSError as error:
-            raise ResourceError(f"{path} could not be written: {error.strerror}; choose another --out") from error
+    write_outputs(files)
     if json:
         described = [
             {
@@ -74,10 +72,15 @@ def boards(
         print_line(str(path))
 
 
+def _file(out: Path, arm: str) -> Path:
+    """The file of an arm's board: one PDF holds all of them."""
+    return out if out.suffix.lower() == ".pdf" else out.with_name(f"{out.stem}_{arm}{out.suffix}")
+
+
 def _files(sheets: dict[str, Sheet], out: Path) -> dict[Path, bytes]:
     """File to write -> its bytes."""
     from yamsim_cli.core.boards.print_files import pdf_bytes, png_bytes
 
     if out.suffix.lower() == ".pdf":
         return {out: pdf_bytes(list(sheets.values()))}
-    return {out.with_name(f"{out.stem}_{name}{out.suffix}"): png_bytes(sheet) for name, sheet in sheets.items()}
+    return {_file(out, name): png_bytes(sheet) for name, sheet in sheets.items()}

@@ -10,7 +10,7 @@ import typer
 
 from yamsim_cli import __version__
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.flags.report_path import require_free
+from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
 from yamsim_cli.terminal.tables import listing
@@ -24,7 +24,7 @@ _WORDS = {True: "passed", False: "FAILED", None: "not checked"}
 def certify_object(
     thing: Annotated[str, typer.Argument(metavar="THING", help="An object: a name from configs/objects/ or a file.")],
     html: Annotated[Path | None, typer.Option(help="Also write a page with pictures of every check.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a page that is there.")] = False,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Check a thing's size, surfaces, weight, rest, falls, hollow, joints and grasp. Exit code 4 where one fails.
@@ -32,7 +32,7 @@ def certify_object(
     Example: yamsim assets certify kitchen_bowl --html bowl.html
     """
     if html:
-        require_free(html, overwrite)
+        require_free("--html", html, overwrite=overwrite)
         opener.use_gl(opener.locations())
     else:
         opener.skip_gl()

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.flags.outputs import require_free
 from yamsim_cli.flags.session import Json, Revision, Robot, opener
 from yamsim_cli.flags.settings import (
     Arm,
@@ -99,7 +100,9 @@ def evaluate(
     ] = None,
     video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: how many at most.")] = 10,
     video_all: Annotated[bool, typer.Option("--video-all", help="With --video: film successes too.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move older videos aside.")] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Move older videos aside, and replace reports that exist.")
+    ] = False,
     grasp: Grasp = None,
     randomize: Randomize = None,
     randomization: Randomization = None,
@@ -121,8 +124,11 @@ def evaluate(
 
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """
-    if (overwrite or video_all) and video is None:
-        raise UsageError(f"{'--overwrite' if overwrite else '--video-all'} is for videos: give --video")
+    if video_all and video is None:
+        raise UsageError("--video-all is for videos: give --video")
+    for flag, file in (("--out", out), ("--html", html)):
+        if file is not None:
+            require_free(flag, file, overwrite=overwrite)
     from yamsim_cli.core.policies.chunks import Chunking, read_latency
     from yamsim_cli.core.policies.loading import read_arguments, sees_images
 
@@ -152,11 +158,12 @@ def evaluate(
     )
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
+    from yamsim_cli.core.documents.json_text import json_text
     from yamsim_cli.core.evaluate import evaluation
     from yamsim_cli.core.evaluate.choice import PolicyChoice
     from yamsim_cli.core.evaluate.compare import compare as compared
     from yamsim_cli.core.evaluate.compare import read_report, require_same
-    from yamsim_cli.core.trials.batch import write_report
+    from yamsim_cli.core.files import write_output
     from yamsim_cli.core.trials.tally import require_success, what_ran
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
@@ -184,7 +191,7 @@ def evaluate(
             lambda told: evaluation.film(found, video_trials, films, session, told, successes=video_all),
         )
     if out is not None:
-        write_report(report, out)
+        write_output(out, json_text(report).encode())
         note(f"Written to {out}.")
     if html is not None:
         from yamsim_cli.core.summarize.report_files import write_leaderboard

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
 from yamsim_cli.terminal.console import print_json, print_line
 
@@ -27,6 +28,7 @@ def excite(
     log: Annotated[
         Path | None, typer.Option(help="Also simulate it, and write what would be logged, as a real arm's log.")
     ] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Write a motion that swings every joint of an arm quickly and slowly, within its stops and clear of everything.
@@ -38,24 +40,24 @@ def excite(
     if arm is not None and arm not in (sides := [each.side for each in settings.arms]):
         raise UsageError(f"--arm {arm}: rig {settings.name!r} has only a {sides[0]} one; leave --arm out")
     for flag, file in (("--out", out), ("--log", log)):
-        if file is not None and not file.absolute().parent.is_dir():
-            raise UsageError(f"{flag} {file}: there is no directory {file.absolute().parent}; make it first")
         if file is not None and file.suffix != ".csv":
             raise UsageError(f"{flag} {file}: motions and logs are written as .csv")
+        if file is not None:
+            require_free(flag, file, overwrite=overwrite)
     opener.skip_gl()
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.files import write_file
+    from yamsim_cli.core.files import write_output
     from yamsim_cli.core.identify.excitation import excite as run
     from yamsim_cli.core.identify.motion_files import commands_csv, log_csv
 
     number = next((k for k, each in enumerate(settings.arms) if each.side == (arm or "right")), 0)
     scene = load_config(SceneConfig, "scenes", "tabletop", where)
     found = run(settings, number, scene, where, seconds, seed)
-    write_file(out, commands_csv(settings, number, found))
+    write_output(out, commands_csv(settings, number, found))
     if log is not None:
-        write_file(log, log_csv(settings, number, found, scene, where))
+        write_output(log, log_csv(settings, number, found, scene, where), "--log")
     start = [round(float(angle), 4) for angle in found.commands[0]]
     if json:
         print_json(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.report_path import require_free
+from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, Margin, Revision, Robot, opener
 from yamsim_cli.flags.settings import ReportFile
 from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
@@ -63,7 +63,7 @@ def gap(
         float | None, typer.Option(min=0, metavar="MRAD", help="Exit 5 if a joint's RMS error is above this.")
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Also write a page with curves and pictures.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a page that is there.")] = False,
+    overwrite: Overwrite = False,
     out: ReportFile = None,
     json: Json = False,
 ) -> None:
@@ -76,7 +76,9 @@ def gap(
     if (camera or episode_camera) and not pictures:
         raise UsageError("--camera and --episode-camera are of photos; give --pictures N with them")
     if html:
-        require_free(html, overwrite)
+        require_free("--html", html, overwrite=overwrite)
+    if out is not None:
+        require_free("--out", out, overwrite=overwrite)
     where = opener.locations()
     settings = _rig(rig, revision, robot, margin, recordings[0], where)
 
@@ -182,9 +184,10 @@ def _tell(
         report["html"] = str(html)
         note(f"The page is in {html}.")
     if out is not None:
-        from yamsim_cli.core.gap.tally import write_report
+        from yamsim_cli.core.documents.json_text import json_text
+        from yamsim_cli.core.files import write_output
 
-        write_report(report, out)
+        write_output(out, json_text(report).encode())
         note(f"Written to {out}.")
     if json:
         print_json(report)

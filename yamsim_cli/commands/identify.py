@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from yamsim_cli.core.errors import SimulationError, UsageError
+from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, print_table, progress_bar
 from yamsim_cli.terminal.tables import listing
@@ -36,6 +37,7 @@ def identify(
         list[Path] | None,
         typer.Option(help="A recording that the result is judged by.  [default: the last third of each]"),
     ] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Find an arm's delay, friction, damping, armature, offsets and gravity factors, and write them as a revision.
@@ -48,8 +50,9 @@ def identify(
         raise UsageError(f"--arm {arm}: rig {settings.name!r} has only a {sides[0]} one; leave --arm out")
     if out.suffix not in (".yaml", ".yml"):
         raise UsageError(f"--out {out}: the file of a revision ends in .yaml")
-    if not out.absolute().parent.is_dir():
-        raise UsageError(f"--out {out}: there is no directory {out.absolute().parent}; make it first")
+    sides = [each.side for each in settings.arms if arm in (None, each.side)]
+    for file in {out, *(_file(out, side, len(sides)) for side in sides)}:
+        require_free("--out", file, overwrite=overwrite)
     name = _revision_name(out)
     opener.skip_gl()
 
@@ -82,15 +85,22 @@ def _revision_name(out: Path) -> str:
 
 def _write(found: Sequence[Identified], out: Path) -> list[Path]:
     from yamsim_cli.core.documents.document import dump_yaml
-    from yamsim_cli.core.files import write_file
+    from yamsim_cli.core.files import write_outputs
 
-    files = []
-    for one in found:
-        file = out if len(found) == 1 else out.with_stem(f"{out.stem}_{one.side}")
-        if one.gap.fallen > 0:
-            write_file(file, dump_yaml(one.dynamics.model_dump(mode="json", exclude_defaults=True)).encode())
-        files.append(file)
+    files = [_file(out, one.side, len(found)) for one in found]
+    revisions = {
+        file: dump_yaml(one.dynamics.model_dump(mode="json", exclude_defaults=True)).encode()
+        for one, file in zip(found, files, strict=True)
+        if one.gap.fallen > 0
+    }
+    if revisions:
+        write_outputs(revisions)
     return files
+
+
+def _file(out: Path, side: str, arms: int) -> Path:
+    """The file of one arm's revision; `arms` are identified together."""
+    return out if arms == 1 else out.with_stem(f"{out.stem}_{side}")
 
 
 def _plain(found: Sequence[Identified], rig: str, files: Sequence[Path]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError
+from yamsim_cli.flags.outputs import require_free
 from yamsim_cli.flags.session import Json, Margin, Revision, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
@@ -59,6 +60,7 @@ def overlay(
     opacity: Annotated[float, typer.Option(min=0, max=1, help="Opacity of the rendered arms.")] = 0.55,
     video: Annotated[Path | None, typer.Option(help="Also write an MP4 of all pictures.")] = None,
     fps: Annotated[float, typer.Option(min=0.1, max=240, help="Pictures a second in the MP4.")] = 15.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a video that exists.")] = False,
     json: Json = False,
 ) -> None:
     """Find each arm's pose in photos by its board, lay the simulated arm over them, and score the fit.
@@ -73,6 +75,8 @@ def overlay(
         raise UsageError("--camera goes with --img: an episode knows its own")
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
+    if video is not None:
+        require_free("--video", video, overwrite=overwrite)
     where = opener.locations()
     settings = _rig(rig, revision, episode or [], margin, where)
 

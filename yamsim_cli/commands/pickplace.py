@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.report_path import require_free
+from yamsim_cli.flags.outputs import require_free
 from yamsim_cli.flags.session import Json, Revision, Robot, opener
 from yamsim_cli.flags.settings import (
     Arm,
@@ -54,7 +53,7 @@ def batch(
         int, typer.Option(min=1, metavar="N", help="With --video: how many at most, failures first.")
     ] = 10,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Move older videos aside, and replace an older page.")
+        bool, typer.Option("--overwrite", help="Move older videos aside, and replace reports that exist.")
     ] = False,
     task: Task = None,
     item: Object = None,
@@ -69,10 +68,9 @@ def batch(
 
     Example: yamsim pickplace batch --n 200 --seed 2 --json
     """
-    if overwrite and video is None and html is None:
-        raise UsageError("--overwrite is for videos and pages: give --video or --html")
-    if html:
-        require_free(html, overwrite)
+    for flag, file in (("--out", out), ("--html", html)):
+        if file is not None:
+            require_free(flag, file, overwrite=overwrite)
     session = opener.open(
         config,
         renders=video is not None,
@@ -91,7 +89,9 @@ def batch(
     )
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
-    from yamsim_cli.core.trials.batch import run_batch, write_report
+    from yamsim_cli.core.documents.json_text import json_text
+    from yamsim_cli.core.files import write_output
+    from yamsim_cli.core.trials.batch import run_batch
     from yamsim_cli.core.trials.films import film_trials
     from yamsim_cli.core.trials.tally import require_success
 
@@ -101,7 +101,7 @@ def batch(
     if films:
         report["videos"] = film(films, lambda told: film_trials(report["trials"], video_trials, films, session, told))
     if out is not None:
-        write_report(report, out)
+        write_output(out, json_text(report).encode())
         note(f"Written to {out}.")
     if html:
         from yamsim_cli.core.summarize.report_files import write_trials_page

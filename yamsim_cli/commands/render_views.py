@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from yamsim_cli.core.opener import parse_size
+from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
 from yamsim_cli.flags.settings import Quality
 from yamsim_cli.terminal.console import print_json, print_line
@@ -21,6 +22,7 @@ def render_views(
     size: Annotated[str, typer.Option(metavar="WxH", help="Size of each view in pixels.")] = "960x720",
     quality: Quality = None,
     margin: Margin = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Render a rig from the front, from nearly above and from close by, and a montage of the three.
@@ -34,7 +36,9 @@ def render_views(
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.pictures import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
+    from yamsim_cli.core.show.views import picture_names
 
+    require_free("--out", [out / name for name in picture_names()], overwrite=overwrite)
     scene = load_config(SceneConfig, "scenes", "studio", where)
     # A bad name is refused before OpenGL is tried, which takes seconds.
     load_config(RenderConfig, "quality", quality or "auto", where)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.report_path import require_free
+from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
 
@@ -21,7 +21,7 @@ def summarize(
         typer.Option(help="Score by this distance in m; may be given again. By default 0.05 and 0.08."),
     ] = None,
     html: Annotated[Path | None, typer.Option(help="Also write a report with plots and pictures, one page.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a report that is there.")] = False,
+    overwrite: Overwrite = False,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 4 for warnings too.")] = False,
     workers: Annotated[
         int | None, typer.Option(min=1, max=1024, help="Processes that read; by default one a core.")
@@ -36,7 +36,7 @@ def summarize(
         if not 0 < value < math.inf:
             raise UsageError(f"--threshold {value:g} is not valid: give a distance in metres above 0")
     if html:
-        require_free(html, overwrite)
+        require_free("--html", html, overwrite=overwrite)
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.dataset.summary import summarize as count

@@ -12,13 +12,14 @@ import fcntl
 import hashlib
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import UsageError
+from .errors import ResourceError, UsageError
 
 # Errors that come from the path itself, which `obstacle` explains better than the system's own text does.
 _OF_PATHS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
@@ -73,14 +74,65 @@ def write_file(path: Path, data: bytes) -> None:
         OSError: the file could not be written; the old content, if any, is untouched. Only where the very last flush,
             of the directory, fails is the new content there, whole.
     """
-    part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
+    write_files({path: data})
+
+
+def write_files(files: Mapping[Path, bytes]) -> None:
+    """Replace or create several files: all of their content is on the disk before the first gets its name.
+
+    Raises:
+        OSError: a file could not be written; none has changed, unless a rename failed.
+    """
+    parts = {path: path.with_name(f".{path.name}.{uuid.uuid4().hex}.part") for path in files}
     try:
-        _write_and_fsync(part, data)
-        os.replace(part, path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-    fsync_directory(path.parent)
+        for path, part in parts.items():
+            _write_and_fsync(part, files[path])
+        for path, part in parts.items():
+            os.replace(part, path)
+    finally:
+        for part in parts.values():
+            part.unlink(missing_ok=True)
+    for folder in {path.parent for path in files}:
+        fsync_directory(folder)
+
+
+def write_output(path: Path, data: bytes, flag: str = "--out") -> None:
+    """Write one file of a command's result, see `write_outputs`."""
+    write_outputs({path: data}, flag)
+
+
+def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_folder: bool = False) -> None:
+    """Write a command's result, all files of it or none, and keep the result elsewhere if that fails.
+
+    Args:
+        files: path -> content, all in one directory; files that exist are replaced.
+        flag: the option that names the files, for the message.
+        make_folder: make the directory where it does not exist.
+
+    Raises:
+        ResourceError: a file cannot be written; the message says where the result is kept instead.
+    """
+    folder = next(iter(files)).parent
+    try:
+        if make_folder:
+            folder.mkdir(parents=True, exist_ok=True)
+        write_files(files)
+    except OSError as error:
+        kept = _keep({path.name: data for path, data in files.items()})
+        raise ResourceError(
+            f"{folder if len(files) > 1 else next(iter(files))} cannot be written: {refusal(error, folder)}; "
+            f"choose another {flag}" + (f". The result is kept in {kept}" if kept else "")
+        ) from error
+
+
+def _keep(files: Mapping[str, bytes]) -> Path | None:
+    """Save a result in a new folder for temporary files; None where that fails too."""
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="yamsim-"))
+        write_files({folder / name: data for name, data in files.items()})
+    except OSError:
+        return None
+    return folder
 
 
 def publish_file(part: Path, final: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -30,7 +29,9 @@ class Advance(Protocol):
 
 def print_json(data: Mapping[str, Any]) -> None:
     """Write one JSON object to stdout."""
-    sys.stdout.write(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    from yamsim_cli.core.documents.json_text import json_text
+
+    sys.stdout.write(json_text(data))
 
 
 def print_table(table: RenderableType) -> None:

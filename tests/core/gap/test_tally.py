@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.rig_scenes import later, plant, rig_scene, swings
-from yamsim_cli.core.errors import ResourceError, SimulationError
+from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.gap.figures import Gap, gap_of
 from yamsim_cli.core.gap.page_file import write_gap_page
-from yamsim_cli.core.gap.tally import report_of, require_small, student95, write_report
+from yamsim_cli.core.gap.tally import report_of, require_small, student95
 
 TIMES = np.arange(0, 4.0, 0.01)
 
@@ -87,8 +87,3 @@ def test_a_page_shows_every_joint_and_the_worst_moment(gaps: list[Gap], tmp_path
     # The worst moment is marked in the two plots of its joint.
     assert text.count('class="limit"') == 2
     assert "By recording" in text and "nan" not in text
-
-
-def test_a_report_that_cannot_be_written_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ResourceError, match="choose another --out"):
-        write_report({}, tmp_path / "nowhere" / "gap.json")

@@ -21,7 +21,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.se3 import quat_from_rotation
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
@@ -142,7 +142,7 @@ def test_page_answers_on_loopback_alone_and_its_sliders_reach_the_joints(live: L
         run(live, 3.0)
         page.update()
         assert live.data.joint("joint1").qpos[0] == pytest.approx(0.4, abs=0.05)
-        with pytest.raises(UsageError, match=rf"--port {free_port} cannot be used .*: give another, or 0"):
+        with pytest.raises(ResourceError, match=rf"--port {free_port} cannot be used .*: give another, or 0"):
             page_module.RigPage(live, frame_rig(live.rig), PageAddress(free_port))
     finally:
         page.close()
@@ -334,7 +334,7 @@ def test_a_taken_port_says_what_to_do(free_port: int) -> None:
         taken.bind(("127.0.0.1", free_port))
         taken.listen()
         busy = yamsim("view", "--web", "--port", str(free_port))
-    assert busy.code == 2
+    assert busy.code == 4
     (message,) = complaints(busy.err)
     assert f"--port {free_port} cannot be used" in message
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import ResourceError, SimulationError
-from ..files import write_file
+from ..errors import SimulationError
 from .figures import Following, Gap, HandGap, JointGap, Size, Worst
 from .phases import PHASES
 
@@ -107,18 +104,6 @@ def require_small(report: Mapping[str, Any], most_mrad: float | None) -> None:
             f"{spoken(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks for at most "
             f"{most_mrad:g}"
         )
-
-
-def write_report(report: Mapping[str, Any], path: Path) -> None:
-    """Write a report as JSON, replacing what is there.
-
-    Raises:
-        ResourceError: the file cannot be written.
-    """
-    try:
-        write_file(path, (json.dumps(report, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode())
-    except OSError as error:
-        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --out") from error
 
 
 def spoken(row: Mapping[str, Any]) -> str:

@@ -66,7 +66,7 @@ def estimates(plant: ArmPlant, fitted: Fitted) -> list[Estimate]:
         low = max(number - whole, 0.0) if parameter.name in ("delay", "friction", "armature") else number - whole
         joint = "" if parameter.joint is None else plant.robot.joint_names[parameter.joint]
         before = value(plant.values, parameter)
-        told = float(half) < _TOLD * 1.96 * parameter.spread
+        told = bool(half < _TOLD * 1.96 * parameter.spread)
         found.append(Estimate(joint, NAMES[parameter.name], number, low, number + whole, before, told))
     return found
 

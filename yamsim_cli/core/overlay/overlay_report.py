@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ..config.rig import RigConfig
+from ..documents.json_text import json_text
 from ..errors import PartialJobError, ResourceError
-from ..files import write_file
+from ..files import write_output
 from ..geometry.se3 import Array, inverse
 from .arm_poses import ArmPose, PhotoResult
 from .moves import Move, Stillness
@@ -56,11 +56,7 @@ class OverlayReport:
             ResourceError: it cannot be written.
         """
         self.files.append(out / REPORT_NAME)
-        text = json.dumps(self.plain(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        try:
-            write_file(out / REPORT_NAME, text.encode())
-        except OSError as error:
-            raise ResourceError(f"{out} cannot be written: {error.strerror or error}; choose another --out") from error
+        write_output(out / REPORT_NAME, json_text(self.plain()).encode())
 
     def check(self) -> None:
         """Raise an error if poses are missing, or results do not pass.

@@ -6,8 +6,7 @@ import datetime
 from pathlib import Path
 
 from ... import __version__
-from ..errors import ResourceError
-from ..files import write_file
+from ..files import write_output
 
 
 def made_line() -> str:
@@ -21,7 +20,4 @@ def write_page(text: str, path: Path) -> None:
     Raises:
         ResourceError: the file cannot be written.
     """
-    try:
-        write_file(path, text.encode())
-    except OSError as error:
-        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --html") from error
+    write_output(path, text.encode(), "--html")

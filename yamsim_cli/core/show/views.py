@@ -10,8 +10,7 @@ import numpy as np
 
 from ..config.pictures import RenderConfig
 from ..config.rig import ArmConfig, RigConfig
-from ..errors import ResourceError
-from ..files import refusal, write_file
+from ..files import write_outputs
 from ..geometry.camera import opencv_from_mujoco
 from ..geometry.se3 import pose
 from ..images.image import Image
@@ -77,6 +76,11 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
     return data
 
 
+def picture_names() -> list[str]:
+    """Return the names of the files that `render_views` makes."""
+    return [*(f"{view.name}.png" for view in VIEWS), MONTAGE]
+
+
 def render_views(views: ViewScene) -> dict[str, Image]:
     """File name -> RGB image (height, width, 3): every view with its names written in, and the montage.
 
@@ -94,17 +98,12 @@ def render_views(views: ViewScene) -> dict[str, Image]:
 
 
 def write_views(images: dict[str, Image], out: Path) -> list[Path]:
-    """Write images into a folder, creating it; each file is replaced whole.
+    """Write images into a folder, which is made: all of them or none.
 
     Raises:
         ResourceError: the folder cannot be written.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name, image in images.items():
-            write_file(out / name, encode_png(image))
-    except OSError as error:
-        raise ResourceError(f"{out} cannot be written: {refusal(error, out)}; choose another --out") from error
+    write_outputs({out / name: encode_png(image) for name, image in images.items()}, make_folder=True)
     return [out / name for name in images]
 
 

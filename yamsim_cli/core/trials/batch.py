@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import functools
-import json
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from ..attempt.runner import EpisodeRunner
 from ..dataset.records import MarginsRecord, attempt_record, plain
-from ..errors import ResourceError
-from ..files import write_file
 from ..progress import Progress
 from ..session import Session
 from ..types import EpisodeJob, EpisodePayload
@@ -77,15 +73,3 @@ def _worst(margins: Sequence[MarginsRecord]) -> dict[str, float | None] | None:
             (margin.object_tilt_rad for margin in margins if margin.object_tilt_rad is not None), default=None
         ),
     }
-
-
-def write_report(report: dict[str, Any], path: Path) -> None:
-    """Write a report as JSON, atomically.
-
-    Raises:
-        ResourceError: the file cannot be written.
-    """
-    try:
-        write_file(path, (json.dumps(report, indent=2, allow_nan=False) + "\n").encode())
-    except OSError as error:
-        raise ResourceError(f"{path} cannot be written: {error.strerror}; choose another --out") from error

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from ..errors import UsageError
+from ..errors import ResourceError, UsageError
 from .address import PageAddress
 from .cloths import ClothNodes
 from .shapes import add_bodies
@@ -131,7 +131,8 @@ def check_free(address: PageAddress) -> None:
     """Make sure that a page can listen on an address.
 
     Raises:
-        UsageError: it cannot.
+        UsageError: the host is no address of this machine.
+        ResourceError: the port is taken, or may not be used.
     """
     try:
         family, kind, _, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
@@ -148,9 +149,9 @@ def check_free(address: PageAddress) -> None:
             raise _taken(address, error.strerror or str(error)) from error
 
 
-def _taken(address: PageAddress, reason: str) -> UsageError:
+def _taken(address: PageAddress, reason: str) -> UsageError | ResourceError:
     if address.port == 0:
         return UsageError(f"--host {address.host} cannot be used ({reason}): give an address of this machine")
-    return UsageError(
+    return ResourceError(
         f"--port {address.port} cannot be used on {address.host} ({reason}): give another, or 0 for a free one"
     )
