@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from tests.core.record.fake_episodes import Inline, Recording, tree
+from tests.meshes import box
+from tests.programs import session_of
 from tests.stand_in_meshes import stand_ins
 from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.config.loader import parse_config
@@ -20,6 +22,7 @@ from yamsim_cli.core.dataset.reader import open_episodes
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.documents.document import load_yaml
 from yamsim_cli.core.errors import ConfigError, ResourceError
+from yamsim_cli.core.geometry.stl import stl_bytes
 from yamsim_cli.core.record.executors import LocalProcesses
 from yamsim_cli.core.resources import Locations, Meshes
 from yamsim_cli.core.scene.build import noting_meshes
@@ -28,7 +31,7 @@ from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.workers.inline import InlineExecutor
 
 Make = Callable[..., RecordConfig]
-ARM, YCB, SMALL = "i2rt_yam_crank", "ycb", "ycb_small"
+ARM, YCB, SMALL, OBJECTS = "i2rt_yam_crank", "ycb", "ycb_small", "ycb_objects"
 
 
 @pytest.fixture
@@ -200,6 +203,42 @@ def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: R
     )
     assert json.loads((recording.path / "manifest.json").read_text())["episodes"] == []
     recording.run(Inline(), OpenMode.RESUME)
+
+
+FRUIT = {
+    "kind": "program",
+    "rig": "single_linear",
+    "things": {
+        "plate": {"of": "029_plate"},
+        "fruit": {"of": ["012_strawberry", "014_lemon", "018_plum", "015_peach"], "count": 2},
+    },
+    "starts": {
+        "plate": {"x": [0.4, 0.42], "y": [0.1, 0.12]},
+        "fruit": {"x": [0.25, 0.45], "y": [-0.25, 0.0], "apart": 0.06},
+    },
+    "phrasings": {"training": ["put the fruit onto the plate"]},
+    "goal": {"all": [{"on": {"thing": "fruit", "surface": "plate"}}]},
+    "expert": [
+        {"each": {"of": "fruit", "do": [{"pick": {"thing": "it"}}, {"place": {"thing": "it", "on": "plate"}}]}}
+    ],
+}
+
+
+def test_every_cast_of_a_task_shows_the_meshes_that_the_recording_states(tmp_path: Path) -> None:
+    """The files of a set differ from cast to cast, and the recording states those of all things."""
+    session = session_of(tmp_path, FRUIT)
+    meshes = stand_ins(tmp_path / "meshes", session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
+    session = noting_meshes(replace(session, locations=replace(session.locations, meshes=meshes)))
+    said = session.config.meshes
+    assert said is not None and said[OBJECTS].startswith("full ")
+    EpisodeRunner(session, render=True).close()
+    # A worker that lacks one of the meshes, even if the first cast does not use it, is refused.
+    for mesh in ("012_strawberry", "018_plum", "015_peach"):
+        other = stand_ins(tmp_path / mesh, session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
+        assert other[OBJECTS] is not None
+        (other[OBJECTS] / f"{mesh}.stl").write_bytes(stl_bytes(*box(0.021, cuts=1)))
+        with pytest.raises(ResourceError, match=f"would show other meshes than the recorder: {OBJECTS}: full"):
+            EpisodeRunner(replace(session, locations=replace(session.locations, meshes=other)), render=True)
 
 
 @pytest.mark.slow

@@ -35,14 +35,6 @@ def drawn(locations: Locations) -> Callable[..., dict[str, str]]:
     return of
 
 
-def test_the_compiled_scene_says_the_same(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    meshes = stand_ins(tmp_path, locations, ARM)
-    said = noting_meshes(Session(config, replace(locations, meshes=meshes))).config.meshes
-    assert said == build_scene(Session(config, replace(locations, meshes=meshes))).shown_meshes
-    assert said is not None
-    assert (said[ARM].split()[0], said[YCB]) == ("full", PRIMITIVES)
-
-
 def test_content_decides_and_not_where_it_lies(
     config: RecordConfig, drawn: Callable[..., dict[str, str]], locations: Locations, tmp_path: Path
 ) -> None:

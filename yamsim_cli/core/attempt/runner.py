@@ -6,13 +6,13 @@ import platform
 
 from ..closing import Closing
 from ..errors import ResourceError
+from ..scene.build import shown_meshes
 from ..session import Session
 from ..shown_meshes import differences
 from ..types import EpisodeJob, EpisodePayload
 from .payload import payload, result
 from .planned import demonstrate
 from .sampling import sample
-from .simulator import Simulator
 from .simulators import Simulators
 
 # Where meshes are shown, when a worker's are not the recorder's.
@@ -31,7 +31,9 @@ class EpisodeRunner(Closing):
 
     def __init__(self, session: Session, *, render: bool) -> None:
         self._render = render
-        self._simulators = Simulators(session, require_meshes if render else lambda made: None)
+        if render:
+            require_meshes(session)
+        self._simulators = Simulators(session)
         # Now, since the files that it is made from need not be there any more when the first job comes.
         self._simulators.of(EpisodeJob(session.config.seed, 0)).prepare()
 
@@ -46,18 +48,14 @@ class EpisodeRunner(Closing):
         self._simulators.close()
 
 
-def require_meshes(simulator: Simulator) -> None:
-    """Make sure that a simulator whose pictures are to be recorded shows what the config says; close it otherwise.
+def require_meshes(session: Session) -> None:
+    """Make sure that the pictures of a worker's session show the meshes that the config states.
 
     Raises:
-        ResourceError: it shows other meshes.
+        ResourceError: the session shows other meshes.
     """
-    said, shown = simulator.config.meshes, simulator.scene.shown_meshes
-    if said is not None and simulator.config.program:
-        # Of the things that may play a role, not all are in every scene.
-        said = {name: text for name, text in said.items() if name in shown}
-    if said is not None and (others := differences(said, shown, _PLACES)):
-        simulator.close()
+    said = session.config.meshes
+    if said is not None and (others := differences(said, shown_meshes(session), _PLACES)):
         raise ResourceError(
             f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(others)}; they "
             "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
 
 from ..closing import Closing
 from ..errors import SimulationError
@@ -43,14 +42,10 @@ def simulator_for(session: Session, cast: Cast | None) -> Simulator:
 
 
 class Simulators(Closing):
-    """Makes simulators, and closes those that were not asked for lately. Close it, or use it as a context manager.
+    """Makes simulators and keeps the latest few. Close it, or use it as a context manager."""
 
-    Args:
-        check: called with each simulator that was made.
-    """
-
-    def __init__(self, session: Session, check: Callable[[Simulator], None] = lambda made: None) -> None:
-        self.session, self._check = session, check
+    def __init__(self, session: Session) -> None:
+        self.session = session
         self._made: OrderedDict[_Key, Simulator] = OrderedDict()
 
     def of(self, job: EpisodeJob) -> Simulator:
@@ -67,7 +62,6 @@ class Simulators(Closing):
         while len(self._made) >= _KEPT:
             self._made.popitem(last=False)[1].close()
         made = self._made[key] = simulator_for(self.session, cast)
-        self._check(made)
         return made
 
     def close(self) -> None:

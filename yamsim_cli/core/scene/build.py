@@ -33,9 +33,7 @@ def build_scene(session: Session) -> CompiledScene:
     """
     config, locations = session.config, session.locations
     blueprint = recording_blueprint(config)
-    spec = compose(blueprint, locations)
-    shown = composed_meshes(spec, blueprint, locations.meshes)
-    model = compile_spec(spec)
+    model = compile_spec(compose(blueprint, locations))
     objects = [item.name for item in config.task.objects if item.cloth is None]
     geom_kind, geom_arm = _geoms(model, config.rig)
     for kind, item in () if config.program else ((Kind.OBJECT, config.pair.object), (Kind.TARGET, config.pair.target)):
@@ -50,7 +48,6 @@ def build_scene(session: Session) -> CompiledScene:
         cameras=config.recorded_cameras,
         geom_kind=geom_kind,
         geom_arm=geom_arm,
-        shown_meshes=shown,
         cloths={item.name: _cloth_addresses(model, config, item) for item in config.task.objects if item.cloth},
     )
 
@@ -80,15 +77,21 @@ def build_rig_scene(
         cameras=(),
         geom_kind=geom_kind,
         geom_arm=geom_arm,
-        shown_meshes={},
     )
 
 
-def noting_meshes(session: Session) -> Session:
-    """The same session with a config that says which meshes its scene shows."""
+def shown_meshes(session: Session) -> dict[str, str]:
+    """Return what a session shows of each mesh set, see `core.shown_meshes`.
+
+    The files of a set are those of all things that the task may draw, so that every cast of a task has the same text.
+    """
     blueprint = recording_blueprint(session.config)
-    shown = composed_meshes(compose(blueprint, session.locations), blueprint, session.locations.meshes)
-    return session.with_values(meshes=shown)
+    return composed_meshes(compose(blueprint, session.locations), blueprint, session.locations.meshes)
+
+
+def noting_meshes(session: Session) -> Session:
+    """Return the same session with a config that says which meshes the session shows."""
+    return session.with_values(meshes=shown_meshes(session))
 
 
 def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds: bool) -> SceneArm:

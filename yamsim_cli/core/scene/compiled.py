@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
-from ..shown_meshes import ShownMeshes
 from ..types import Layout, Stand
 
 Ids = NDArray[np.int_]
@@ -196,7 +195,6 @@ class CompiledScene:
         cameras: names of the cameras to record, in order.
         geom_kind: `Kind` of every geom (ngeom,).
         geom_arm: number in `arms` of the arm that a geom belongs to, -1 for none (ngeom,).
-        shown_meshes: asset set -> what is shown of it, see `core.shown_meshes`.
         cloths: cloth's name -> where its points are.
     """
 
@@ -207,7 +205,6 @@ class CompiledScene:
     cameras: tuple[str, ...]
     geom_kind: Ids
     geom_arm: Ids
-    shown_meshes: ShownMeshes
     cloths: Mapping[str, SceneCloth] = field(default_factory=dict)
 
     @property

@@ -48,7 +48,9 @@ class DrivenRunner(Closing):
 
     def __init__(self, session: Session, *, render: bool = True) -> None:
         self._render = render
-        self._simulators = Simulators(session, require_meshes if render else lambda made: None)
+        if render:
+            require_meshes(session)
+        self._simulators = Simulators(session)
         # Now, since the files that it is made from need not be there any more when the first attempt comes.
         self._simulators.of(EpisodeJob(session.config.seed, 0))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -25,6 +26,7 @@ from ..dataset.reader import StoredEpisode, open_episode
 from ..dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
 from ..errors import DatasetError
 from ..images.jpeg import decode_jpeg
+from ..scene.build import shown_meshes
 from ..session import Session
 from ..shown_meshes import differences, shown
 from ..types import EpisodeJob
@@ -84,6 +86,7 @@ class EpisodeVerifier(Closing):
     def __init__(self, session: Session, limits: Limits) -> None:
         self._simulators = Simulators(session)
         self._said = session.config.meshes
+        self._session = session
         self._limits = limits
 
     def run(self, job: tuple[int, Path]) -> Verdict:
@@ -140,8 +143,13 @@ class EpisodeVerifier(Closing):
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
             for name, text in (episode.record.meshes or {}).items():
                 then[f"meshes {name}"] = shown(text)
-                now[f"meshes {name}"] = shown(simulator.scene.shown_meshes.get(name))
+                now[f"meshes {name}"] = shown(self._shown.get(name))
         return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
+
+    @functools.cached_property
+    def _shown(self) -> dict[str, str]:
+        """What this machine shows of each mesh set."""
+        return shown_meshes(self._session)
 
     def _other_meshes(self, episode: StoredEpisode) -> list[str]:
         said, own = self._said, episode.record.meshes
