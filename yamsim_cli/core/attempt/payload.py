@@ -14,8 +14,8 @@ from .pictures import image_files
 from .simulated import Simulated
 from .simulator import Simulator
 
-# Revision of how scenes are drawn, raised when the same config gives other pictures: 2 since the table and the posts cast
-# shadows. A recording that states none is of `FIRST_LOOKS`.
+# Revision of how scenes are drawn, raised when the same config gives other pictures: 2 since the table and the posts
+# cast shadows. A recording that states none is of `FIRST_LOOKS`.
 LOOKS, FIRST_LOOKS = "2", "1"
 
 
