@@ -85,7 +85,8 @@ def _rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
         if found := report["checks"][check]:
             apart = "pixels differ by up to" if check == "images" else "largest difference"
             exact = " (bit for bit)" if not found["max_error"] and found["agree"] else ""
-            yield label, f"{found['agree']} of {found['episodes']}, {apart} {found['max_error']:.3g}{exact}"
+            figures = f"{found['agree']} of {found['episodes']}, {apart} {found['max_error']:.3g}{exact}"
+            yield label, figures if found["episodes"] else "none"
             for reason in found["skipped"]:
                 yield "", f"not made for some: {reason}"
     for change in report["versions_changed"]:

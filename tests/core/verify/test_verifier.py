@@ -12,13 +12,14 @@ import pytest
 
 from tests.cli.run_cli import Run, yamsim
 from tests.core.unrendered import SIZE, change_frame, change_record, read_frame, write_dataset
+from yamsim_cli.core.attempt.payload import LOOKS
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.dataset.selection import select_episodes
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits, Verdict
+from yamsim_cli.core.verify.remake import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits, Verdict
 
 EPISODES = 3
 
@@ -218,7 +219,7 @@ def failing(dataset: Path, *args: str) -> Run:
 def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_changed(dataset: Path) -> None:
     after = read_frame(dataset / "ep_000001", 20)["joints"] + np.float32(1e-3)
     change_frame(dataset / "ep_000001", 20, rehash=True, joints=after)
-    change_record(dataset / "ep_000001", versions={"mujoco": "3.9.9"})
+    change_record(dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": LOOKS})
     run = failing(dataset)
     assert run.json["first_divergence"]["episode"] == 1
     assert run.json["first_divergence"]["frame"] == 20
@@ -231,6 +232,24 @@ def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_chang
     assert "recorded with mujoco 3.9.9 (now " in run.message
     assert "--tolerance 0.005" in run.message
     assert yamsim("verify", dataset, "--tolerance", "0.0011").code == 0
+
+
+def test_pictures_of_an_earlier_revision_of_looks_are_told_and_states_agree(
+    dataset: Path, locations: Locations
+) -> None:
+    record = json.loads((dataset / "ep_000000" / "episode.json").read_text(encoding="utf-8"))
+    earlier = {name: version for name, version in record["versions"].items() if name != "looks"}
+    change_record(dataset / "ep_000000", versions=earlier)
+    session = Session(dataset_config(dataset, locations), locations)
+    with EpisodeVerifier(session, Limits(values=0.0, images=0.0)) as verifier:
+        found = verifier.run((0, dataset / "ep_000000"))
+    assert found.agrees
+    assert found.checks[SEED].first is None
+    assert IMAGES not in found.checks
+    assert found.skipped[IMAGES].startswith(
+        f"its pictures are of looks revision 1, and this version draws revision {LOOKS}"
+    )
+    assert found.changed["looks"] == ("1", LOOKS)
 
 
 def test_the_command_names_an_altered_file_though_no_value_differs_enough(dataset: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,6 +20,7 @@ _FLOOR = 5.0
 _TILE = 0.5
 # Height of the tiles above the floor, m: enough for a depth buffer to tell them apart.
 _TILE_HEIGHT = 0.001
+_CORE_DEPTH = 0.003  # m, how far below a box's faces its shadow starts: about two texels of the default shadow map
 
 
 def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
@@ -102,19 +104,8 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
         floor: height of the floor, m.
         bases: pose (4, 4) of each arm's base in `world`.
     """
-    material = spec.add_material(
-        name="table", rgba=table.rgba, specular=0.1, shininess=0.1, reflectance=table.reflectance
-    )
-    spec.worldbody.add_geom(
-        name="table",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=table.position,
-        size=table.half_size,
-        material=material.name,
-        **contact_numbers(table.contact),
-        group=SEEN_GROUP,
-        castshadow=False,
-    )
+    spec.add_material(name="table", rgba=table.rgba, specular=0.1, shininess=0.1, reflectance=table.reflectance)
+    _add_box(spec, "table", table.position, table.half_size, contact_numbers(table.contact))
     x, y, _ = table.position
     half_x, half_y, half_z = table.half_size
     inset = 0.03
@@ -124,14 +115,24 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
     posts += [(T[0, 3], T[1, 3], T[2, 3] - 0.001, 0.06) for T in bases]
     for k, (px, py, top, half) in enumerate(posts):
         height = top - floor
-        spec.worldbody.add_geom(
-            name=f"post_{k}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[px, py, top - height / 2],
-            size=[half, half, height / 2],
-            material=material.name,
-            group=SEEN_GROUP,
-            contype=0,
-            conaffinity=0,
-            castshadow=False,
-        )
+        _add_box(spec, f"post_{k}", (px, py, top - height / 2), (half, half, height / 2), {})
+
+
+def _add_box(
+    spec: mujoco.MjSpec, name: str, position: Sequence[float], half_size: Sequence[float], contact: Mapping[str, Any]
+) -> None:
+    """Add a box of the table's material, and the core inside it that casts its shadow.
+
+    If the box cast its own shadow, rounding in the shadow map would darken parts of its lit faces (shadow acne).
+
+    Args:
+        contact: MuJoCo's contact parameters of the box; without any, it touches nothing.
+    """
+    shared = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": position, "group": SEEN_GROUP}
+    nothing = {"contype": 0, "conaffinity": 0}
+    spec.worldbody.add_geom(
+        name=name, size=half_size, material="table", castshadow=False, **shared, **(contact or nothing)
+    )
+    core = np.maximum(np.asarray(half_size) - _CORE_DEPTH, np.asarray(half_size) / 4)
+    # No material: each box with a reflective material would be rendered in a pass of its own.
+    spec.worldbody.add_geom(name=f"{name}_core", size=core, **shared, **nothing)

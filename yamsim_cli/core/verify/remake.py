@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..attempt.frames import frames as made_frames
-from ..attempt.payload import versions
+from ..attempt.payload import FIRST_LOOKS, LOOKS, versions
 from ..attempt.physics import repeat
 from ..attempt.pictures import image_files
 from ..attempt.planned import demonstrate
@@ -103,7 +103,7 @@ class EpisodeVerifier(Closing):
             changed = self._changed(episode)
             frames = _read_frames(episode, problems)
             if episode.record.source == "record":
-                checks |= self._from_seed(episode, frames)
+                checks |= self._from_seed(episode, frames, skipped)
             else:
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
             if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._limits.values):
@@ -115,8 +115,8 @@ class EpisodeVerifier(Closing):
             problems = {"": str(error)} | problems
         return Verdict(number, checks, skipped, problems, changed)
 
-    def _from_seed(self, episode: StoredEpisode, frames: Frames) -> dict[str, Comparison]:
-        """The whole attempt again, from its two numbers."""
+    def _from_seed(self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]) -> dict[str, Comparison]:
+        """The whole attempt again, from its two numbers; `skipped` says why its images are not compared."""
         record, simulator = episode.record, self._simulator(episode.record)
         done = demonstrate(simulator, sample(simulator, EpisodeJob(record.seed, record.attempt)))
         made = made_frames(simulator, done.attempt, done.states)
@@ -128,7 +128,14 @@ class EpisodeVerifier(Closing):
             self._limits.values,
         )
         checks = {SEED: _together(compare_frames(frames, made, self._limits.values), once)}
-        if self._limits.images is not None and done.states:
+        if self._limits.images is None:
+            return checks
+        if (looks := _looks(record)) != LOOKS:
+            skipped[IMAGES] = (
+                f"its pictures are of looks revision {looks}, and this version draws revision {LOOKS}: they differ as "
+                "intended, which is no damage"
+            )
+        elif done.states:
             images = image_files(simulator, done.attempt, [state.qpos for state in done.states])
             checks[IMAGES] = _compare_images(episode, images, self._limits.images)
         return checks
@@ -137,7 +144,7 @@ class EpisodeVerifier(Closing):
         return self._simulators.of(EpisodeJob(record.seed, record.attempt))
 
     def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
-        then, now = dict(episode.record.versions), versions()
+        then, now = {"looks": _looks(episode.record)} | episode.record.versions, versions()
         simulator = self._simulator(episode.record)
         if self._limits.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
@@ -187,6 +194,11 @@ def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames,
     )
     once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, tolerance)
     return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
+
+
+def _looks(record: EpisodeRecord) -> str:
+    """Revision of looks that a recording's pictures were drawn with."""
+    return record.versions.get("looks", FIRST_LOOKS)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:

@@ -1,0 +1,95 @@
+"""Light stops at the first surface: what the table hides from a light does not change with what is above it."""
+
+from __future__ import annotations
+
+import os
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.scene.blueprint import recording_blueprint
+from yamsim_cli.core.scene.compiling import compile_spec
+from yamsim_cli.core.scene.compose import compose
+from yamsim_cli.core.vision.renderer import SceneRenderer
+
+SIZE = (160, 120)
+QUALITIES = ("fast", "balanced", "high")
+RIGS = ("single", "russet", "yam_station_linear_4310_d405")
+# Beside the cameras of a recording: one below the tabletop that looks at where the light would land.
+BELOW = "below"
+FLOOR = ("safety_plane", "floor_tiles")
+# Half the edges of what hangs above the table, how high, and where it is out of sight, m.
+HALF = (0.06, 0.06, 0.02)
+HEIGHT = 0.15
+AWAY = np.array([0.0, 0.0, -5.0])
+# Levels of 255 that count as a change: more than rounding of colours, far less than a shadow (about 30).
+CHANGED = 4
+
+
+def scene(rig: str, quality: str) -> tuple[mujoco.MjModel, RecordConfig, Array]:
+    """The scene of a recording with a box that can be moved, and where the box hangs above the table."""
+    opener = Opener({**os.environ, "YAMSIM_ASSETS": os.devnull}, lambda line: None, str)
+    where = opener.locations()
+    config = opener.config("default", where, rig=rig, quality=quality, size=f"{SIZE[0]}x{SIZE[1]}", wrist=True)
+    spec = compose(recording_blueprint(config), where)
+    table, light = config.surroundings.table, np.array(config.surroundings.lights[0].direction)
+    assert table is not None
+    place = np.array([*table.position[:2], table.top + HEIGHT])
+    spec.worldbody.add_body(name="box", mocap=True, pos=place).add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=HALF)
+    landing = place + light * (place[2] - config.surroundings.safety_plane) / -light[2]
+    eye = np.array([landing[0], landing[1], table.top - 2 * table.half_size[2] - 0.02])
+    spec.worldbody.add_camera(name=BELOW, pos=eye, fovy=70)
+    return compile_spec(spec), config, place
+
+
+def pictures(model: mujoco.MjModel, config: RecordConfig, at: Array) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Camera -> colours (h, w, 3) and geoms (h, w) with the box at a place."""
+    data = mujoco.MjData(model)
+    data.mocap_pos[model.body("box").mocapid[0]] = at
+    mujoco.mj_forward(model, data)
+    names = [model.camera(k).name for k in range(model.ncam)]
+    with SceneRenderer(model, SIZE, config.render.fine_size(SIZE)) as renderer:
+        return {name: (renderer.render(data, name).astype(int), renderer.segment(data, name).copy()) for name in names}
+
+
+def inside(geoms: np.ndarray, wanted: list[int]) -> np.ndarray:
+    """Pixels (h, w) of some geoms without those at an edge, where supersampling mixes colours."""
+    return cv2.erode(np.isin(geoms, wanted).astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0) > 0
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+@pytest.mark.parametrize("rig", RIGS)
+def test_the_table_carries_the_shadow_and_the_floor_below_has_none(rig: str, quality: str) -> None:
+    model, config, place = scene(rig, quality)
+    there, gone = pictures(model, config, place), pictures(model, config, AWAY)
+    ghosts, carried, floor_seen = {}, {}, {}
+    for name, (colours, geoms) in there.items():
+        change = np.abs(colours - gone[name][0]).max(axis=-1)
+        darker = (gone[name][0] - colours).min(axis=-1)
+        same = geoms == gone[name][1]
+        floor = inside(np.where(same, geoms, -1), [model.geom(part).id for part in FLOOR])
+        ghosts[name], floor_seen[name] = int((floor & (change > CHANGED)).sum()), int(floor.sum())
+        table = inside(np.where(same, geoms, -1), [model.geom("table").id])
+        carried[name] = int((table & (darker > CHANGED)).sum())
+    assert floor_seen[BELOW] > 1000
+    assert not any(ghosts.values()), ghosts
+    assert max(carried.values()) > 20, carried
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_nothing_but_the_box_darkens_the_tabletop(quality: str) -> None:
+    """The table does not speckle itself: without its own shadow its lit top is the same, pixel for pixel."""
+    model, config, _ = scene("single", quality)
+    ours = pictures(model, config, AWAY)["scene_camera"]
+    for k in range(model.ngeom):
+        if model.geom(k).name.endswith("_core"):
+            model.geom_size[k] = 1e-4
+    bare = pictures(model, config, AWAY)["scene_camera"]
+    top = inside(ours[1], [model.geom("table").id])
+    assert top.sum() > 500
+    assert np.abs(ours[0] - bare[0]).max(axis=-1)[top].max() <= CHANGED
