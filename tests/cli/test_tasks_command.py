@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.cli.run_cli import yamsim
 from tests.programs import changed, written
 
@@ -37,3 +39,35 @@ def test_a_scene_is_composed_as_a_task_begins(tmp_path: Path) -> None:
     run = yamsim("compose-xml", "--task", "drawer", "--out", tmp_path / "x", "--json")
     assert run.code == 0, run.err
     assert {"cabinet", "cabinet_drawer", "cube", "arm2_arm"} <= set(run.json["bodies"])
+
+
+def test_a_new_task_is_valid_and_overwrites_nothing(tmp_path: Path) -> None:
+    run = yamsim("tasks", "new", "my_task", "--folder", tmp_path, "--json")
+    assert run.code == 0, run.err
+    file = tmp_path / "my_task.yaml"
+    assert run.json == {"path": str(file)}
+    assert yamsim("config", "validate", file, "--kind", "tasks").code == 0
+    file.write_text("mine")
+    run = yamsim("tasks", "new", "my_task", "--folder", tmp_path)
+    assert run.code == 2 and "exists and is not overwritten" in run.message and file.read_text() == "mine"
+    assert yamsim("tasks", "new", "../my_task", "--folder", tmp_path).code == 2
+
+
+@pytest.mark.slow
+def test_a_new_task_passes_its_check(tmp_path: Path) -> None:
+    assert yamsim("tasks", "new", "my_task", "--folder", tmp_path).code == 0
+    run = yamsim("tasks", "check", tmp_path / "my_task.yaml", "--n", "3", "--workers", "1", "--json")
+    assert run.code == 0, run.err
+    assert all(check["ok"] for check in run.json["checks"])
+
+
+@pytest.mark.slow
+def test_failures_of_a_check_are_filmed(tmp_path: Path) -> None:
+    changes = {("goal",): {"held_by": {"thing": "cube"}}}
+    file = written(tmp_path, changed(changes))
+    films = tmp_path / "films"
+    run = yamsim("tasks", "check", file, "--n", "1", "--workers", "1", "--video", films, "--json")
+    assert run.code == 5, run.err
+    assert [path.name for path in films.iterdir()] == ["trial_000000_goal.mp4"]
+    program = next(check for check in run.json["checks"] if check["name"] == "program")
+    assert program["ok"] is False and "needs the cube in a hand at the end" in program["detail"]

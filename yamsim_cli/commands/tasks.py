@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.flags.settings import ConfigOption, Rig, Seed, Workers
+from yamsim_cli.terminal.films import film, films_at
 from yamsim_cli.terminal.items import print_item, print_items
 
-app = typer.Typer(help="List the tasks, show one, and check one.", no_args_is_help=True)
+app = typer.Typer(help="List the tasks, show one, and make and check one of yours.", no_args_is_help=True)
 
 _WORDS = {True: "passed", False: "FAILED", None: "does not apply"}
 
@@ -42,12 +45,37 @@ def show(
 
 
 @app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="Of the new task: letters, digits and underscores.")],
+    folder: Annotated[Path, typer.Option("--folder", help="Where NAME.yaml is written.")] = Path(),
+    json: Json = False,
+) -> None:
+    """Write the file of a new task, with comments, that passes `yamsim tasks check`. No file is overwritten.
+
+    Example: yamsim tasks new my_task
+    """
+    from yamsim_cli.core.task_proof.skeleton import new_task
+    from yamsim_cli.terminal.console import print_json, print_line
+
+    path = new_task(name, folder)
+    if json:
+        print_json({"path": str(path)})
+    else:
+        print_line(f"{path}: change it, then try it with `yamsim tasks check {path}`.")
+
+
+@app.command()
 def check(
     name: Annotated[str, typer.Argument(help="Of a task, or a YAML file.")],
     n: Annotated[int, typer.Option("--n", min=1, help="Attempts of the expert.")] = 20,
     least: Annotated[
         float, typer.Option("--min-success", min=0, max=1, help="The share of attempts that has to succeed.")
     ] = 0.85,
+    video: Annotated[
+        Path | None, typer.Option(help="Film trials that fail: all in one FILE.mp4, or one each in a folder.")
+    ] = None,
+    video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: how many at most.")] = 10,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Move older videos aside.")] = False,
     seed: Seed = None,
     workers: Workers = None,
     rig: Rig = None,
@@ -60,7 +88,9 @@ def check(
 
     Example: yamsim tasks check tower --n 20
     """
-    session = opener.open(config, renders=False, task=name, n=n, seed=seed, workers=workers, rig=rig)
+    if overwrite and video is None:
+        raise UsageError("--overwrite is for videos: give --video")
+    session = opener.open(config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig)
 
     from yamsim_cli.core.config.pairs import require_program
     from yamsim_cli.core.task_proof.proof import prove, require_proof
@@ -68,8 +98,13 @@ def check(
     from yamsim_cli.terminal.tables import listing
 
     require_program(session.config, "`yamsim tasks check`")
+    films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
         report = prove(session, least, advance)
+    if films:
+        from yamsim_cli.core.trials.films import film_trials
+
+        report["videos"] = film(films, lambda told: film_trials(report["trials"], video_trials, films, session, told))
     if json:
         print_json(report)
     else:

@@ -105,6 +105,44 @@ BAD = {
         "starts.cube.open.lid",
         "has no part 'lid'",
     ),
+    "misspelt kind": ({("kind",): "progam"}, "kind", "unknown kind 'progam'; did you mean 'program'? valid: handover,"),
+    "misspelt role in starts": (
+        {("starts", "cube"): None, ("starts", "cbe"): {"x": [0.3, 0.4], "y": [0, 0.1]}},
+        "starts.cbe",
+        "unknown role 'cbe'; did you mean 'cube'?",
+    ),
+    "place in millimetres": (
+        {("expert",): [PICK, {"place": {"thing": "cube", "on": "table", "at": [380, -120]}}]},
+        "expert[1].place.at[0]",
+        "must lie in -2.5..2.5 m; is it in mm? Then give 0.38",
+    ),
+    "push in millimetres": (
+        {("expert",): [{"push": {"thing": "cube", "to": [0.3, -120]}}]},
+        "expert[0].push.to[1]",
+        "is it in mm? Then give -0.12",
+    ),
+    "misspelt argument": (
+        {("expert",): [{"each": {"of": "cube", "do": [{"pick": {"thign": "it"}}]}}]},
+        "expert[0].each.do[0].pick.thign",
+        "unknown key; did you mean 'thing'?",
+    ),
+    "a clause and its opposite": (
+        {
+            ("goal",): {
+                "all": [
+                    {"on": {"thing": "cube", "surface": "plate"}},
+                    {"not": {"on": {"thing": "cube", "surface": "plate"}}},
+                ]
+            }
+        },
+        "goal",
+        "asks for a clause and for its opposite",
+    ),
+    "in a hand and in none": (
+        {("goal",): {"all": [{"on": {"thing": "cube", "surface": "plate"}}, {"handed_over": {"thing": "cube"}}]}},
+        "goal.all[1].handed_over",
+        "one clause needs the cube in a hand and another needs it in none",
+    ),
     "held out and said": (
         {("phrasings", "held_out"): ["the cube goes onto the plate"]},
         "phrasings.held_out",
@@ -147,6 +185,12 @@ def test_a_region_out_of_reach_is_told(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"small.yaml:\d+: task.starts.cube.x: all of the region of the cube is out of reach"
     ):
+        session_of(tmp_path, far)
+
+
+def test_a_place_out_of_reach_is_told(tmp_path: Path) -> None:
+    far = changed({("expert",): [PICK, {"place": {"thing": "cube", "on": "table", "at": [1.5, -0.1]}}]})
+    with pytest.raises(ConfigError, match=r"expert\[1\].place.at: \[1.5, -0.1\] is out of reach: it is 1.50 m from"):
         session_of(tmp_path, far)
 
 

@@ -22,6 +22,7 @@ class StillWorld:
         touches: pairs of things that touch.
         held: thing -> sides of the hands that hold it.
         passed: thing -> sides of the hands that held it, in order.
+        handed: thing -> its handovers so far, giver and taker.
         shares: (thing, container) -> share inside.
         openings: (thing, joint) -> share open.
         starts: thing -> where it began.
@@ -34,6 +35,7 @@ class StillWorld:
     touches: Iterable[tuple[str, str]] = ()
     held: Mapping[str, frozenset[str]] = field(default_factory=dict)
     passed: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    handed: Mapping[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
     shares: Mapping[tuple[str, str], float] = field(default_factory=dict)
     openings: Mapping[tuple[str, str], float] = field(default_factory=dict)
     starts: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
@@ -66,6 +68,9 @@ class StillWorld:
 
     def passed_to(self, thing: str) -> tuple[str, ...]:
         return self.passed.get(thing, ())
+
+    def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
+        return self.handed.get(thing, ())
 
     def share_inside(self, thing: str, container: str) -> float:
         return self.shares[thing, container]

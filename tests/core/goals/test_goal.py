@@ -14,6 +14,7 @@ from yamsim_cli.core.goals.predicates import PREDICATES
 
 from .still_world import StillWorld, flat_sheet, folded_sheet
 
+Place = tuple[float, float, float]
 CAST = Cast({"cup": ("cup",), "plate": ("plate",), "cube": ("cube_1", "cube_2")}, {"cube_1": "red", "cube_2": "blue"})
 ON_PLATE = StillWorld({"cup": (0.3, 0.01, 0.06), "plate": (0.3, 0.0, 0.02)}, touches=[("cup", "plate")])
 IN_AIR = StillWorld({"cup": (0.3, 0.0, 0.20), "plate": (0.3, 0.0, 0.02)}, held={"cup": frozenset({"left"})})
@@ -69,6 +70,12 @@ CASES = {
         StillWorld({"cup": (0, 0, 0)}, passed={"cup": ("left", "right")}),
         0.0,
         StillWorld({"cup": (0, 0, 0)}, passed={"cup": ("right",)}),
+    ),
+    "was_handed_over": (
+        {"thing": "cup", "to": "right"},
+        StillWorld({"cup": (0, 0, 0)}, handed={"cup": (("left", "right"),)}),
+        0.0,
+        StillWorld({"cup": (0, 0, 0)}, handed={"cup": (("right", "left"),)}, passed={"cup": ("left", "right")}),
     ),
     "sorted": (
         {"things": "cube", "order": ["blue", "red"], "axis": "y", "apart": 0.03},
@@ -203,3 +210,21 @@ def test_what_is_no_goal_says_why(given: dict[str, object], said: str) -> None:
 def test_a_goal_survives_its_own_dump() -> None:
     goal = Goal.model_validate({"all": [{"not": {"held_by": {"thing": "cup"}}}], "for_s": 0.5})
     assert Goal.model_validate(goal.model_dump(mode="json")) == goal
+
+
+@pytest.mark.parametrize(
+    ("side", "inside", "outside"),
+    [
+        ("right", (0.32, -0.05, 0.0), (0.30, 0.05, 0.0)),
+        ("left", (0.32, 0.05, 0.0), (0.36, 0.05, 0.0)),
+        ("front", (0.25, 0.02, 0.0), (0.35, 0.0, 0.0)),
+        ("behind", (0.35, 0.02, 0.0), (0.25, 0.0, 0.0)),
+    ],
+)
+def test_near_on_a_side_as_seen_from_the_base(side: str, inside: Place, outside: Place) -> None:
+    goal = Goal.model_validate({"near": {"thing": "cup", "other": "plate", "radius": 0.1, "side": side}})
+    plate = (0.3, 0.0, 0.0)
+    assert judge(goal, StillWorld({"cup": inside, "plate": plate}), CAST).reached
+    verdict = judge(goal, StillWorld({"cup": outside, "plate": plate}), CAST)
+    assert not verdict.reached and side in verdict.worst.detail
+    assert not judge(goal, StillWorld({"cup": plate, "plate": inside}), CAST).reached

@@ -71,7 +71,7 @@ def test_a_proof_has_everything(tmp_path: Path) -> None:
     report = prove(session_of(tmp_path, ONTO_PLATE, n=2), 0.5, lambda done, wanted: None)
     assert report["ok"] and report["success_rate"] == 1.0 and report["n"] == 2
     names = [check["name"] for check in report["checks"]]
-    assert names == ["expert", "reach", "hold_still", "open_fingers", "near_misses"]
+    assert names == ["program", "expert", "reach", "hold_still", "open_fingers", "near_misses"]
     require_proof(report)
 
 

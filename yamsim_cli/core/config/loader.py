@@ -26,7 +26,7 @@ from .real import RecordingNames
 from .recording import AnyTask, RecordConfig
 from .rig import RigConfig
 from .scene import SceneConfig
-from .task import TaskConfig
+from .task import PAIR_KINDS, TaskConfig
 from .things.thing import ObjectConfig
 
 KINDS: Mapping[str, type[Config]] = {
@@ -71,6 +71,14 @@ def model_of(kind: str) -> type[Config]:
 def variant(model: type[Config], data: Mapping[str, Any]) -> type[Config]:
     """The model that a document has to fit: of tasks there are two, told apart by their `kind`."""
     return ProgramTask if model is TaskConfig and data.get("kind") == PROGRAM else model
+
+
+def _require_task_kind(document: Document) -> None:
+    """Make sure that a task's `kind`, which decides the keys that it may have, is a known one."""
+    kind = document.data.get("kind")
+    valid = (PROGRAM, *PAIR_KINDS)
+    if kind is not None and kind not in valid:
+        raise ConfigError(f"{document.place(('kind',))}: kind: unknown kind {kind!r}; {suggest(str(kind), valid)}")
 
 
 def schema_of(kind: str) -> dict[str, Any]:
@@ -231,6 +239,8 @@ def _check(
 ) -> C:
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
+    if model is TaskConfig and not as_recorded:
+        _require_task_kind(document)
     fitting = cast(type[C], variant(model, document.data))
     _resolve_references(fitting, document, (), locations)
     try:

@@ -209,13 +209,14 @@ class ProgramTask(Config):
     def _roles_are_there(self) -> ProgramTask:
         if TABLE in self.things:
             raise ConflictError(f"no role may be called {TABLE!r}, which is what stands there", ("things", TABLE))
+        for role in self.starts:
+            if role not in self.things:
+                raise ConflictError(f"unknown role {role!r}; {suggest(role, self.things)}", ("starts", role))
         for role in self.things:
             if role not in self.starts:
                 raise ConflictError(f"nothing says where the {role} starts; add it to `starts`", ("starts",))
         placed = {TABLE}
         for role, start in self.starts.items():
-            if role not in self.things:
-                raise ConflictError(f"unknown role {role!r}; {suggest(role, self.things)}", ("starts", role))
             if start.on not in placed:
                 known = suggest(start.on, placed)
                 raise ConflictError(

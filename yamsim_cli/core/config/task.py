@@ -10,6 +10,9 @@ from ..documents.base import Config, ConflictError, Name, Reference
 from ..documents.units import Distance, HeadingRange, JointAngle, ReachRange, Within
 from .things.thing import GraspPoint, ObjectConfig
 
+# The kinds of `TaskConfig`: each has its functions in `core.tasks.kinds`.
+PAIR_KINDS = ("pickplace", "handover")
+
 # A height or a distance that cannot be zero, m.
 _Height = Annotated[FiniteFloat, Within("m", 1e-3, 1)]
 

@@ -40,7 +40,11 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             event = self.peek_event()  # type: ignore[no-untyped-call]
-            problem = f"alias *{event.anchor} is not supported; write the value out"
+            problem = (
+                f"alias *{event.anchor} is not supported: an error message could not name the one line of a value that "
+                "stands in two places, and nested aliases make a small file huge; write the value out, without "
+                f"&{event.anchor}"
+            )
             raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
         node: yaml.Node | None = super().compose_node(parent, index)
         return node

@@ -102,9 +102,9 @@ FieldOfView = Annotated[FiniteFloat, Within("degrees", 4, 179)]
 JointAngle = Annotated[FiniteFloat, Within("rad", -2 * math.pi, 2 * math.pi)]
 
 # A coordinate of things that an arm is to reach, in the frame of the arm's place, m.
-_Reach = Annotated[FiniteFloat, Within("m", -2.5, 2.5)]
+Reach = Annotated[FiniteFloat, Within("m", -2.5, 2.5)]
 
 PlacePoint = tuple[Place, Place, Place]
 OffsetPoint = tuple[Offset, Offset, Offset]
-ReachRange = Annotated[tuple[_Reach, _Reach], AfterValidator(ordered)]
+ReachRange = Annotated[tuple[Reach, Reach], AfterValidator(ordered)]
 HeadingRange = Annotated[tuple[Heading, Heading], AfterValidator(ordered), AfterValidator(_not_in_radians)]

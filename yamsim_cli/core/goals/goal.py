@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, cast
 
@@ -50,6 +50,18 @@ class _Clause(Config):
             case "not":
                 return [_turned(worst(value.measures(world, cast)))]
         return cast_predicate(value).measures(world, cast)
+
+    def holds_if(self, truth: Mapping[str, bool]) -> bool:
+        """Whether the clause holds, given for each predicate's `repr` whether it holds."""
+        key, value = self._given()[0], self._value()
+        match key:
+            case "all":
+                return all(clause.holds_if(truth) for clause in value)
+            case "any":
+                return any(clause.holds_if(truth) for clause in value)
+            case "not":
+                return not value.holds_if(truth)
+        return truth[repr(value)]
 
     def predicates(self, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Predicate]]:
         """Every predicate in it, and where it stands."""

@@ -48,6 +48,13 @@ class World(Protocol):
         """The sides of the hands that held a thing so far, in order; it never lay down between two of them."""
         ...
 
+    def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
+        """All handovers of a thing since the attempt began, in order: the sides of the giving and the taking hand.
+
+        Unlike `passed_to`, it keeps them when the thing is put down.
+        """
+        ...
+
     def share_inside(self, thing: str, container: str) -> float:
         """The share, 0..1, of a thing's volume that lies in a container's interior."""
         ...

@@ -78,6 +78,7 @@ class SimWorld:
         self._fingers = [_finger_geoms(model, arm) for arm in arms]
         self._points: dict[str, Array] = {}
         self._hands: dict[str, list[str]] = {name: [] for name in things}
+        self._handovers: dict[str, list[tuple[str, str]]] = {name: [] for name in things}
         self._starts: dict[str, Array] = {}
 
     @property
@@ -104,9 +105,10 @@ class SimWorld:
         return self._starts[self._known(thing)]
 
     def begin(self) -> None:
-        """Note where things are as an attempt begins, and forget whose hands held them before."""
+        """Note where things are as an attempt begins, and forget which hands held them before."""
         self._starts = {name: self.pose(name) for name in self.things}
         self._hands = {name: [] for name in self.things}
+        self._handovers = {name: [] for name in self.things}
 
     def bounds(self, thing: str) -> tuple[Array, Array]:
         """See `World`: exact for primitives and for the vertices of meshes, of what collides."""
@@ -182,6 +184,10 @@ class SimWorld:
         """See `World`; as far as `watch` has seen."""
         return tuple(self._hands[self._known(thing)])
 
+    def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
+        """See `World`; as far as `watch` has seen."""
+        return tuple(self._handovers[self._known(thing)])
+
     def share_inside(self, thing: str, container: str) -> float:
         """See `World`: of points spread evenly over a thing's primitives, those in the block of the interior."""
         to_container = inverse(self.pose(container))
@@ -205,8 +211,8 @@ class SimWorld:
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def watch(self) -> None:
-        """Note whose hands hold what now, for `passed_to`. A thing that no hand holds and that lies on something
-        begins anew.
+        """Note which hands hold what now, for `passed_to` and `handovers`. When no hand holds a thing and it touches
+        something, `passed_to` is cleared.
         """
         for thing, hands in self._hands.items():
             holders = self.holders(thing)
@@ -216,6 +222,8 @@ class SimWorld:
                 continue
             for side in sorted(holders):
                 if len(holders) == 1 and (not hands or hands[-1] != side):
+                    if hands:
+                        self._handovers[thing].append((hands[-1], side))
                     hands.append(side)
 
     def _supported(self, thing: str) -> bool:

@@ -44,13 +44,21 @@ class Skill(Config):
         """
 
     def fault(
-        self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, joints: Array
+        self,
+        bench: Bench,
+        cast: Cast,
+        hand: Hand,
+        thing: str,
+        T_thing_in_pinch: Array,
+        joints: Array,
+        ahead: Sequence[Skill] = (),
     ) -> str | None:
         """Why this skill could not go on with a thing that a hand were to hold so; None if it could, as far as known.
 
         Args:
             T_thing_in_pinch: the thing's pose (4, 4) in the hand's pinch frame.
             joints: of the arm (dof,) where it would take the thing, rad.
+            ahead: the skills after this one, which a skill that hands the thing on has to leave possible.
         """
         return None
 

@@ -10,14 +10,19 @@ from ..config.recording import RecordConfig
 from ..config.things.thing import ObjectConfig
 from ..documents.base import Config, ConflictError
 from ..geometry.folding import ways_to_fold
+from ..geometry.se3 import Array
 from ..goals.cast import Cast
+from ..goals.contradictions import contradiction
 from ..goals.predicates.hung import Hung
 from ..goals.world import TABLE
 from ..scene.robot import bare_arm
+from .base import Skill
 from .cloth.fold import Fold
 from .hang import Hang
 from .operate import Operate
+from .place import Place
 from .program import read_steps
+from .push import Push
 
 # What grids of points a fold takes, where it does not take all.
 _GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or so on points along a side"}
@@ -37,6 +42,7 @@ def check_config(config: Config) -> None:
         except ConflictError as error:
             raise ConflictError(str(error), *(("task", *path) for path in error.paths)) from error
         _check_reach(config, config.program)
+        _check_places(config, config.program)
 
 
 def check_program(task: ProgramTask, arms: int = 2) -> None:
@@ -73,6 +79,8 @@ def check_program(task: ProgramTask, arms: int = 2) -> None:
                 raise ConflictError(f"the {role} {said}", (*path, argument))
         if isinstance(skill, Fold):
             _check_fold(task, cast, skill, arms, path)
+    if (found := contradiction(task.goal)) is not None:
+        raise ConflictError(found[1], ("goal", *found[0]))
     for path, predicate in task.goal.predicates():
         if isinstance(predicate, Hung):
             _check_hung(task, cast, predicate, ("goal", *path))
@@ -118,7 +126,7 @@ def _objects_of(task: ProgramTask, cast: Cast, role: str) -> tuple[ObjectConfig,
 
 def _check_reach(config: RecordConfig, task: ProgramTask) -> None:
     """Make sure that of every region on the table some place is nearer to an arm's base than the arm is long."""
-    arms = [(config.rig.T_base_in_world(k)[:2, 3], _length(bare_arm(arm))) for k, arm in enumerate(config.rig.arms)]
+    arms = _arms(config)
     for role, start in task.starts.items():
         if start.on != TABLE:
             continue
@@ -132,6 +140,34 @@ def _check_reach(config: RecordConfig, task: ProgramTask) -> None:
                 f"away than any arm of rig {config.rig.name!r} is long",
                 ("task", "starts", role, "x"),
             )
+
+
+def _check_places(config: RecordConfig, task: ProgramTask) -> None:
+    """Make sure that each place on the table that a step names is within the length of some arm."""
+    arms = _arms(config)
+    longest = max(length for _, length in arms)
+    for path, skill in read_steps(task.expert, task.typical_cast, ("expert",)):
+        key, place = _named_place(skill)
+        if place is None or any(float(np.linalg.norm(place - base)) <= length for base, length in arms):
+            continue
+        nearest = min(float(np.linalg.norm(place - base)) for base, _ in arms)
+        raise ConflictError(
+            f"[{place[0]:g}, {place[1]:g}] is out of reach: it is {nearest:.2f} m from the nearest arm's base, and the "
+            f"arms of rig {config.rig.name!r} reach at most {longest:.2f} m; give x and y in `world`, m",
+            ("task", *path, key),
+        )
+
+
+def _named_place(skill: Skill) -> tuple[str, Array | None]:
+    """The argument by which a skill names a place on the table, and the place (2,); None if it names none."""
+    if isinstance(skill, Place) and skill.on == TABLE and skill.at is not None and skill.start_of is None:
+        return "at", np.array(skill.at) + skill.number * np.array(skill.step)
+    return "to", np.array(skill.to) if isinstance(skill, Push) else None
+
+
+def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
+    """Where the base (2,) of each arm is in `world`, and how long the arm is at most, m."""
+    return [(config.rig.T_base_in_world(k)[:2, 3], _length(bare_arm(arm))) for k, arm in enumerate(config.rig.arms)]
 
 
 def _length(model: mujoco.MjModel) -> float:

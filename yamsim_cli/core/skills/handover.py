@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -35,8 +34,6 @@ _LEAST_ANGLE = math.radians(50)
 _OPPOSITE = math.radians(165)
 # But for hands that hold a long thing side by side, so far apart, m.
 _SIDE_BY_SIDE = 0.13
-# How many meetings are looked at for what follows.
-_MOST_MEETINGS = 40
 
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
@@ -96,36 +93,64 @@ class Handover(Skill):
         bench.look_at(taker)
 
     def fault(
-        self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, joints: Array
+        self,
+        bench: Bench,
+        cast: Cast,
+        hand: Hand,
+        thing: str,
+        T_thing_in_pinch: Array,
+        joints: Array,
+        ahead: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill`."""
         if cast.one(self.thing) != thing or self.to == hand.side:
             return None
         taker = next(other for other in bench.hands if other is not hand)
-        found = self._meetings(bench, hand, taker, Held(thing, T_thing_in_pinch))
+        grips, why = self._suitable(bench, cast, taker, thing, ahead)
+        if not grips:
+            return why
+        found = self._meetings(bench, hand, taker, Held(thing, T_thing_in_pinch), grips)
         return None if next(found, None) else f"no place where the {taker.side} hand can take it"
 
     def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
-        """The first meeting after which what follows can go on too; else the first at all."""
+        """The first meeting after which the next skill can go on; without one, the first at all."""
         held = bench.look_at(giver)
-        first = None
-        for found in itertools.islice(self._meetings(bench, giver, taker, held), _MOST_MEETINGS):
-            first = first or found
-            T = inverse(found.grip.T_pinch_in_thing)
-            if not ahead or ahead[0].fault(bench, cast, taker, held.thing, T, found.taking) is None:
+        suitable, _ = self._suitable(bench, cast, taker, held.thing, ahead)
+        for grips in (suitable, bench.grips(held.thing, taker.widest)):
+            if (found := next(self._meetings(bench, giver, taker, held, grips), None)) is not None:
                 return found
-        if first is None:
-            raise SkillFailedError(Cause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
-        return first
+        raise SkillFailedError(Cause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
 
-    def _meetings(self, bench: Bench, giver: Hand, taker: Hand, held: Held) -> Iterator[_Meeting]:
-        """Where both hands reach the thing and touch nothing, the taking hand holding it one way or another."""
+    def _suitable(
+        self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]
+    ) -> tuple[list[Grip], str | None]:
+        """The grips of the taking hand with which the next skill can go on; without any, why the last one cannot."""
+
+        def look() -> tuple[list[Grip], str | None]:
+            grips, why = list(bench.grips(thing, taker.widest)), None
+            if not ahead:
+                return grips, why
+            suitable = []
+            for grip in grips:
+                T = inverse(grip.T_pinch_in_thing)
+                fault = ahead[0].fault(bench, cast, taker, thing, T, taker.ready, ahead[1:])
+                if fault is None:
+                    suitable.append(grip)
+                why = fault or why
+            return suitable, why
+
+        return bench.once((self, "suitable", taker.side, thing), look)
+
+    def _meetings(
+        self, bench: Bench, giver: Hand, taker: Hand, held: Held, grips: Iterable[Grip]
+    ) -> Iterator[_Meeting]:
+        """Where both hands reach the thing and touch nothing, the taking hand holding it by one of some grips."""
         bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, taker)]
         middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
         across = across / np.linalg.norm(across)
         height = float(bench.world.bounds(TABLE)[1][2]) + self.height
         T_giving = inverse(held.T_thing_in_pinch)
-        for grip in bench.grips(held.thing, taker.widest):
+        for grip in grips:
             for R in _turned(T_giving, grip.T_pinch_in_thing, across):
                 for ahead in _AHEAD:
                     T_thing = pose((middle[0] + ahead, middle[1], height), R)

@@ -53,7 +53,14 @@ class Hang(Skill):
         return [bench.world.mark(cast.one(self.onto), "peg")[:2, 3]]
 
     def fault(
-        self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, joints: Array
+        self,
+        bench: Bench,
+        cast: Cast,
+        hand: Hand,
+        thing: str,
+        T_thing_in_pinch: Array,
+        joints: Array,
+        ahead: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill`."""
         fault = f"the {hand.side} arm does not reach the peg with it"

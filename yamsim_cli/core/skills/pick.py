@@ -61,14 +61,19 @@ class Pick(Skill):
         places = ahead[0].places(bench, cast, thing) if ahead else ()
         reasons: dict[str, int] = {}
         for hand in self._hands(bench, thing, places):
-            for found in self._reaches(bench, cast, hand, thing, ahead[:1], reasons):
+            for found in self._reaches(bench, cast, hand, thing, ahead, reasons):
                 yield from park_others(bench, hand)
                 yield from self._take(bench, hand, thing, found)
                 return
+        if not reasons:
+            low, high = bench.world.block(thing)
+            opens = f"{2000 * max(hand.widest for hand in bench.hands):.0f} mm"
+            size = " x ".join(f"{1000 * length:.0f}" for length in high - low)
+            reasons[
+                f"it is {size} mm and has no two opposite faces less than {opens} apart, as wide as a hand opens"
+            ] = 1
         said = "; ".join(f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3])
-        raise SkillFailedError(
-            Cause.UNREACHABLE, f"no way to take the {thing}: {said or 'it has no place to be held at'}"
-        )
+        raise SkillFailedError(Cause.UNREACHABLE, f"no way to take the {thing}: {said}")
 
     def _hands(self, bench: Bench, thing: str, goals: Sequence[Array]) -> list[Hand]:
         """The hands that may do it, the nearest to where the thing lies and is to lie first."""
@@ -109,6 +114,13 @@ class Pick(Skill):
         """The grips that a hand can take now, and with which what follows can go on."""
         T_thing = bench.world.pose(thing)
         for grip in bench.grips(thing, hand.widest):
+            if grip.opening > hand.widest:
+                why = (
+                    f"it is {2000 * grip.opening:.1f} mm wide where it can be held, and the {hand.side} hand opens "
+                    f"{2000 * hand.widest:.1f} mm"
+                )
+                reasons[why] = reasons.get(why, 0) + 1
+                continue
             if hand.held_in_vain(thing, grip.T_pinch_in_thing):
                 continue
             wide = min(grip.opening + grip.clearance, hand.widest)
@@ -122,7 +134,8 @@ class Pick(Skill):
             if at is not None and before is not None:
                 blocked = self._blocked(bench, hand, thing, grip, T_at, at)
                 if blocked is None and ahead:
-                    blocked = ahead[0].fault(bench, cast, hand, thing, inverse(grip.T_pinch_in_thing), at)
+                    T = inverse(grip.T_pinch_in_thing)
+                    blocked = ahead[0].fault(bench, cast, hand, thing, T, at, ahead[1:])
                 if blocked is None:
                     yield _Reach(grip, before, at, wide)
                 why = blocked or "it failed"

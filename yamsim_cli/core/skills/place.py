@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from ..documents.units import Within
+from ..documents.units import Reach, Within
 from ..geometry.se3 import Array, inverse, pose, rotation_z, yaw
 from ..goals.cast import Cast
 from ..goals.world import TABLE
@@ -66,7 +66,14 @@ class Placing(Skill):
         return [T[:2, 3] for T in self._best(bench, cast, thing)[:1]]
 
     def fault(
-        self, bench: Bench, cast: Cast, hand: Hand, thing: str, T_thing_in_pinch: Array, joints: Array
+        self,
+        bench: Bench,
+        cast: Cast,
+        hand: Hand,
+        thing: str,
+        T_thing_in_pinch: Array,
+        joints: Array,
+        ahead: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill`."""
         fault = None
@@ -145,7 +152,7 @@ class Place(Placing):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
     EITHER: ClassVar[tuple[str, ...]] = ("on",)
     on: str
-    at: tuple[FiniteFloat, FiniteFloat] | None = None
+    at: tuple[Reach, Reach] | None = None
     start_of: str | None = None
     step: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
     number: Annotated[int, Field(ge=0)] = 0

@@ -152,10 +152,14 @@ def _read_skill(key: str, given: Any, cast: Cast, path: tuple[str | int, ...], n
     try:
         skill = SKILLS[key].model_validate(filled)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        # A misspelt key is both unknown and missing; the place where it stands comes first.
+        found = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] == "missing")
+        first = found[0]
         message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         if first["type"] == "extra_forbidden":
             message = f"unknown key; {suggest(str(first['loc'][-1]), SKILLS[key].model_fields)}"
+        elif first["type"] == "missing":
+            message = "missing; add it"
         raise ConflictError(message, (*path, *first["loc"])) from error
     known = {*cast.things, *(name for things in cast.things.values() for name in things), "table"}
     for argument, role in skill.roles():

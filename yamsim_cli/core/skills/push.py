@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
 import numpy as np
-from pydantic import FiniteFloat
 
 from ..documents.base import Positive
+from ..documents.units import Reach
 from ..geometry.se3 import Array, pose, rotation_z
 from ..goals.cast import Cast
 from ..goals.world import TABLE
@@ -49,7 +49,7 @@ class Push(Skill):
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     thing: str
-    to: tuple[FiniteFloat, FiniteFloat]
+    to: tuple[Reach, Reach]
     radius: Positive = 0.02
     arm: Side = "any"
 

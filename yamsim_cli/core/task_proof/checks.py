@@ -22,6 +22,7 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..scene.compiled import CompiledScene, Ids
 from ..sim.watched import WatchedLoop
+from ..skills.contradictions import program_contradiction
 from ..skills.program import read_program
 from ..types import Actions, Attempt, EpisodeJob
 
@@ -61,6 +62,12 @@ class Check:
     ok: bool | None
     value: float | None
     detail: str
+
+
+def check_program_fits(task: ProgramTask) -> Check:
+    """Whether the expert's steps can reach the goal, as far as they tell without a simulation."""
+    why = program_contradiction(task)
+    return Check("program", why is None, None, why or "no step contradicts the goal")
 
 
 def check_reach(simulator: Simulator, task: ProgramTask) -> Check:

@@ -14,7 +14,7 @@ from ..progress import Progress
 from ..session import Session
 from ..trials.batch import run_batch
 from ..types import EpisodeJob
-from .checks import Check, check_near_misses, check_open_fingers, check_reach, check_still
+from .checks import Check, check_near_misses, check_open_fingers, check_program_fits, check_reach, check_still
 
 # How often the checks that are to fail are tried.
 _FEW = 3
@@ -40,7 +40,7 @@ def prove(session: Session, least: float, progress: Progress) -> dict[str, Any]:
     low, high = report["wilson95"]
     counted = f"{report['n_success']} of {report['n']} succeed, 95 % interval {low:.1%} to {high:.1%}"
     told = f"{counted}; at least {least:.0%} is needed"
-    checks = [Check("expert", rate >= least, rate, told)]
+    checks = [check_program_fits(config.program), Check("expert", rate >= least, rate, told)]
     few = min(_FEW, config.episodes)
     with Simulators(session.without_meshes()) as simulators:
         checks.append(check_reach(simulators.of(EpisodeJob(config.seed, 0)), config.program))

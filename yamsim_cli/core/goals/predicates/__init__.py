@@ -21,6 +21,7 @@ from .spread import Spread
 from .stacked import Stacked
 from .swapped import Swapped
 from .upright import Upright
+from .was_handed_over import WasHandedOver
 
 PREDICATES: Mapping[str, type[Predicate]] = {
     "on": On,
@@ -33,6 +34,7 @@ PREDICATES: Mapping[str, type[Predicate]] = {
     "above": Above,
     "held_by": HeldBy,
     "handed_over": HandedOver,
+    "was_handed_over": WasHandedOver,
     "sorted": Sorted,
     "open": Open,
     "swapped": Swapped,

@@ -15,6 +15,8 @@ class Predicate(Config):
     """Base of the predicates. A subclass's fields are its arguments; those that name a role are listed in `ROLES`."""
 
     ROLES: ClassVar[tuple[str, ...]]
+    # Whether its first role has to be in a hand (True) or in none (False); None where either may be.
+    IN_HAND: ClassVar[bool | None] = None
     # Whether it is asked of cloth alone.
     OF_CLOTH: ClassVar[bool] = False
 

@@ -30,6 +30,7 @@ class Folded(Predicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    IN_HAND: ClassVar[bool | None] = False
     OF_CLOTH: ClassVar[bool] = True
     thing: str
     how: Fold = "half"

@@ -12,7 +12,7 @@ from .base import Predicate
 
 
 class HandedOver(Predicate):
-    """Each thing went from one hand to the other in the air.
+    """Each thing went from one hand to the other in the air, and has not been put down since.
 
     Attributes:
         thing: a role.
@@ -20,6 +20,7 @@ class HandedOver(Predicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    IN_HAND: ClassVar[bool | None] = True
     thing: str
     to: Literal["left", "right", "either"] = "either"
 

@@ -19,6 +19,7 @@ class HeldBy(Predicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    IN_HAND: ClassVar[bool | None] = True
     thing: str
     arm: Literal["left", "right", "either", "both"] = "either"
 

@@ -28,6 +28,7 @@ class Hung(Predicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")
+    IN_HAND: ClassVar[bool | None] = False
     thing: str
     onto: str
     eye: str = "eye"

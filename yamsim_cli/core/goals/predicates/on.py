@@ -22,6 +22,7 @@ class On(Predicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
+    IN_HAND: ClassVar[bool | None] = False
     thing: str
     surface: str
     inside: Distance = 0.0

@@ -25,6 +25,7 @@ class Spread(Predicate):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
+    IN_HAND: ClassVar[bool | None] = False
     OF_CLOTH: ClassVar[bool] = True
     thing: str
     area: Annotated[Share, Field(gt=0, lt=1)] = 0.95

@@ -1,0 +1,48 @@
+"""A thing that is handed over and put down: the taking hand holds it so that it can be placed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.programs import STATION, changed, first_attempt, session_of
+from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.simulators import Simulators
+
+TASK = changed(
+    {
+        ("rig",): STATION,
+        ("things",): {"bottle": {"of": "kitchen_bottle"}},
+        ("starts",): {"bottle": {"x": [0.30, 0.36], "y": [0.14, 0.20]}},
+        ("goal",): {
+            "all": [
+                {"was_handed_over": {"thing": "bottle", "to": "right"}},
+                {"on": {"thing": "bottle", "surface": "table"}},
+            ]
+        },
+        ("expert",): [
+            {"pick": {"thing": "bottle", "arm": "left"}},
+            {"handover": {"thing": "bottle", "to": "right"}},
+            {"place": {"thing": "bottle", "on": "table", "at": [0.32, -0.2]}},
+        ],
+    }
+)
+
+
+@pytest.mark.slow
+def test_a_bottle_is_handed_over_and_put_down(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, TASK)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate_program(simulator, attempt).outcome
+    assert outcome.success, outcome.detail
+
+
+@pytest.mark.slow
+def test_what_is_too_wide_for_the_hand_is_told_with_both_widths(tmp_path: Path) -> None:
+    task = changed({("things", "cube", "of"): "054_softball"})
+    with Simulators(session_of(tmp_path, task)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate_program(simulator, attempt).outcome
+    assert not outcome.success
+    assert "mm wide where it can be held, and the right hand opens 95.0 mm" in (outcome.detail or ""), outcome.detail
