@@ -60,7 +60,7 @@ def test_a_value_that_is_missing_or_wrong_is_a_dataset_error(key: str, value: An
 )
 def test_a_foreign_pattern_is_refused_before_it_is_formatted(pattern: str) -> None:
     films = Films(Path("set"), {"fps": 30, "video_path": pattern}, "meta/info.json")
-    with pytest.raises(DatasetError, match="video_path is .*valid: "):
+    with pytest.raises(DatasetError, match=r"video_path is .*valid: "):
         films.place("observation.images.top", 0, None)
 
 
@@ -84,7 +84,7 @@ def test_a_row_of_version_3_without_a_place_is_a_dataset_error() -> None:
 
 def test_a_pattern_of_the_other_version_is_a_dataset_error() -> None:
     films = Films(Path("set"), {"fps": 30, "video_path": "videos/{file_index:03d}.mp4"}, "meta/info.json")
-    with pytest.raises(DatasetError, match="video_path .*valid: for this version"):
+    with pytest.raises(DatasetError, match=r"video_path .*valid: for this version"):
         films.place("k", 0, None)
 
 
@@ -96,5 +96,5 @@ def test_a_dataset_without_a_needed_value_is_refused_when_it_is_read(
     info = json.loads((folder / "meta/info.json").read_text())
     del info[key]
     (folder / "meta/info.json").write_text(json.dumps(info))
-    with pytest.raises(DatasetError, match=f"{key} is missing; valid: "):
+    with pytest.raises(DatasetError, match=rf"{key} is missing; valid: "):
         reader_of("lerobot")(folder, station, None, locations)

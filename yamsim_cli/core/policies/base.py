@@ -22,6 +22,7 @@ STATE = (OBJECTS, VELOCITIES)
 # Actions of the longest answer, and how long one of them may last, s.
 MOST_ACTIONS = 1000
 SHORTEST, LONGEST = 1e-3, 10.0
+_LONGEST_CHUNK = 100.0  # s, how long a chunk may last: 1000 actions at 10 Hz. Chunks are kept until they run out.
 
 # As a policy sees it. Of two arms, numbers are the left one's and then the right one's.
 # - `scene_rgb` (height, width, 3) of uint8; `wrist_rgb`, or of two arms `left_wrist_rgb` and `right_wrist_rgb`; each is
@@ -109,6 +110,10 @@ def read_chunk(answer: object, arms: int, each: int) -> Chunk:
     period = answer.get("period")
     if period is not None and not (isinstance(period, int | float) and SHORTEST <= period <= LONGEST):
         raise InvalidActionError(f"period is {period!r}, not {SHORTEST:g} to {LONGEST:g} s")
+    if period is not None and count * period > _LONGEST_CHUNK:
+        raise InvalidActionError(
+            f"{count} actions of {period:g} s last {count * period:g} s, not at most {_LONGEST_CHUNK:g}"
+        )
     (done,) = _truths(answer.get("done", False), "done", 1)
     return Chunk(ctrl.reshape(count, arms, each), np.array(magnet), done, period)
 
@@ -141,7 +146,7 @@ def _truths(value: object, key: str, count: int) -> tuple[bool, ...]:
     values = _values(value, key).ravel()
     if values.size != count or values.dtype.kind not in "bif" or not np.isin(values, (0, 1)).all():
         wanted = "true or false" if count == 1 else f"{count} times true or false, the left arm's first"
-        raise InvalidActionError(f"{key} is {value!r}, not {wanted}")
+        raise InvalidActionError(f"{key} is {repr(value)[:80]}, not {wanted}")
     return tuple(map(bool, values))
 
 
