@@ -98,3 +98,12 @@ def test_a_dataset_without_a_needed_value_is_refused_when_it_is_read(
     (folder / "meta/info.json").write_text(json.dumps(info))
     with pytest.raises(DatasetError, match=rf"{key} is missing; valid: "):
         reader_of("lerobot")(folder, station, None, locations)
+
+
+def test_a_camera_with_a_path_as_its_name_is_refused(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.1), station, _NAMES)
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"]["observation.images.a/b"] = info["features"].pop("observation.images.top")
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    with pytest.raises(DatasetError, match="camera 'a/b' is not valid"):
+        reader_of("lerobot")(folder, station, None, locations)
