@@ -46,4 +46,5 @@ class LocalServer(viser.ViserServer):
     """viser's server without its tunnel to a public address, for which any client could ask."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        return None
+        """Do nothing: there is no tunnel."""
+        return
