@@ -141,3 +141,9 @@ def test_an_older_chunk_acts_on_where_a_newer_one_is_shorter() -> None:
         player.take(Chunk(np.full((length, 1, 7), tick), np.zeros((length, 1), bool), False), tick, 0.0)
     acted = [player.act(tick)[0][0, 0] for tick in range(1, 12)]
     assert acted == [1, 1, 0, 0, 0, 0, 0, 0, 0, 1, 1]
+
+
+def test_joints_in_degrees_are_refused_and_named() -> None:
+    with pytest.raises(InvalidActionError, match=r"ctrl has a joint at -90.*is it in degrees"):
+        read_chunk({"ctrl": [[0, -90, 45, 0, 0, 0, 0.01]]}, 1, 7)
+    read_chunk({"ctrl": [0, 3.1, 0, 0, 0, 0, 50.0]}, 1, 7)

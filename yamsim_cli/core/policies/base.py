@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
+from ..documents.units import Within
 from ..geometry.se3 import Array
 from ..types import Holds
 
@@ -22,6 +24,7 @@ STATE = (OBJECTS, VELOCITIES)
 # Actions of the longest answer, and how long one of them may last, s.
 MOST_ACTIONS = 1000
 SHORTEST, LONGEST = 1e-3, 10.0
+_ANGLE = Within("rad", -2 * math.pi, 2 * math.pi)  # Of a joint; none turns further, and degrees do.
 _LONGEST_CHUNK = 100.0  # s, how long a chunk may last: 1000 actions at 10 Hz. Chunks are kept until they run out.
 
 # As a policy sees it. Of two arms, numbers are the left one's and then the right one's.
@@ -106,6 +109,7 @@ def read_chunk(answer: object, arms: int, each: int) -> Chunk:
         raise InvalidActionError(f"an action holds ctrl, magnet, done and period, and not {', '.join(unknown)}")
     ctrl = _ctrl(answer, arms * each)
     count = len(ctrl) if ctrl.ndim > 1 else 1
+    _check_angles(ctrl.reshape(count, arms, each))
     magnet = _magnet(answer["magnet"], ctrl.ndim > 1, count, arms) if "magnet" in answer else [(False,) * arms] * count
     period = answer.get("period")
     if period is not None and not (isinstance(period, int | float) and SHORTEST <= period <= LONGEST):
@@ -140,6 +144,18 @@ def _ctrl(answer: Mapping[str, Any], drives: int) -> Array:
     if not np.isfinite(ctrl).all():
         raise InvalidActionError(f"ctrl is not finite: {np.array2string(ctrl, precision=3, threshold=20)}")
     return ctrl
+
+
+def _check_angles(ctrl: Array) -> None:
+    """Refuse joints in another unit than rad; the last drive may be a gripper's."""
+    joints = ctrl[..., :-1]
+    if joints.size == 0:
+        return
+    largest = float(joints.flat[int(np.argmax(np.abs(joints)))])
+    try:
+        _ANGLE.check(largest)
+    except ValueError as error:
+        raise InvalidActionError(f"ctrl has a joint at {largest:g}, which {error}") from error
 
 
 def _truths(value: object, key: str, count: int) -> tuple[bool, ...]:
