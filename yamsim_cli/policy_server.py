@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from .core.errors import ResourceError
+from .core.page_origin import refusal
 from .core.policies.loading import check_policy, reset_policy, wanted_images, wanted_state
 from .core.policies.policy_faults import fault_of
 from .core.policies.wire import PROTOCOL, UnsendableError, WireError, pack, require_msgpack, sendable, unpack
@@ -50,7 +51,7 @@ class PolicyServer(ThreadingHTTPServer):
 
     def __init__(self, make_policy: Callable[[], Any], host: str = LOOPBACK, port: int = 8080) -> None:
         require_msgpack()
-        self._make = make_policy
+        self._make, self.host = make_policy, host
         self._sessions: dict[str, Any] = {}
         # Most models must not be called from two threads at once, and a GPU would not be faster by it.
         self._one_at_a_time = threading.Lock()
@@ -123,7 +124,12 @@ class _Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True
 
     def do_POST(self) -> None:
-        """One message, and its answer."""
+        """One message, and its answer; a web page of another site is refused."""
+        hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
+        if refusal(hosts, origins, self.server.host) is not None:
+            self.send_error(403)
+            self.close_connection = True
+            return
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal() or int(length) > _LARGEST:
             self.send_error(413)

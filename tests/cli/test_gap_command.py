@@ -83,6 +83,18 @@ def test_what_looks_wrong_with_a_recording_is_told(single: RigConfig, made: Moti
     assert run.json["problems"][0]["fault"] == "gripper_share"
 
 
+def test_other_units_are_refused_before_anything_is_simulated(single: RigConfig, made: Motion, tmp_path: Path) -> None:
+    (arm,) = made.arms
+    assert arm.commands is not None
+    late = replace(made, times=made.times * 1000)
+    told = replace(made, arms=(replace(arm, commands=np.degrees(arm.commands)),))
+    turned = replace(made, arms=(replace(arm, joints=np.degrees(arm.joints)),))
+    for name, motion, said in (("ms", late, "is it in ms"), ("told", told, "degrees"), ("turned", turned, "degrees")):
+        run = yamsim("gap", write_csv(tmp_path / f"{name}.csv", motion, single))
+        assert run.code == 4
+        assert said in run.message
+
+
 def test_what_was_imported_has_the_gap_that_it_had_before(logs: Path, tmp_path: Path) -> None:
     real = tmp_path / "real"
     assert yamsim("import", logs / "late.csv", "--rig", "single", "--out", real).code == 0

@@ -94,11 +94,13 @@ def gap(
         opener.skip_gl()
 
     from yamsim_cli.core.gap.tally import report_of, require_small
-    from yamsim_cli.core.recordings.faults import find_faults
+    from yamsim_cli.core.recordings.faults import find_faults, require_units
     from yamsim_cli.core.recordings.reading import read_motions
 
     motions = read_motions(recordings, settings, where, mapping)
     problems = [(motion.name, problem) for motion in motions for problem in find_faults(motion, settings)]
+    for name, problem in problems:
+        require_units(name, [problem])
     for name, problem in problems:
         note(f"{name}: {problem.text}")
     gaps = _gaps(motions, settings, surroundings, where, (begin or 0.0, math.inf if end is None else end))

@@ -25,8 +25,8 @@ def test_an_action_is_read() -> None:
 
 
 def test_several_actions_are_a_chunk() -> None:
-    chunk = read_chunk({"ctrl": np.arange(21).reshape(3, 7), "magnet": [0, 1, 1], "period": 0.02}, 1, 7)
-    np.testing.assert_array_equal(chunk.ctrl[:, 0], np.arange(21).reshape(3, 7))
+    chunk = read_chunk({"ctrl": (np.arange(21) / 10).reshape(3, 7), "magnet": [0, 1, 1], "period": 0.02}, 1, 7)
+    np.testing.assert_array_equal(chunk.ctrl[:, 0], (np.arange(21) / 10).reshape(3, 7))
     assert (chunk.magnet.tolist(), chunk.period) == ([[False], [True], [True]], 0.02)
     two = read_chunk({"ctrl": np.zeros((2, 14)), "magnet": [[0, 1], [1, 0]]}, 2, 7)
     assert (two.ctrl.shape, two.magnet.tolist()) == ((2, 2, 7), [[False, True], [True, False]])
@@ -62,8 +62,8 @@ def test_what_is_no_action_is_told(answer: object, told: str) -> None:
 
 
 def test_two_arms_have_two_of_everything() -> None:
-    action = read_chunk({"ctrl": np.arange(14), "magnet": [False, True]}, 2, 7)
-    np.testing.assert_array_equal(action.ctrl, [np.arange(14).reshape(2, 7)])
+    action = read_chunk({"ctrl": (np.arange(14) / 10), "magnet": [False, True]}, 2, 7)
+    np.testing.assert_array_equal(action.ctrl, [(np.arange(14) / 10).reshape(2, 7)])
     assert (action.magnet.tolist(), action.done) == ([[False, True]], False)
     assert read_chunk({"ctrl": np.zeros(14)}, 2, 7).magnet.tolist() == [[False, False]]
     for answer, told in (

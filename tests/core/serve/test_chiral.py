@@ -243,8 +243,9 @@ def test_a_message_that_is_too_long_is_hung_up_on(server: ChiralServer) -> None:
     assert not server._connections.programs
 
 
-def test_web_pages_are_refused(server: ChiralServer) -> None:
-    page = Client(server, Origin="http://elsewhere")
+@pytest.mark.parametrize("foreign", [{"Origin": "http://elsewhere"}, {"Origin": "null"}, {"Host": "elsewhere:80"}])
+def test_web_pages_are_refused(server: ChiralServer, foreign: dict[str, str]) -> None:
+    page = Client(server, **foreign)
     (answer,) = page.events
     assert answer.status_code == 403
     assert not select.select([page.socket], [], [], 0)[0] or page.socket.recv(1) == b""

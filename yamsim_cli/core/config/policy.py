@@ -16,7 +16,7 @@ Fit = Literal["stretch", "pad"]
 Layout = Literal["rows", "channels"]
 
 # A camera that a policy may be shown, by its name in `core.policies.base.IMAGES`, or one of a station's own.
-CameraName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+CameraName = Name
 
 # What a constant of a message may be.
 Constant = bool | int | float | str

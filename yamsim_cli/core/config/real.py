@@ -59,7 +59,7 @@ class RecordingNames(Config):
     field: _Called = "position"
     prompt_topic: _Called | None = None
     prompt_field: _Called = "text"
-    cameras: dict[_Called, Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]] = Field(default_factory=dict)
+    cameras: dict[_Called, Name] = Field(default_factory=dict)
     gripper: GripperUnit = "share"
 
     @model_validator(mode="after")

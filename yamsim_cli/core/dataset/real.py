@@ -13,7 +13,7 @@ from ..documents.document import parse_yaml
 from ..errors import ConfigError, DatasetError
 from ..resources import Locations
 from .layout import CONFIG, EPISODE, EPISODE_FORMAT, REAL_FORMAT_VERSION
-from .records import Record
+from .records import CameraSizes, FilePath, Record
 
 REAL = "real"
 
@@ -47,14 +47,14 @@ class RealRecord(Record):
     rig: str
     frames: Annotated[int, Field(ge=1)]
     frame_period_s: Annotated[float, Field(gt=0)]
-    cameras: dict[str, tuple[int, int]]
+    cameras: CameraSizes
     arms: Annotated[int, Field(ge=1, le=2)]
     drives: Annotated[int, Field(ge=1, le=64)]
     prompt: str = ""
     problems: tuple[str, ...] = ()
     versions: dict[str, str]
     content_sha256: str
-    files: dict[str, str]
+    files: dict[FilePath, str]
 
 
 def is_real(dataset: Path) -> bool:

@@ -17,6 +17,7 @@ from pydantic import (
     WrapSerializer,
 )
 
+from ..documents.base import Name
 from ..errors import DatasetError
 from ..files import sha256_bytes
 from ..geometry.se3 import Array, UprightPose
@@ -24,6 +25,13 @@ from ..goals.cast import Cast
 from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, FullPose, Layout, Margins, Outcome
 from ..variation import Variation
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
+
+# Path of a file in its episode. No part begins with a dot, so that a path never leads out of the episode.
+FilePath = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)*$", max_length=300)
+]
+# Camera -> width and height of its images, px. A camera's name is a folder's name in episodes and exports.
+CameraSizes = dict[Name, tuple[int, int]]
 
 # Drives of an arm where a record does not say: six joints and a gripper, as all had when format version 1 was made.
 DRIVES_UNSAID = 7
@@ -148,7 +156,7 @@ class AttemptRecord(Record):
     seed: int
     episode: int | None
     outcome: OutcomeRecord
-    layout: dict[str, StartPlace]
+    layout: dict[Name, StartPlace]
     randomized: VariationField = Variation()
     cast: Annotated[CastRecord | None, _UNLESS_EMPTY] = None
     phrasing: Annotated[str, _UNLESS_EMPTY] = ""
@@ -169,7 +177,7 @@ class EpisodeRecord(Record):
     grasp: str
     frames: int
     frame_period_s: float
-    cameras: dict[str, tuple[int, int]]
+    cameras: CameraSizes
     truth: bool = False
     # Left out where it is 1, so that records of one arm keep their bytes.
     arms: Annotated[int, Field(ge=1, le=2, exclude_if=lambda arms: arms == 1)] = 1
@@ -177,32 +185,32 @@ class EpisodeRecord(Record):
     drives: Annotated[int, Field(ge=1, le=64, exclude_if=lambda drives: drives == DRIVES_UNSAID)] = DRIVES_UNSAID
     # Whether frames have `state` and `action` too.
     joint_actions: Annotated[bool, Field(exclude_if=lambda said: not said)] = False
-    objects: list[str]
+    objects: list[Name]
     outcome: OutcomeRecord
     # Of a task that a goal judges, none.
     max_height_m: float | None
-    layout: dict[str, StartPlace]
+    layout: dict[Name, StartPlace]
     randomized: VariationField = Variation()
     # From format version 2 on.
     cast: Annotated[CastRecord | None, _UNLESS_EMPTY] = None
     phrasing: Annotated[str, _UNLESS_EMPTY] = ""
     # Articulated thing -> names of its joints, in the order of `<thing>_joints`.
-    joints: Annotated[dict[str, tuple[str, ...]], _UNLESS_EMPTY] = Field(default_factory=dict)
+    joints: Annotated[dict[Name, tuple[str, ...]], _UNLESS_EMPTY] = Field(default_factory=dict)
     # Cloth -> how many points lie along its x axis and along its y axis, of `<thing>_points`.
-    cloths: Annotated[dict[str, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
+    cloths: Annotated[dict[Name, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
     # Asset set -> what was shown of it, see `core.shown_meshes`; earlier versions did not say.
     meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
     content_sha256: str
-    files: dict[str, str]
+    files: dict[FilePath, str]
 
 
 class ManifestEntry(Record):
     """One episode in the manifest. `sha256` is that of its `episode.json`, which holds the hashes of all its files."""
 
     episode: int
-    path: str
+    path: FilePath
     attempt: int
     frames: int
     bytes: int

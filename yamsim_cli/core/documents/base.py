@@ -77,4 +77,6 @@ Rgba = Annotated[tuple[float, float, float, float], AfterValidator(_unit_fractio
 Rgb = Annotated[tuple[float, float, float], AfterValidator(_unit_fractions)]
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 NonNegative = Annotated[FiniteFloat, Field(ge=0)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+# Pattern of names that become parts of paths: of cameras, things, tasks. It admits no dot and no slash.
+NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]*$"
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]

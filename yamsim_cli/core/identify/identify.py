@@ -24,7 +24,7 @@ _HELD_OUT = 1 / 3
 _ABOUT = 5
 # Faults by which a log is about another motion than the arm made. A joint that stands still is told with what to record
 # instead.
-_GRAVE = (Fault.GAP, Fault.DEGREES, Fault.BEYOND_STOPS, Fault.TOO_FAST, Fault.SWAPPED_ARMS)
+_GRAVE = (Fault.TIME_UNIT, Fault.GAP, Fault.DEGREES, Fault.BEYOND_STOPS, Fault.TOO_FAST, Fault.SWAPPED_ARMS)
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
+from ..documents.units import Within
 from ..geometry.se3 import Array
 from ..types import Holds
 
@@ -22,6 +24,8 @@ STATE = (OBJECTS, VELOCITIES)
 # Actions of the longest answer, and how long one of them may last, s.
 MOST_ACTIONS = 1000
 SHORTEST, LONGEST = 1e-3, 10.0
+_ANGLE = Within("rad", -2 * math.pi, 2 * math.pi)  # Of a joint; none turns further, and degrees do.
+_LONGEST_CHUNK = 100.0  # s, how long a chunk may last: 1000 actions at 10 Hz. Chunks are kept until they run out.
 
 # As a policy sees it. Of two arms, numbers are the left one's and then the right one's.
 # - `scene_rgb` (height, width, 3) of uint8; `wrist_rgb`, or of two arms `left_wrist_rgb` and `right_wrist_rgb`; each is
@@ -105,10 +109,15 @@ def read_chunk(answer: object, arms: int, each: int) -> Chunk:
         raise InvalidActionError(f"an action holds ctrl, magnet, done and period, and not {', '.join(unknown)}")
     ctrl = _ctrl(answer, arms * each)
     count = len(ctrl) if ctrl.ndim > 1 else 1
+    _check_angles(ctrl.reshape(count, arms, each))
     magnet = _magnet(answer["magnet"], ctrl.ndim > 1, count, arms) if "magnet" in answer else [(False,) * arms] * count
     period = answer.get("period")
     if period is not None and not (isinstance(period, int | float) and SHORTEST <= period <= LONGEST):
         raise InvalidActionError(f"period is {period!r}, not {SHORTEST:g} to {LONGEST:g} s")
+    if period is not None and count * period > _LONGEST_CHUNK:
+        raise InvalidActionError(
+            f"{count} actions of {period:g} s last {count * period:g} s, not at most {_LONGEST_CHUNK:g}"
+        )
     (done,) = _truths(answer.get("done", False), "done", 1)
     return Chunk(ctrl.reshape(count, arms, each), np.array(magnet), done, period)
 
@@ -137,11 +146,23 @@ def _ctrl(answer: Mapping[str, Any], drives: int) -> Array:
     return ctrl
 
 
+def _check_angles(ctrl: Array) -> None:
+    """Refuse joints in another unit than rad; the last drive may be a gripper's."""
+    joints = ctrl[..., :-1]
+    if joints.size == 0:
+        return
+    largest = float(joints.flat[int(np.argmax(np.abs(joints)))])
+    try:
+        _ANGLE.check(largest)
+    except ValueError as error:
+        raise InvalidActionError(f"ctrl has a joint at {largest:g}, which {error}") from error
+
+
 def _truths(value: object, key: str, count: int) -> tuple[bool, ...]:
     values = _values(value, key).ravel()
     if values.size != count or values.dtype.kind not in "bif" or not np.isin(values, (0, 1)).all():
         wanted = "true or false" if count == 1 else f"{count} times true or false, the left arm's first"
-        raise InvalidActionError(f"{key} is {value!r}, not {wanted}")
+        raise InvalidActionError(f"{key} is {repr(value)[:80]}, not {wanted}")
     return tuple(map(bool, values))
 
 

@@ -1,4 +1,4 @@
-"""What a server's answer may hold. Nothing of it is run, and nothing larger is made of it than it was itself."""
+"""Limits of a policy server's answer: its bytes, its values, and its actions. Nothing in an answer is run."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from .base import LONGEST, MOST_ACTIONS, SHORTEST, InvalidActionError
 # Bytes of the largest answer that is read. A thousand actions of two arms take 0.15 MB as JSON.
 LARGEST = 4_000_000
 
+MOST_VALUES = 100_000  # Values and containers in a message: seven times 1000 actions of two arms as plain numbers.
+LONGEST_TEXT = 2_000  # Characters of an error text that are kept: one is kept for each trial.
+LONGEST_TRACEBACK = 50_000  # Characters of a traceback that are kept, of its end.
+
 _MOST_AXES = 8
 # Kinds of dtypes: booleans, whole and floating-point numbers, of at most eight bytes.
 _KINDS, _WIDEST = "biuf", 8
@@ -20,6 +24,60 @@ _KINDS, _WIDEST = "biuf", 8
 
 class DamagedError(ValueError):
     """An answer that is no message of the protocol; the text says what is wrong."""
+
+
+class Budget:
+    """Counts the values of one message while it is decoded, as the hooks of msgpack.
+
+    Small containers take far more memory decoded than encoded, so they are counted before the message is complete.
+    """
+
+    def __init__(self) -> None:
+        self._left = MOST_VALUES
+
+    def spend(self, found: Any) -> Any:
+        """The container itself, after its values were counted.
+
+        Raises:
+            DamagedError: the message has more values than may be decoded.
+        """
+        self._left -= 1 + len(found)
+        if self._left < 0:
+            raise DamagedError(f"it holds more than {MOST_VALUES} values")
+        return found
+
+
+def check_json(data: bytes) -> None:
+    """Check how many values JSON text can hold at most, before it is decoded.
+
+    Raises:
+        DamagedError: it may hold more than are decoded.
+    """
+    if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MOST_VALUES:
+        raise DamagedError(f"it holds more than {MOST_VALUES} values")
+
+
+def plain_numbers(value: object, key: str) -> np.ndarray:
+    """A server's numbers as an array. Text is refused first: an array of it is as wide as its longest text.
+
+    Raises:
+        InvalidActionError: they are no array of numbers, or their rows differ in length.
+    """
+    if not isinstance(value, np.ndarray):
+        level = [value]
+        for _ in range(_MOST_AXES):
+            if not all(isinstance(one, list | tuple | int | float | np.number | np.bool_) for one in level):
+                raise InvalidActionError(f"{key} is no array of numbers but {type(value).__name__}")
+            level = [inner for one in level if isinstance(one, list | tuple) for inner in one]
+        if level:
+            raise InvalidActionError(f"{key} has more than {_MOST_AXES} axes")
+    try:
+        rows = np.asarray(value)
+    except ValueError as error:
+        raise InvalidActionError(f"{key} is no array: its rows differ in length") from error
+    if rows.dtype.kind not in _KINDS:
+        raise InvalidActionError(f"{key} is no array of numbers but {type(value).__name__}")
+    return rows
 
 
 def array_of(content: object, dtype: object, shape: object) -> np.ndarray:
@@ -53,12 +111,9 @@ def rows_of(value: object, key: str, width: int) -> Array:
     Raises:
         InvalidActionError: they are not of that shape, none or too many, or not finite.
     """
-    try:
-        rows = np.asarray(value)
-    except ValueError as error:
-        raise InvalidActionError(f"{key} is no array: its rows differ in length") from error
-    if rows.dtype.kind not in _KINDS:
-        raise InvalidActionError(f"{key} is no array of numbers but {type(value).__name__}")
+    rows = plain_numbers(value, key)
+    if rows.size > MOST_VALUES:
+        raise InvalidActionError(f"{key} has the shape {rows.shape}, more than {MOST_VALUES} numbers")
     whole = np.atleast_2d(rows.astype(np.float64))
     if whole.ndim != 2 or whole.shape[1] != width:
         raise InvalidActionError(f"{key} has the shape {rows.shape}, not (actions, {width})")

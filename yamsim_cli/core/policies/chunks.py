@@ -158,9 +158,19 @@ class ChunkPlayer:
         return bool(self._chunks) and self._chunks[-1].chunk.done
 
     def _forget(self, now: int) -> None:
-        """Drop chunks that will not act any more; the newest one that is here stays, for its last action."""
-        here = [timed for timed in self._chunks if timed.arrives <= now]
-        self._chunks = [timed for timed in self._chunks if timed.ends > now or timed.arrives > now or timed is here[-1]]
+        """Drop chunks that will not act any more; the newest one that is here stays, for its last action.
+
+        Without averaging, a chunk acts no more once a newer one is here that lasts as long.
+        """
+        kept: list[_Timed] = []
+        covered = -1
+        for timed in reversed(self._chunks):
+            here = timed.arrives <= now
+            if not here or covered < 0 or timed.ends > max(now, covered):
+                kept.append(timed)
+            if here:
+                covered = max(covered, timed.ends if self._chunking.ensemble is None else now)
+        self._chunks = kept[::-1]
 
 
 def _ticks(amount: float) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .bounds import DamagedError, array_of
+from .bounds import DamagedError, array_of, check_json
 
 _MARK = "__numpy__"
 
@@ -23,9 +23,10 @@ def load_json(data: bytes) -> Any:
     """The message in bytes; arrays in it are read-only.
 
     Raises:
-        DamagedError: they are no JSON, or an array in it is damaged.
+        DamagedError: they are no JSON, hold too many values, or an array in it is damaged.
     """
     try:
+        check_json(data)
         return json.loads(data, object_hook=_whole)
     except (ValueError, RecursionError) as error:
         text = str(error) if isinstance(error, DamagedError) else f"no JSON: {str(error)[:100]}"

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from ..errors import ResourceError
-from .bounds import LARGEST, DamagedError, array_of
+from .bounds import LARGEST, Budget, DamagedError, array_of
 from .peer import RemoteError, address_of, answering, nobody
 from .websocket import WebSocket
 from .wire import require_msgpack
@@ -94,12 +94,19 @@ def unpack_openpi(data: bytes) -> dict[str, Any]:
     """The mapping in bytes; arrays in it are read-only.
 
     Raises:
-        DamagedError: they are no mapping, or an array in it is damaged.
+        DamagedError: they are no mapping, hold too many values, or an array in it is damaged.
     """
     import msgpack
 
     try:
-        found = msgpack.unpackb(data, object_hook=_whole, raw=False, strict_map_key=False)
+        budget = Budget()
+        found = msgpack.unpackb(
+            data,
+            object_hook=lambda one: _whole(budget.spend(one)),
+            list_hook=budget.spend,
+            raw=False,
+            strict_map_key=False,
+        )
     except DamagedError:
         raise
     # Nested thousands of times, or with keys that cannot be keys.

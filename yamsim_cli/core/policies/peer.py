@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from urllib.parse import urlsplit
 
 from ..errors import ResourceError, UsageError
-from .bounds import LARGEST
+from .bounds import LARGEST, LONGEST_TEXT, LONGEST_TRACEBACK
 from .policy_faults import Fault
 
 
@@ -20,8 +20,9 @@ class RemoteError(RuntimeError):
     """
 
     def __init__(self, text: str, traceback: str = "") -> None:
+        text = text[:LONGEST_TEXT]
         super().__init__(text)
-        self.fault = Fault(text, traceback)
+        self.fault = Fault(text, traceback[-LONGEST_TRACEBACK:])
 
 
 def address_of(url: str, scheme: str, port: int) -> tuple[str, int]:

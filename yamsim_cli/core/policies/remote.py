@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from ..errors import ResourceError, UsageError
 from .base import InvalidActionError, Observation
+from .bounds import LONGEST_TEXT, plain_numbers
 from .peer import RemoteError, answering, content_of
 from .wire import PROTOCOL, WireError, pack, require_msgpack, unpack
 
@@ -62,7 +63,12 @@ class RemotePolicy:
             TimeoutError: it did not answer in time.
         """
         answer = self._ask("act", {"session": self._session, "observation": dict(observation)})
-        action: Mapping[str, Any] = answer["action"]
+        action = answer.get("action")
+        if not isinstance(action, dict):
+            raise RemoteError(f"{self._url} answers with no action")
+        for key, value in action.items():
+            if value is not None:
+                plain_numbers(value, str(key)[:40])
         return action
 
     def close(self) -> None:
@@ -83,7 +89,7 @@ class RemotePolicy:
         if not isinstance(answer, dict):
             raise RemoteError(f"{self._url} answers with {type(answer).__name__}")
         if answer.get("invalid"):
-            raise InvalidActionError(str(answer.get("error")))
+            raise InvalidActionError(str(answer.get("error"))[:LONGEST_TEXT])
         if "error" in answer:
             raise RemoteError(str(answer["error"]), str(answer.get("traceback", "")))
         return answer

@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from ..errors import ResourceError
+from .bounds import Budget
 
 # The protocol's version, on which both sides have to agree.
 PROTOCOL = 1
@@ -71,12 +72,20 @@ def unpack(data: bytes) -> Any:
     """The message in bytes.
 
     Raises:
-        WireError: they are no message.
+        WireError: they are no message, or one with too many values.
     """
     import msgpack
 
     try:
-        return msgpack.unpackb(data, ext_hook=_unpack_array, raw=False, strict_map_key=True)
+        budget = Budget()
+        return msgpack.unpackb(
+            data,
+            ext_hook=_unpack_array,
+            object_hook=budget.spend,
+            list_hook=budget.spend,
+            raw=False,
+            strict_map_key=True,
+        )
     except (ValueError, TypeError, msgpack.exceptions.UnpackException) as error:
         raise WireError(f"not a message: {error}") from error
 

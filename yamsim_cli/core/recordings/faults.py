@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from ..config.rig import RigConfig
+from ..documents.units import Within
+from ..errors import DatasetError
 from ..geometry.se3 import Array
 from ..motion import ArmMotion, Motion
 from ..robots.robot import Robot
@@ -21,6 +23,7 @@ _GAP_TIMES, _GAP_S = 5.0, 0.1
 _BEYOND_STOPS = 0.1
 # No joint turns by as much, rad; degrees do.
 _NO_RADIANS = 2 * math.pi
+_PERIOD = Within("s", 1e-5, 0.5)  # Usual time between samples: 100 kHz to 2 Hz. At 1 kHz and in ms it is 1.
 # What a command does to its joint, and to no other one: a motion is told from stillness, rad.
 _MOTION = 0.05
 # Where each arm's commands fit the other arm's joints so many times better, arms are swapped.
@@ -44,6 +47,7 @@ class Fault(StrEnum):
 
     GAP = "gap"
     DEGREES = "degrees"
+    TIME_UNIT = "time_unit"
     BEYOND_STOPS = "beyond_stops"
     TOO_FAST = "too_fast"
     SWAPPED_ARMS = "swapped_arms"
@@ -51,6 +55,10 @@ class Fault(StrEnum):
     GRIPPER_SHARE = "gripper_share"
     GRIPPER_UPSIDE_DOWN = "gripper_upside_down"
     GRIPPER_STALLS_OPENING = "gripper_stalls_opening"
+
+
+# Faults that make every number of a comparison wrong.
+_WRONG_UNITS = (Fault.DEGREES, Fault.TIME_UNIT)
 
 
 @dataclass(frozen=True)
@@ -74,7 +82,7 @@ class Problem:
 
 def find_faults(motion: Motion, rig: RigConfig) -> list[Problem]:
     """What is wrong with a motion of a rig; empty of a good one."""
-    found = list(find_gaps(motion.times))
+    found = [*find_gaps(motion.times), *_time_unit(motion.times)]
     for arm, k in zip(motion.arms, rig.recorded, strict=True):
         robot = rig.arms[k].robot
         degrees = list(_degrees(arm, robot))
@@ -85,6 +93,28 @@ def find_faults(motion: Motion, rig: RigConfig) -> list[Problem]:
         ]
         found += _gripper(motion.times, arm, robot)
     return found + list(_swapped(motion))
+
+
+def require_units(name: str, problems: Iterable[Problem]) -> None:
+    """Make sure that a recording is not in other units than s and rad.
+
+    Raises:
+        DatasetError: it is; the text names the likely unit.
+    """
+    for problem in problems:
+        if problem.fault in _WRONG_UNITS:
+            raise DatasetError(f"{name}: {problem.text}")
+
+
+def _time_unit(times: Array) -> Iterator[Problem]:
+    if len(times) < 2:
+        return
+    usual = float(np.median(np.diff(times)))
+    try:
+        _PERIOD.check(usual)
+    except ValueError as error:
+        text = f"samples are {usual:g} s apart, which {error}"
+        yield Problem(Fault.TIME_UNIT, "", "", None, text)
 
 
 def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[Problem]:
@@ -109,7 +139,8 @@ def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[Prob
 
 
 def _degrees(arm: ArmMotion, robot: Robot) -> Iterator[Problem]:
-    most = np.nanmax(np.abs(arm.joints), axis=0)
+    turned = arm.joints if arm.commands is None else np.vstack([arm.joints, arm.commands])
+    most = np.nanmax(np.abs(turned), axis=0)
     if most.max() <= _NO_RADIANS:
         return
     k = int(np.argmax(most))

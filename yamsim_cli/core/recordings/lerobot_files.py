@@ -25,6 +25,7 @@ from ..images.image_files import decode_image
 from ..images.jpeg import encode_jpeg
 from ..motion import Motion
 from ..resources import Locations
+from .lerobot_films import Films
 from .naming import arms_of, naming_of
 from .recording import Pictures, Recording
 from .times import from_seconds
@@ -47,6 +48,11 @@ class _Source:
     rig: RigConfig
     mapping: str | None
     locations: Locations
+
+    @property
+    def films(self) -> Films:
+        """Where the videos of this dataset are."""
+        return Films(self.path, self.info, INFO)
 
     def feature_names(self, key: str, width: int) -> list[str]:
         """The names of a feature's columns, which some programs put into a list or under a word."""
@@ -73,7 +79,8 @@ class _Source:
     def cameras(self, kind: str) -> list[str]:
         """The cameras that have a `video`, or an `image` in each row."""
         features = self.info["features"]
-        return [key for key, value in features.items() if key.startswith(_PICTURE) and value.get("dtype") == kind]
+        described = {key: value for key, value in features.items() if isinstance(value, dict)}
+        return [key for key, value in described.items() if key.startswith(_PICTURE) and value.get("dtype") == kind]
 
 
 def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
@@ -96,6 +103,8 @@ def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Loc
     if not isinstance(features, dict) or version.split(".")[0] not in ("v2", "v3"):
         raise DatasetError(f"{path / INFO}: codebase_version is {version!r}; valid: v2.0, v2.1 and v3.0")
     source = _Source(path, info, rig, mapping, locations)
+    if source.cameras("video"):
+        source.films.check()
     tasks = _tasks(path)
     rows = _episode_rows(path) if version.startswith("v3") else {}
     lengths = {number: row.get("length") for number, row in rows.items()} or _lengths(path)
@@ -231,19 +240,9 @@ def _episode_rows(path: Path) -> dict[int, dict[str, Any]]:
 
 def _jpegs(source: _Source, key: str, number: int, row: Mapping[str, Any] | None, frames: int) -> Iterator[bytes]:
     """The pictures of an episode."""
-    pattern = str(source.info["video_path"])
-    if row is not None:
-        prefix = f"videos/{key}"
-        place = {"chunk_index": int(row[f"{prefix}/chunk_index"]), "file_index": int(row[f"{prefix}/file_index"])}
-        begin = float(row[f"{prefix}/from_timestamp"])
-    else:
-        place = {"episode_chunk": number // int(source.info.get("chunks_size", 1000)), "episode_index": number}
-        begin = 0.0
-    file = (source.path / pattern.format(video_key=key, **place)).resolve()
-    if not file.is_relative_to(source.path.resolve()):
-        raise DatasetError(f"{source.path / INFO}: video_path {pattern!r} leads out of the dataset")
+    file, begin = source.films.place(key, number, row)
     count = 0
-    for image in film_frames(file, begin, frames, 0.5 / float(source.info["fps"])):
+    for image in film_frames(file, begin, frames, 0.5 / source.films.fps):
         count += 1
         yield encode_jpeg(image, _QUALITY)
     if count != frames:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from ..config.real import GripperUnit
 from ..config.rig import RigConfig
+from ..documents.base import NAME_PATTERN
+from ..errors import DatasetError
 from ..geometry.se3 import Array
 from ..motion import Motion
 
@@ -42,6 +45,9 @@ class Recording:
         intrinsics: camera -> K (3, 3), where it is known.
         extrinsics: camera -> its poses (n, 4, 4) in the base, where they are known.
         problems: what the recording itself says is wrong with it, for a person.
+
+    Raises:
+        DatasetError: a camera has a name that cannot be a folder's.
     """
 
     motion: Motion
@@ -51,6 +57,14 @@ class Recording:
     intrinsics: Mapping[str, Array] = field(default_factory=dict)
     extrinsics: Mapping[str, Array] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for camera in self.pictures:
+            if not re.fullmatch(NAME_PATTERN, camera):
+                raise DatasetError(
+                    f"{self.motion.name}: camera {camera[:80]!r} is not valid; valid: a letter, then letters, digits "
+                    "and _; rename it in the recording"
+                )
 
     def in_metres(self, rig: RigConfig) -> Motion:
         """The motion with openings of one finger, m."""

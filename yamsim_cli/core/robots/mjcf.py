@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import PurePosixPath
 
 from ..errors import ConfigError
 from ..geometry.se3 import pose_from_quat, quat_from_rotation
@@ -16,6 +17,9 @@ Element = ElementTree.Element
 _SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
 # What only an arm's may say. Keyframes fit one model alone: whoever composes a scene writes its own.
 _ARMS_OWN = ("option", "size", "visual", "statistic", "custom")
+
+# Elements that read other files or run code of others, which an arm's or a gripper's MJCF may not have.
+_NOT_READ = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
 
 # Where sections outside `worldbody` name a body.
 _BODY_KEYS = ("body", "body1", "body2")
@@ -69,7 +73,7 @@ def parse(mjcf: Mjcf) -> Element:
     """The root element of an MJCF.
 
     Raises:
-        ConfigError: it is none, or declares entities.
+        ConfigError: it is none, declares entities, or names files other than meshes of its sets.
     """
     if "<!DOCTYPE" in mjcf.text or "<!ENTITY" in mjcf.text:
         raise ConfigError(f"{mjcf.file}: declares a document type, which no MJCF needs; remove it")
@@ -79,7 +83,25 @@ def parse(mjcf: Mjcf) -> Element:
         raise ConfigError(f"{mjcf.file}: not valid XML: {error}") from error
     if root.tag != "mujoco":
         raise ConfigError(f"{mjcf.file}: begins with <{root.tag}>; an MJCF begins with <mujoco>")
+    _check_files(root, mjcf)
     return root
+
+
+def _check_files(root: Element, mjcf: Mjcf) -> None:
+    """Make sure that MuJoCo opens no file by itself: meshes of asset sets are all that an MJCF may name."""
+    for element in root.iter():
+        if element.tag in _NOT_READ:
+            raise ConfigError(f"{mjcf.file}: <{element.tag}> is not read here; write what it stands for into this file")
+        for key, value in element.attrib.items():
+            if key.endswith("dir") and element.tag == "compiler":
+                raise ConfigError(f"{mjcf.file}: <compiler> has {key} {value!r}; leave it out: a mesh is <set>/<file>")
+            if not key.startswith("file"):
+                continue
+            if element.tag != "mesh":
+                raise ConfigError(f"{mjcf.file}: <{element.tag}> names the file {value!r}; valid: files of meshes")
+            path = PurePosixPath(value)
+            if "\\" in value or path.is_absolute() or ".." in path.parts or len(path.parts) < 2:
+                raise ConfigError(f"{mjcf.file}: a mesh names the file {value!r}; valid: <set>/<file>, without ..")
 
 
 def body(root: Element, name: str, mjcf: Mjcf) -> Element:

@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..page_origin import refusal
 from . import chiral_wire
 from .chiral_wire import ChiralError
 from .connections import Program, Server, listen_at
@@ -46,7 +47,7 @@ class _Client:
 class ChiralServer(Server):
     """Answers raiden's policies about one robot; close it. It never blocks.
 
-    Web pages, which name their origin, are refused: a browser would let any of them reach this port.
+    Web pages of other sites are refused: a browser would let any of them reach this port.
 
     Attributes:
         port: on which it listens.
@@ -57,7 +58,7 @@ class ChiralServer(Server):
 
     def __init__(self, robot: PolicyRobot, host: str, port: int) -> None:
         chiral_wire.require_libraries()
-        self._robot = robot
+        self._robot, self._host = robot, host
         listener = listen_at(host, port, "--chiral")
         super().__init__(listener, _READ_BYTES)
         self._clients: dict[Program, _Client] = {}
@@ -96,7 +97,7 @@ class ChiralServer(Server):
         program.came.clear()
         for event in protocol.events_received():
             if isinstance(event, Request):
-                protocol.send_response(protocol.accept(event))
+                protocol.send_response(self._answer_request(protocol, event))
             elif isinstance(event, Frame) and event.opcode in (Opcode.BINARY, Opcode.TEXT, Opcode.CONT):
                 client.parts += event.data
                 if event.fin:
@@ -106,6 +107,12 @@ class ChiralServer(Server):
             protocol.fail(1008, "too many messages at once")
             client.messages.clear()
         self._work(program, client)
+
+    def _answer_request(self, protocol: Any, request: Any) -> Any:
+        """The response to a request for a WebSocket."""
+        headers = request.headers
+        refused = refusal(headers.get_all("Host"), headers.get_all("Origin"), self._host)
+        return protocol.accept(request) if refused is None else protocol.reject(403, refused)
 
     def _work(self, program: Program, client: _Client) -> None:
         """Answer some messages in their order, and send; what a program has not taken yet holds the next answer up."""
@@ -172,4 +179,4 @@ class ChiralServer(Server):
 def _new_protocol() -> Any:
     from websockets.server import ServerProtocol
 
-    return ServerProtocol(origins=[None], max_size=chiral_wire.LARGEST)
+    return ServerProtocol(max_size=chiral_wire.LARGEST)

@@ -6,6 +6,7 @@ text is rewritten first: every file is read by us, and MuJoCo finds it under a n
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 import xml.etree.ElementTree as ElementTree
@@ -48,7 +49,7 @@ _SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 
 def read_mjcf(data: bytes, folder: Folder, base: Path) -> ReadThing:
     """The thing that an MJCF file describes. Raises `RefusedError`."""
-    root = _whole(data, folder, base, ())
+    root = _whole(data, folder, (base,), ())
     if root.tag != "mujoco":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <mujoco>, <sdf> or <robot>")
     name = root.get("model", "")
@@ -67,19 +68,33 @@ def read_mjcf(data: bytes, folder: Folder, base: Path) -> ReadThing:
     return _read(model, name)
 
 
-def _whole(data: bytes, folder: Folder, base: Path, on_way: tuple[Path, ...]) -> Element:
-    """The document with what it includes in its place."""
+def _whole(data: bytes, folder: Folder, bases: tuple[Path, ...], on_way: tuple[Path, ...]) -> Element:
+    """The document with what it includes in its place.
+
+    Args:
+        bases: folders that names are relative to, in order: the main file's, then the including file's, as in MuJoCo.
+    """
     root = parse(data)
     for parent in list(root.iter()):
         for place, child in reversed(list(enumerate(parent))):
             if child.tag != "include":
                 continue
-            path = folder.find(child.get("file", ""), base)
+            name = child.get("file", "")
+            path = _included(name, folder, bases)
             if path in on_way or len(on_way) >= _DEEPEST_INCLUDE:
                 raise RefusedError("cycle", f"{path.name} includes itself, or more than {_DEEPEST_INCLUDE} levels deep")
-            inner = _whole(folder.read(child.get("file", ""), base), folder, path.parent, (*on_way, path))
+            data = folder.read(path.name, path.parent)
+            inner = _whole(data, folder, (bases[0], path.parent), (*on_way, path))
             parent[place : place + 1] = list(inner)
     return root
+
+
+def _included(name: str, folder: Folder, bases: tuple[Path, ...]) -> Path:
+    """The file that an include names, in the first folder that has it."""
+    for base in bases[:-1]:
+        with contextlib.suppress(RefusedError):
+            return folder.find(name, base)
+    return folder.find(name, bases[-1])
 
 
 def _take_files(root: Element, folder: Folder, base: Path) -> dict[str, bytes]:

@@ -15,6 +15,7 @@ import viser
 from ..errors import ResourceError, UsageError
 from .address import PageAddress
 from .cloths import ClothNodes
+from .local_server import LocalServer, guarded
 from .shapes import add_bodies
 from .shown import Shown
 from .viewpoint import FOV_DEG, Viewpoint
@@ -25,13 +26,6 @@ _DECIMALS = 5
 # How often a page is told that it is connected, and how long after the last time it says that it is not, s.
 _BEAT_SECONDS = 1.0
 _SILENCE_SECONDS = 5.0
-
-
-class _LocalServer(viser.ViserServer):
-    """viser's server without its tunnel to a public address, for which any client could ask."""
-
-    def request_share_url(self, verbose: bool = True) -> None:
-        return None
 
 
 class BodiesPage:
@@ -117,7 +111,8 @@ def _disconnected(beat: int) -> str:
 
 def _serve(address: PageAddress, title: str) -> viser.ViserServer:
     check_free(address)
-    server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
+    with guarded(address.host):
+        server = LocalServer(host=address.host, port=address.port, label=title, verbose=False)
     if address.port and server.get_port() != address.port:
         # Another program took the port meanwhile. viser then takes the next free one, which nobody asked for.
         server.stop()
