@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
@@ -13,18 +14,25 @@ import numpy as np
 def json_text(data: Mapping[str, Any]) -> str:
     """Return a result as indented JSON that ends in a newline.
 
-    NumPy's scalars and arrays become numbers, booleans and lists, and paths become text.
+    NumPy's scalars and arrays become numbers, booleans and lists, paths become text, and numbers that are not finite
+    become null.
 
     Raises:
         TypeError: a value has no JSON form.
-        ValueError: a number is infinite or not a number.
     """
-    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False, default=_plain) + "\n"
+    return json.dumps(_plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _plain(value: object) -> Any:
+def _plain(value: Any) -> Any:
+    """The same value of types that JSON knows, as far as there are such."""
     if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
+        return _plain(value.tolist())
     if isinstance(value, PurePath):
         return str(value)
-    raise TypeError(f"a result has a {type(value).__name__}, which JSON cannot hold: {value!r}")
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return value
