@@ -57,3 +57,14 @@ def test_robots_list_tells_of_both(locations: Locations) -> None:
     assert {items[name]["source"] for name in (ARM, GRIPPER)} == {"made up for a test"}
     assert items[ARM]["joints"] == 5
     assert items[ARM]["goes_with"] == [GRIPPER]
+
+
+@pytest.mark.parametrize(
+    "words", [["pickplace", "batch", "--grasp", "contact", "--n", 1], ["render-views", "--out", "views"]]
+)
+def test_a_gripper_without_pinch_site_is_one_line(locations: Locations, tmp_path: Path, words: list[Any]) -> None:
+    (file,) = (tmp_path / "data").glob(f"robot_models/grippers/{GRIPPER}/gripper.xml")
+    file.write_text(file.read_text(encoding="utf-8").replace('name="pinch_site"', 'name="pinch"'), encoding="utf-8")
+    run = yamsim(*words, "--rig", RIG, cwd=tmp_path)
+    assert run.code == 3, run.err
+    assert f"{file}: has no site 'pinch_site'; its sites: grasp_site, pinch" in run.message

@@ -55,6 +55,7 @@ def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
         raise ConfigError(f"{gripper.mjcf.file}: <compiler> says {theirs}, and {arm.mjcf.file} {ours}; make them equal")
     flange = body(root, arm.flange, arm.mjcf)
     frame = _gripper_frame(hand, gripper.mjcf)
+    _require_site(frame, "pinch_site", gripper.mjcf)
     _check_names(root, frame, arm.mjcf, gripper.mjcf)
     _prefix_classes(hand, gripper.name)
     _rename_body(hand, frame.get("name", ""), arm.flange)
@@ -143,6 +144,15 @@ def drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
 def numbers(values: Iterable[float]) -> str:
     """Numbers as an attribute, so that they read back as they are."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in values)
+
+
+def _require_site(frame: Element, name: str, mjcf: Mjcf) -> None:
+    sites = [site.get("name", "") for site in frame.iter("site")]
+    if name not in sites:
+        raise ConfigError(
+            f"{mjcf.file}: has no site {name!r}; its sites: {', '.join(sites) or 'none'}; "
+            "add one where the fingers meet, z into the grasp, y along the closing direction"
+        )
 
 
 def _check_sections(root: Element, mjcf: Mjcf, allowed: Iterable[str]) -> None:
