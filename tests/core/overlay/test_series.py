@@ -249,9 +249,9 @@ def test_each_photo_of_a_series_is_told_of_the_one_before(run: Runner, photo: Pa
     told = []
     find = overlayer.find_arms
 
-    def finds(rig: Any, photo: Any, grey: Any, lens: Any, trust: bool, before: Any) -> Any:
+    def finds(rig: Any, photo: Any, grey: Any, lens: Any, trust: bool, before: Any, limits: Any) -> Any:
         told.append(before)
-        return find(rig, photo, grey, lens, trust, before)
+        return find(rig, photo, grey, lens, trust, before, limits)
 
     monkeypatch.setattr(overlayer, "find_arms", finds)
     Path("q.png").write_bytes(photo.read_bytes())
