@@ -275,7 +275,7 @@ def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: Sho
     hidden = russet_shot.image.copy()
     hidden[240:300, 340:430] = 120
     save(Path("hidden.png"), hidden)
-    with pytest.raises(ResourceError, match=r"hidden\.png: arm2 has no pose: none of its markers was found"):
+    with pytest.raises(ResourceError, match=r"hidden\.png: arm2 is not located: none of its markers was found"):
         run("hidden.png", max_reprojection=1.0).check()
 
 
