@@ -82,3 +82,20 @@ def unevenly_lit(rng: np.random.Generator, image: Grey, camera: CameraModel, boa
     low, high = (corners @ axis).min(), (corners @ axis).max()
     share = np.clip((x * axis[0] + y * axis[1] - low) / (high - low), 0, 1)
     return image * (0.25 + 0.75 * share)
+
+
+def enlarged_print(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
+    """OpenCV's own picture of the board in place of ours, warped: its markers are rounded to whole pixels of 900."""
+    across, border, finer = 900, 50, 4
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    size = (board.columns, board.rows)
+    grid = cv2.aruco.GridBoard(size, board.marker_length, board.gap, dictionary, np.array(board.ids))
+    printed = grid.generateImage((across + 2 * border, across + 2 * border), marginSize=border, borderBits=1)
+    on_print = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32) * across + border - 0.5
+    at = (_seen(camera, T, board.outer_corners()[:, :2]) + 0.5) * finer - 0.5
+    warp = cv2.getPerspectiveTransform(on_print, at.astype(np.float32))
+    grey = cv2.GaussianBlur(printed, (0, 0), 0.5).astype(np.float32) * 0.8 + 20
+    fine_size = (camera.width * finer, camera.height * finer)
+    fine = cv2.warpPerspective(grey, warp, fine_size, flags=cv2.INTER_LINEAR, borderValue=150.0)
+    whole = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return cv2.GaussianBlur(whole, (0, 0), 0.6)

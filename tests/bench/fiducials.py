@@ -219,7 +219,7 @@ def table(title: str, rows: Iterable[tuple[Case, list[Trial]]]) -> Table:
     for column in ("", "boards", "found", "wrong", "mm", "deg", "px", "ms"):
         result.add_column(column, justify="left" if not column else "right", no_wrap=True)
     for case, trials in rows:
-        good = [trial for trial in trials if trial.error_mm is not None]
+        good = [trial for trial in trials if trial.status == "ok"]
         wrong = sum((trial.error_deg or 0) > WRONG_DEG or (trial.error_mm or 0) > WRONG_MM for trial in good)
         result.add_row(
             case.name,

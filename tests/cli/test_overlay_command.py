@@ -102,6 +102,21 @@ def test_json_is_what_the_report_file_holds(folder: Path) -> None:
     assert run.json["files"] == ["o/photo_overlay.png", "o/photo_mask.png", "o/overlay.json"]
 
 
+@pytest.mark.parametrize("limit", ["--max-turn", "--max-shift"])
+def test_a_pose_beyond_the_limits_is_uncertain_and_in_the_report(folder: Path, limit: str) -> None:
+    arguments = ("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "camera.yaml", "--json")
+    run = yamsim(*arguments, limit, "0", cwd=folder)
+    assert run.code == 4
+    assert "its pose is uncertain by" in run.message
+    (image,) = run.json["images"]
+    (found,) = yamsim(*arguments, "--out", "found", cwd=folder).json["images"]
+    for arm, located in zip(image["arms"], found["arms"], strict=True):
+        assert (arm["status"], located["status"]) == ("uncertain", "ok")
+        for key in ("T_board_in_cam", "T_base_in_cam", "covariance"):
+            np.testing.assert_allclose(arm[key], located[key], atol=1e-4)
+        assert arm["rotation_sigma_rad"] > 0 and arm["position_sigma_m"] > 0
+
+
 def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locations: Locations) -> None:
     """A long lens far above: it was taken for a usual one near by, both arms ok, metres off."""
     rig = load_config(RigConfig, "rigs", "russet", locations)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -48,6 +49,12 @@ def overlay(
     refine: Annotated[bool, typer.Option("--refine", help="Improve each pose by the photo's edges.")] = False,
     mask: Annotated[bool, typer.Option("--mask", help="Also write a mask: 0 where no arm is, else 1 or 2.")] = False,
     mask_image: Annotated[Path | None, typer.Option(help="Your mask of the robot, or a folder of masks.")] = None,
+    max_turn: Annotated[
+        float, typer.Option(min=0, help="A pose whose turn has a larger standard deviation is uncertain, degrees.")
+    ] = 1.5,
+    max_shift: Annotated[
+        float, typer.Option(min=0, help="A pose whose position has a larger standard deviation is uncertain, mm.")
+    ] = 10.0,
     max_reprojection: Annotated[
         float | None, typer.Option(min=0, help="Exit 4 if a board's reprojection error is larger, px.")
     ] = None,
@@ -96,6 +103,7 @@ def overlay(
     from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
+    from yamsim_cli.core.vision.fiducials.judge import Limits
 
     photos = (
         recorded_photos(episode, episode_camera, settings)
@@ -104,7 +112,7 @@ def overlay(
     )
     request = OverlayRequest(
         photos[::every],
-        OverlayOptions(trust_margin, refine, opacity),
+        OverlayOptions(trust_margin, refine, opacity, Limits(math.radians(max_turn), max_shift / 1000)),
         model,
         load_stands(joints, settings) if joints else None,
         out,
@@ -155,7 +163,7 @@ def _tell(report: OverlayReport) -> None:
         for caption in captions(result):
             print_line(f"{result.path}: {caption}")
         # Where no arm has a pose, the error that follows says why.
-        refused = [arm for arm in result.arms if result.bases and arm.T_base_in_cam is None]
+        refused = [arm for arm in result.arms if result.bases and not arm.located]
         for arm in refused:
             if arm.sighting:
                 note(f"{result.path}: {arm.name}: {arm.sighting.explanation}")

@@ -249,9 +249,9 @@ def test_each_photo_of_a_series_is_told_of_the_one_before(run: Runner, photo: Pa
     told = []
     find = overlayer.find_arms
 
-    def finds(rig: Any, photo: Any, grey: Any, lens: Any, trust: bool, before: Any) -> Any:
+    def finds(rig: Any, photo: Any, grey: Any, lens: Any, trust: bool, before: Any, limits: Any) -> Any:
         told.append(before)
-        return find(rig, photo, grey, lens, trust, before)
+        return find(rig, photo, grey, lens, trust, before, limits)
 
     monkeypatch.setattr(overlayer, "find_arms", finds)
     Path("q.png").write_bytes(photo.read_bytes())
@@ -275,7 +275,7 @@ def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: Sho
     hidden = russet_shot.image.copy()
     hidden[240:300, 340:430] = 120
     save(Path("hidden.png"), hidden)
-    with pytest.raises(ResourceError, match=r"hidden\.png: arm2 has no pose: none of its markers was found"):
+    with pytest.raises(ResourceError, match=r"hidden\.png: arm2 is not located: none of its markers was found"):
         run("hidden.png", max_reprojection=1.0).check()
 
 

@@ -17,6 +17,7 @@ from ..geometry.se3 import Array, inverse
 from ..images.image import Image
 from ..images.image_files import grey_of
 from ..vision.fiducials.focal_length.estimate import FocalEstimate, estimate_focal, known_focal, outlines_in
+from ..vision.fiducials.judge import USUAL_LIMITS, Limits
 from ..vision.fiducials.locate import locate, unlocated
 from ..vision.fiducials.markers import seen_ids
 from ..vision.fiducials.sighting import Sighting, Status
@@ -65,7 +66,8 @@ class ArmPose:
     Attributes:
         name: the arm's name.
         board: the board's name; None for an arm without one.
-        status: "ok", or why the board gives no pose; "inferred" or "recorded" if the pose has another source.
+        status: "ok", "uncertain" if the board's pose is too uncertain, or why the board gives no pose; "inferred" or
+            "recorded" if the pose has another source.
         sighting: what was found of the board.
         T_base_in_cam: pose (4, 4) of the arm's base; None if there is none.
         edge_residual: median distance (px) of the rendered outline to the photo's edges.
@@ -77,6 +79,11 @@ class ArmPose:
     sighting: Sighting | None = None
     T_base_in_cam: Array | None = None
     edge_residual: float | None = None
+
+    @property
+    def located(self) -> bool:
+        """Whether there is a pose of the base that is not uncertain."""
+        return self.T_base_in_cam is not None and self.status != Status.UNCERTAIN
 
 
 @dataclass(frozen=True)
@@ -112,8 +119,10 @@ class PhotoResult:
 
     @property
     def bases(self) -> dict[int, Array]:
-        """Index of an arm -> pose (4, 4) of its base in the camera's frame, for all arms that have one."""
-        return {k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.T_base_in_cam is not None}
+        """Index of an arm -> pose (4, 4) of its base in the camera's frame, for all arms that are located."""
+        return {
+            k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.located and arm.T_base_in_cam is not None
+        }
 
 
 def unknown_lens(images: Iterable[Image], size: tuple[int, int], rig: RigConfig) -> Lens:
@@ -142,6 +151,7 @@ def find_arms(
     lens: Lens,
     trust_margin: bool,
     before: PhotoResult | None = None,
+    limits: Limits = USUAL_LIMITS,
 ) -> PhotoResult:
     """Each arm's pose from its board, or else from the other's board or from the recording.
 
@@ -151,6 +161,7 @@ def find_arms(
         lens: the camera. If its focal length is too uncertain, no board gives a pose.
         trust_margin: whether the arms stand as the rig says, so that all boards together give one pose of the rig.
         before: what the photo before this one in a series said: boards are looked for there too.
+        limits: the uncertainty up to which a board's pose counts as located.
     """
     configs = [arm.board for arm in rig.arms]
     boards, camera = [config.board for config in configs if config], lens.camera
@@ -160,7 +171,7 @@ def find_arms(
         T_boards = [rig.T_base_in_world(k) @ arm.T_board_in_base for k, arm in enumerate(rig.arms) if arm.board]
         seen_before = {arm.board: arm.sighting for arm in before.arms if arm.sighting} if before else {}
         poses = [one.T_board_in_cam if (one := seen_before.get(board.name)) else None for board in boards]
-        sightings, markers = locate(grey, camera, boards, T_boards, poses)
+        sightings, markers = locate(grey, camera, boards, T_boards, poses, limits)
     by_board = {seen.board.name: seen for seen in sightings}
     arms = []
     for arm, config in zip(rig.arms, configs, strict=True):
@@ -181,7 +192,7 @@ def find_arms(
 
 def _of_one_size(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
     """The arms without the poses of two boards whose prints cannot both be of the sizes that the rig says."""
-    seen = [k for k, arm in enumerate(arms) if arm.sighting and arm.sighting.T_board_in_cam is not None]
+    seen = [k for k, arm in enumerate(arms) if arm.sighting and arm.sighting.status is Status.OK]
     for k, j in itertools.combinations(seen, 2):
         one, two = arms[k], arms[j]
         assert one.sighting and two.sighting
@@ -199,20 +210,28 @@ def _of_one_size(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
         for n in (k, j):
             sighting = arms[n].sighting
             assert sighting is not None
-            refused = replace(
-                sighting, status=Status.POOR_FIT, reason=reason, T_board_in_cam=None, covariance=None, shared=None
-            )
+            refused = replace(_without_pose(sighting), status=Status.POOR_FIT, reason=reason)
             arms[n] = replace(arms[n], status=refused.status, sighting=refused, T_base_in_cam=None)
         return arms
     return arms
+
+
+def _without_pose(sighting: Sighting) -> Sighting:
+    """Return a sighting without its pose, of an arm whose pose has another source or is refused."""
+    return replace(sighting, T_board_in_cam=None, covariance=None, shared=None)
 
 
 def _recorded(rig: RigConfig, result: PhotoResult, T_first_base_in_cam: Array) -> PhotoResult:
     """The result with the recorded poses of the arms for which no board gave one."""
     T_world_in_cam = T_first_base_in_cam @ inverse(rig.T_base_in_world(0))
     arms = tuple(
-        replace(arm, status=RECORDED, T_base_in_cam=T_world_in_cam @ rig.T_base_in_world(k))
-        if arm.T_base_in_cam is None
+        replace(
+            arm,
+            status=RECORDED,
+            sighting=arm.sighting and _without_pose(arm.sighting),
+            T_base_in_cam=T_world_in_cam @ rig.T_base_in_world(k),
+        )
+        if not arm.located
         else arm
         for k, arm in enumerate(result.arms)
     )
@@ -225,14 +244,14 @@ def _misfits(arms: Sequence[ArmPose]) -> tuple[str, ...]:
         f"{arm.name}'s markers lie {rms:.2f} px from where its pose puts them: check the camera's distortion, and the "
         "rig's marker_length_mm and gap_mm against the print"
         for arm in arms
-        if arm.T_base_in_cam is not None and arm.sighting
+        if arm.located and arm.sighting
         if (rms := arm.sighting.reprojection_rms) is not None and rms > _PRINT_TOLERANCE
     )
 
 
 def _with_margin(rig: RigConfig, result: PhotoResult) -> PhotoResult:
     """The result with the measured distance of the arms, and a note if it differs from the rig's."""
-    if len(result.arms) < 2 or any(arm.T_base_in_cam is None for arm in result.arms[:2]):
+    if len(result.arms) < 2 or not all(arm.located for arm in result.arms[:2]):
         return result
     one, two = result.arms[:2]
     assert one.T_base_in_cam is not None and two.T_base_in_cam is not None
@@ -290,5 +309,7 @@ def _trusting(rig: RigConfig, result: PhotoResult, grey: NDArray[np.uint8], came
         if k in seen:
             arms.append(replace(arm, sighting=joint[seen.index(k)], T_base_in_cam=T))
         else:
-            arms.append(replace(arm, status=INFERRED, T_base_in_cam=T))
+            arms.append(
+                replace(arm, status=INFERRED, sighting=arm.sighting and _without_pose(arm.sighting), T_base_in_cam=T)
+            )
     return replace(result, arms=tuple(arms))

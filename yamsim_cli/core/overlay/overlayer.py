@@ -20,6 +20,7 @@ from ..images.image import Image
 from ..images.image_files import Mask, grey_of
 from ..images.png import encode_png
 from ..resources import Locations
+from ..vision.fiducials.judge import USUAL_LIMITS, Limits
 from ..vision.picture_overlay import blend, draw_board, write_lines
 from .arm_poses import INFERRED, RECORDED, Lens, PhotoResult, find_arms
 from .joint_files import home_stands
@@ -36,11 +37,13 @@ class OverlayOptions:
         trust_margin: whether the arms stand as the rig says, so that all boards together give one pose.
         refine: whether each arm's pose is moved from its board's until the outline meets the photo's edges.
         opacity: opacity of the rendered arms, 0..1.
+        limits: the uncertainty up to which a board's pose counts as located.
     """
 
     trust_margin: bool = False
     refine: bool = False
     opacity: float = 0.55
+    limits: Limits = USUAL_LIMITS
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,7 @@ class Overlayer(Closing):
                 f"{camera.width} x {camera.height}: give the camera file of this image size"
             )
         grey = grey_of(image)
-        result = find_arms(self._rig, photo, grey, lens, self._options.trust_margin, self._before)
+        result = find_arms(self._rig, photo, grey, lens, self._options.trust_margin, self._before, self._options.limits)
         self._before = result
         stands = photo.stands or home_stands(self._rig)
         picture, labels = image.copy(), np.zeros((height, width), np.uint8)

@@ -205,7 +205,7 @@ def _failures(overlay: Overlay, request: OverlayRequest) -> list[str]:
         if request.max_reprojection is None or arm.board is None or not arm.sighting:
             continue
         if arm.sighting.status is not Status.OK:
-            found.append(f"{result.path}: {arm.name} has no pose: {arm.sighting.explanation}")
+            found.append(f"{result.path}: {arm.name} is not located: {arm.sighting.explanation}")
         elif rms is not None and rms > request.max_reprojection:
             found.append(
                 f"{result.path}: {arm.name}'s reprojection of {rms:.2f} px is above {request.max_reprojection:g}: "

@@ -19,7 +19,7 @@ from ...geometry.se3 import Array, inverse
 from .fitting.align import USUAL_SMEAR, agreement
 from .fitting.fits import PoseFit, fit_pose, starts
 from .fitting.print_view import Piece
-from .judge import judge, shift_rms
+from .judge import USUAL_LIMITS, Limits, judge, shift_rms
 from .markers import DetectedMarker, find_markers, groups
 from .recognition.recognizer import Recognizer
 from .sighting import Sighting, Status
@@ -33,6 +33,7 @@ def locate(
     boards: Sequence[Board],
     T_boards_in_ref: Sequence[Array] = (),
     before: Sequence[Array | None] = (),
+    limits: Limits = USUAL_LIMITS,
 ) -> tuple[list[Sighting], dict[str, list[DetectedMarker]]]:
     """Look for boards in a photo (height, width) that `camera` took.
 
@@ -41,6 +42,7 @@ def locate(
             one that cannot be read beside one that can, and which of two poses one has that the photo leaves open.
             Poses are not made to agree with it.
         before: pose (4, 4) of each board in the camera's frame in a photo just before, None where it is not known.
+        limits: the uncertainty up to which a pose counts as located.
 
     Returns:
         One sighting for each board, and by dictionary all markers that were read, whosever they are.
@@ -50,9 +52,9 @@ def locate(
     """
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
     photo = grey.astype(np.float32)
-    sightings = [_read(photo, camera, board, markers) for board in boards]
-    recognizer = Recognizer(grey, photo, camera, len(boards))
-    located = [seen.T_board_in_cam is not None for seen in sightings]
+    sightings = [_read(photo, camera, board, markers, limits) for board in boards]
+    recognizer = Recognizer(grey, photo, camera, len(boards), limits)
+    located = [seen.status is Status.OK for seen in sightings]
     for k, seen in enumerate(sightings):
         if seen.status is not Status.OK and not seen.twice:
             was = [T] if k < len(before) and (T := before[k]) is not None else []
@@ -75,7 +77,7 @@ def _beside(k: int, sightings: Sequence[Sighting], T_boards_in_ref: Sequence[Arr
     return [
         T @ inverse(T_boards_in_ref[j]) @ T_boards_in_ref[k]
         for j, other in enumerate(sightings)
-        if j != k and (T := other.T_board_in_cam) is not None
+        if j != k and other.status is Status.OK and (T := other.T_board_in_cam) is not None
     ]
 
 
@@ -105,7 +107,11 @@ def _not_found(board: Board) -> Sighting:
 
 
 def _read(
-    photo: NDArray[np.float32], camera: CameraModel, board: Board, markers: Mapping[str, Sequence[DetectedMarker]]
+    photo: NDArray[np.float32],
+    camera: CameraModel,
+    board: Board,
+    markers: Mapping[str, Sequence[DetectedMarker]],
+    limits: Limits,
 ) -> Sighting:
     """A board by those of its markers that were read."""
     found = groups(markers[board.dictionary], board, camera)
@@ -128,7 +134,7 @@ def _read(
             board, ids, Status.POOR_FIT, "no pose explains its markers' print: blurred, bent or not this board"
         )
     fit = max(fits, key=lambda one: (len(one.agreeing), -one.mean_square))
-    return judge(photo, camera, board, fit, fits)
+    return judge(photo, camera, board, fit, fits, limits=limits)
 
 
 def at_pose(grey: Grey, camera: CameraModel, seen: Sighting, T_board_in_cam: Array) -> Sighting:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...geometry.camera import CameraModel
 from ...geometry.se3 import Array, inverse
-from .fitting.align import INFLATION, USUAL_SMEAR, Guess, align
+from .fitting.align import INFLATION, USUAL_SMEAR, Guess, align, with_shape
 from .fitting.print_view import Piece
 from .judge import PRINT_SIGMA, shift_rms, uncertainty
 from .sighting import Sighting, Status
@@ -48,9 +48,11 @@ def locate_together(
     T_start = T_board_in_cam.copy()
     T_start[:3, 3] *= math.exp(growth.start)
     T_start = T_start @ inverse(T_boards_in_ref[best])
-    alignment = align(grey.astype(np.float32), camera, pieces, T_start, smear, growth=growth)
+    photo = grey.astype(np.float32)
+    alignment = align(photo, camera, pieces, T_start, smear, growth=growth)
     if alignment is None or abs(alignment.growth) > _MOST_GROWTH:
         return None
+    alignment = with_shape(photo, camera, pieces, alignment, growth)
     T_ref, joint = alignment.T_ref_in_cam, []
     for k, (seen, T) in enumerate(zip(sightings, T_boards_in_ref, strict=True)):
         covariance, shared = uncertainty(alignment, camera, T[:3, 3])

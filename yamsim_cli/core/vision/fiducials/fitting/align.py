@@ -9,7 +9,7 @@ blurred black-to-white edges and are pushed about by their neighbours; here neig
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from ....geometry.camera import CameraModel
 from ....geometry.se3 import Array, pose, rotation_from_vector
 from .descent import PrintProblem, System, weighed
 from .linearize import Pixels, Tile, linearized
+from .print_shape import CREASED_SHARE, marginalized, mode_count, shape_modes
 from .print_view import Piece, PrintView, plane_of, view_print
 from .smear import Smear
 
@@ -47,7 +48,8 @@ class Alignment:
     Attributes:
         T_ref_in_cam: pose (4, 4).
         covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of
-            `centre` (m, along them), from the photo's noise alone.
+            `centre` (m, along them), from the photo's noise and, of `with_shape`, from what the print's shape leaves
+            open.
         by_lens: (6, k) how the pose moves, in the same measure, with what `CameraModel.mistakes` are about.
         by_print: (6,) how it moves with the natural logarithm of the print's size; 0 for what was found too, since the
             covariance then holds it.
@@ -58,6 +60,7 @@ class Alignment:
         pixels: how many were compared.
         tiles: for each piece, marker -> how drawing and photo agree there.
         growth: natural logarithm of how much larger the print is than its board says; 0 where it was not asked for.
+        flat: probability that the print is flat, as on a rigid plate; 1 where it was not asked for.
     """
 
     T_ref_in_cam: Array
@@ -71,6 +74,7 @@ class Alignment:
     pixels: int
     tiles: tuple[dict[int, Tile], ...]
     growth: float = 0.0
+    flat: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,29 @@ def agreement(
     return None if system is None else fit.alignment(state, system)
 
 
+def with_shape(
+    photo: Grey,
+    camera: CameraModel,
+    pieces: Sequence[Piece],
+    found: Alignment,
+    growth: Guess | None = None,
+    creased: float = CREASED_SHARE,
+) -> Alignment:
+    """Return an alignment with the print's bow, twist and crease marginalized: its pose and a wider covariance.
+
+    Args:
+        photo: grey levels (height, width).
+        pieces: what `found` compared.
+        growth: as `found` was given it.
+        creased: prior probability of a creased print.
+    """
+    views = _views(photo, camera, pieces, found.T_ref_in_cam)
+    if views is None:
+        return found
+    fit = _PoseProblem(views, camera, _centre(pieces), moving=found.smear.length > 0, growth=growth)
+    return fit.shaped(_State(found.T_ref_in_cam, found.smear, found.growth), found, creased)
+
+
 def _views(photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T: Array) -> list[PrintView] | None:
     views = [view for piece in pieces if (view := view_print(photo, camera, piece, plane_of(piece, T))) is not None]
     return views if views and len(views) == len(pieces) else None
@@ -145,6 +172,9 @@ class _State:
 
 # Places among all parameters: blur, motion, a turn and a shift, the print's growth, and what the lens is doubted for.
 _BLUR, _MOTION, _POSE, _GROWTH, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
+
+
+_Columns = Callable[[Pixels, Piece, Array, float], Array]
 
 
 class _PoseProblem(PrintProblem[_State]):
@@ -171,6 +201,9 @@ class _PoseProblem(PrintProblem[_State]):
         self._blur_range = (BLUR_RANGE[0] * min(coarser), BLUR_RANGE[1] * max(coarser))
 
     def system(self, state: _State, noise: float | None) -> System | None:
+        return self._system(state, noise, self._columns)
+
+    def _system(self, state: _State, noise: float | None, columns: _Columns) -> System | None:
         larger = math.exp(state.growth)
         system = weighed(
             [
@@ -178,7 +211,7 @@ class _PoseProblem(PrintProblem[_State]):
                     view,
                     plane_of(view.piece, state.T, larger),
                     state.smear,
-                    lambda pixels, piece=view.piece: self._columns(pixels, piece, state.T, larger),  # type: ignore[misc]
+                    lambda pixels, piece=view.piece: columns(pixels, piece, state.T, larger),  # type: ignore[misc]
                 )
                 for view in self._views
             ],
@@ -215,6 +248,46 @@ class _PoseProblem(PrintProblem[_State]):
         # Their cross product; numpy's own takes several times as long.
         turns = (y * c - z * b, z * a - x * c, x * b - y * a)
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
+
+    def _shape_columns(self, pixels: Pixels, piece: Piece, T: Array, larger: float) -> Array:
+        """Derivatives (n, 7 + k + m) by all of `_columns`, then by each piece's shape modes."""
+        columns = self._columns(pixels, piece, T, larger)
+        normal = T[:3, :3] @ piece.T_board_in_ref[:3, 2]
+        # A shift of the print along its own normal, at each pixel: (0, 0, 1) in the frame of the board.
+        by_height = columns[:, 3:6] @ normal
+        own = by_height[:, None] * shape_modes(piece.board, pixels.at)
+        of_others = np.zeros_like(own)
+        return np.column_stack([columns, *(own if view.piece is piece else of_others for view in self._views)])
+
+    def shaped(self, state: _State, found: Alignment, creased: float) -> Alignment:
+        """What was found at a state, with the print's shape marginalized; as it was where that breaks down."""
+        system = self._system(state, found.noise, self._shape_columns)
+        if system is None:
+            return found
+        free, pieces = list(system.free), len(self._views)
+        known = len(system.every_gradient) - pieces * mode_count()
+        held = [k for k in range(known) if k not in free]
+        # The photo's noise is not all there is, so it counts for more.
+        variance = (INFLATION * found.noise) ** 2
+        try:
+            pose_of = marginalized(system.every_normal, system.every_gradient, variance, free, held, pieces, creased)
+        except np.linalg.LinAlgError:
+            return found
+        turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
+        by_lens = pose_of.moves[turns][:, [n for n, k in enumerate(held) if k >= _LENS.start]]
+        by_lens[5, 0] += self._depth(state.T)
+        # What a fold moves of the print, it moves by its distance from the crease.
+        lever = max(max(view.piece.board.width, view.piece.board.height) for view in self._views) / 2
+        neglected = pose_of.neglected * np.diag([1.0] * 3 + [lever**2] * 3)
+        growth = held.index(_GROWTH) if _GROWTH in held else None
+        return replace(
+            found,
+            T_ref_in_cam=self.moved(state, pose_of.step).T,
+            covariance=pose_of.covariance[np.ix_(turns, turns)] + neglected,
+            by_lens=by_lens,
+            by_print=found.by_print if growth is None else pose_of.moves[turns, growth],
+            flat=pose_of.flat,
+        )
 
     def _depth(self, T: Array) -> float:
         return float((T[:3, :3] @ self._centre + T[:3, 3])[2])

@@ -25,7 +25,7 @@ from ..fitting.align import USUAL_SMEAR, Alignment, align
 from ..fitting.fits import EXPLAINED, PoseFit, faces_camera
 from ..fitting.print_view import Piece, draw_print, plane_of, view_print
 from ..fitting.smear import Smear
-from ..judge import judge
+from ..judge import Limits, judge
 from ..sighting import Sighting, Status
 from .bits import Evidence, evidence
 from .lattice import board_quads
@@ -61,7 +61,10 @@ _APART = 0.5
 class Recognizer:
     """Looks for boards in one photo (height, width), given as bytes and as floats; `boards` of them in all."""
 
-    def __init__(self, grey: Grey, photo: NDArray[np.float32], camera: CameraModel, boards: int) -> None:
+    def __init__(
+        self, grey: Grey, photo: NDArray[np.float32], camera: CameraModel, boards: int, limits: Limits
+    ) -> None:
+        self._limits = limits
         self._grey, self._photo, self._camera, self._boards = grey, photo, camera, boards
         self._likeliest: tuple[float, Alignment] | None = None
 
@@ -112,7 +115,7 @@ class Recognizer:
         if any(self._apart(fit, best) > _APART * size for fit in fits):
             reason = "it is in the photo twice: hide or remove the other print"
             return Sighting(board, seen.markers, Status.AMBIGUOUS, reason, twice=True)
-        return judge(self._photo, self._camera, board, best, fits, beside)
+        return judge(self._photo, self._camera, board, best, fits, beside, self._limits)
 
     def _advice(self, board: Board) -> tuple[str, ...]:
         """What would help a board that is not recognized, by what looks most like it."""
