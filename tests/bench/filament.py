@@ -112,7 +112,7 @@ def main() -> None:
                 truth = inverse(T_cam) @ one.T_in_world
                 visible = photographer.shows(T_cam, n)
                 boards += visible
-                if sighting.T_board_in_cam is None:
+                if sighting.status != "ok":
                     if visible:
                         console.print(f"{k:03d} {one.board.name} at {distance:.2f} m: {sighting.explanation}")
                     continue
