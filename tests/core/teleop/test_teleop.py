@@ -587,5 +587,5 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         busy = yamsim("teleop", "--port", str(taken.getsockname()[1]), "--out", str(out))
-    assert (busy.code, "cannot be used" in busy.err) == (2, True)
+    assert (busy.code, "cannot be used" in busy.err) == (4, True)
     assert not out.exists(), "nothing is in the way of the next try"
