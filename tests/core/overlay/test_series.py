@@ -280,7 +280,7 @@ def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: Sho
 
 
 def test_an_unknown_camera_and_unknown_joints_are_said_to_be_so(run: Runner, photo: Path, russet_shot: Shot) -> None:
-    # A camera's exposure makes prints whiter than the studio's light does; with less contrast no focal length stands out.
+    # A camera's exposure makes prints whiter than the studio's light does; too little contrast bounds no interval.
     save(photo, cv2.convertScaleAbs(russet_shot.image, alpha=1.2))
     result = run("photo.png", camera=None, stands=None).results[0]
     assert (result.lens.source, result.joints_source) == ("estimated", "home")
