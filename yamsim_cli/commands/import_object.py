@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.flags.session import Json, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
@@ -52,11 +52,11 @@ def import_object(
         Path | None, typer.Option(help="The YAML file to write.  [default: $YAMSIM_DATA_DIR/configs/objects/NAME.yaml]")
     ] = None,
     certify: Annotated[
-        bool, typer.Option("--certify/--no-certify", help="Check in physics what was made, see `assets certify`.")
+        bool, typer.Option("--certify/--no-certify", help="Check the thing in physics, as `assets certify` does.")
     ] = True,
     json: Json = False,
 ) -> None:
-    """Make an object's config: looks, what touches, inertia and grasps.
+    """Make an object's config: looks, what touches, inertia and grasps. Exit code 4 where a check of it fails.
 
     Example: yamsim assets import mug.stl --name my_mug --mass 0.3 --out my_mug.yaml
     """
@@ -88,18 +88,25 @@ def import_object(
 
 
 def _tell(item: dict[str, Any], lines: list[str], *, certify: bool, json: bool) -> None:
-    """Say what was made, and whether it behaves as a thing does; a fault is told, and the thing stays."""
-    item["certificate"] = None
+    """Certify what was imported unless told not to, and print it.
+
+    Raises:
+        ResourceError: a check failed; the config stays where it was written.
+    """
+    certified = None
     if certify:
         opener.skip_gl()
         certified = certify_named(item["path"])
-        item["certificate"] = brief(certified)
-        note(f"Certificate: {'passed' if certified.ok else failure(certified)}")
+    item["certificate"] = certified and brief(certified)
     if json:
         print_json({"items": [item]})
-        return
-    for line in lines:
-        print_line(line)
+    else:
+        for line in lines:
+            print_line(line)
+    if certified is not None:
+        if not certified.ok:
+            raise ResourceError(f"{item['path']} is written, but its certificate failed: {failure(certified)}")
+        note("Certificate: passed")
 
 
 def _ycb_item(made: ImportedObject) -> dict[str, Any]:

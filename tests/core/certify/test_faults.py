@@ -55,8 +55,18 @@ def lopsided(thing: Thing) -> None:
     thing.data["inertia"]["centre"] = [0.012, 0.0, thing.data["inertia"]["centre"][2]]
 
 
-def hardly_any_inertia(thing: Thing) -> None:
-    thing.data["inertia"]["diagonal"] = [1e-9, 1e-9, 1e-9]
+def a_hundredth_of_its_inertia(thing: Thing) -> None:
+    thing.data["inertia"]["diagonal"] = [value / 100 for value in thing.data["inertia"]["diagonal"]]
+
+
+def hardly_any_about_one_axis(thing: Thing) -> None:
+    # As a rod has: the triangle inequality holds, and a cube has it not.
+    _, middle, largest = sorted(thing.data["inertia"]["diagonal"])
+    thing.data["inertia"]["diagonal"] = [largest / 50, middle, largest]
+
+
+def soft(thing: Thing) -> None:
+    thing.data["contact"]["push_out_s"] = 0.14
 
 
 def hardly_held(thing: Thing) -> None:
@@ -73,10 +83,12 @@ FAULTS: dict[str, list[tuple[str, Callable[[Thing], None]]]] = {
     "inertia.impossible": [
         (BLOCK, inertia(diagonal=[1e-4, 1e-4, 5e-4])),
         (BLOCK, inertia(diagonal=[0.5, 0.5, 0.5])),
+        (BLOCK, a_hundredth_of_its_inertia),
+        (BLOCK, hardly_any_about_one_axis),
     ],
     "collision.differs": [(BLOCK, too_large)],
     "rest.moves": [("kitchen_produce_item", lopsided)],
-    "drop.breaks": [(BLOCK, hardly_any_inertia)],
+    "drop.breaks": [(BLOCK, soft)],
     "hollow.filled": [(CUP, filled)],
     "joint.jams": [(BLOCK, jams)],
     "grasp.slips": [(BLOCK, hardly_held)],

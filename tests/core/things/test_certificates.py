@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.things.certificates import Standing, find_certificate, inputs_hash, store_certificate
+from yamsim_cli.core.things.certificates import Certificate, Standing, find_certificate, inputs_hash, store_certificate
 
 GOOD: dict[str, Any] = {"ok": True, "checks": [{"code": "rest.moves", "ok": True, "figures": {}, "note": ""}]}
 BAD: dict[str, Any] = {"ok": False, "checks": [{"code": "rest.moves", "ok": False, "figures": {}, "note": "rolls"}]}
@@ -43,6 +45,46 @@ def test_a_certificate_is_of_one_thing_as_it_was(bowl: ObjectConfig, tmp_path: P
     store_certificate(tmp_path, bowl, lock, BAD, {})
     failed = find_certificate(tmp_path, bowl, lock)
     assert (failed.standing, failed.failed) == (Standing.FAILED, ("rest.moves",))
+
+
+def of_set(item: ObjectConfig, mesh_set: str) -> ObjectConfig:
+    return item.model_copy(update={"mesh": item.mesh.model_copy(update={"set": mesh_set})})
+
+
+def test_two_imports_under_one_name_have_a_certificate_each(
+    bowl: ObjectConfig, tmp_path: Path, locations: Locations
+) -> None:
+    lock = load_lock(locations)
+    first, other = (of_set(bowl, f"own-mug-{digit * 12}") for digit in "12")
+    store_certificate(tmp_path, first, lock, BAD, {})
+    assert find_certificate(tmp_path, other, lock).standing is Standing.NONE
+    store_certificate(tmp_path, other, lock, GOOD, {})
+    assert find_certificate(tmp_path, first, lock).standing is Standing.FAILED
+    assert find_certificate(tmp_path, other, lock).standing is Standing.GOOD
+
+
+def test_a_config_that_is_changed_back_has_its_certificate_again(
+    bowl: ObjectConfig, tmp_path: Path, locations: Locations
+) -> None:
+    lock = load_lock(locations)
+    store_certificate(tmp_path, bowl, lock, BAD, {})
+    store_certificate(tmp_path, changed(bowl), lock, GOOD, {})
+    assert find_certificate(tmp_path, bowl, lock).standing is Standing.FAILED
+
+
+@pytest.mark.parametrize("mesh_set", ["ycb_objects", "own-mug-111111111111"])
+def test_a_certificate_of_version_0_2_0_is_found_and_stale(
+    bowl: ObjectConfig, tmp_path: Path, locations: Locations, mesh_set: str
+) -> None:
+    lock, item = load_lock(locations), of_set(bowl, mesh_set)
+    # The file name of that version: name, set without its content hash, file.
+    shared = sha256_bytes(f"{item.name} {mesh_set.removesuffix('-111111111111')} {item.mesh.file}".encode())[:8]
+    old = tmp_path / "certificates" / f"{item.name}-{shared}.json"
+    old.parent.mkdir()
+    old.write_text(json.dumps({"inputs": "0" * 64, **BAD}))
+    assert find_certificate(tmp_path, item, lock) == Certificate(Standing.STALE, ("rest.moves",), old)
+    store_certificate(tmp_path, item, lock, GOOD, {})
+    assert find_certificate(tmp_path, item, lock).standing is Standing.GOOD
 
 
 def test_the_hash_holds_the_meshes(bowl: ObjectConfig, locations: Locations) -> None:

@@ -1,4 +1,4 @@
-"""Certificates on the disk: what was found of a thing, under a hash of all that it was found from."""
+"""Certificates on the disk: the result of a thing's checks, kept by a hash over everything that was checked."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ..errors import ResourceError
 from ..files import sha256_bytes, write_file
 
 #: Grows whenever a check decides otherwise: older certificates are stale then.
-CHECKS_VERSION = 1
+CHECKS_VERSION = 2
 
 _FOLDER = "certificates"
-# Of one of the user's own sets: another import of the same thing has another.
+# The content hash at the end of the name of one of the user's own sets.
 _CONTENT = re.compile(r"-[0-9a-f]{12}$")
 
 
@@ -61,7 +61,7 @@ def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
 def store_certificate(
     assets: Path, item: ObjectConfig, lock: AssetLock, found: Mapping[str, Any], made_with: Mapping[str, str]
 ) -> Path:
-    """Keep what was found of a thing, in place of an older certificate, and give its file.
+    """Write the certificate of a thing as it is now, and return its file. Certificates of other contents stay.
 
     Args:
         assets: the cache of meshes.
@@ -70,8 +70,9 @@ def store_certificate(
     Raises:
         ResourceError: it cannot be written.
     """
-    path = _path(assets, item)
-    text = json.dumps({"inputs": inputs_hash(item, lock), "made_with": dict(made_with), **found}, indent=1) + "\n"
+    inputs = inputs_hash(item, lock)
+    path = _path(assets, item, inputs)
+    text = json.dumps({"inputs": inputs, "made_with": dict(made_with), **found}, indent=1) + "\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, text.encode())
@@ -81,20 +82,46 @@ def store_certificate(
 
 
 def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certificate:
-    """How a thing stands; what cannot be read counts as no certificate."""
-    path = _path(assets, item)
+    """Return the certificate of a thing as it is now, else the newest of what it was before, as stale.
+
+    A certificate that cannot be read counts as none.
+    """
+    inputs = inputs_hash(item, lock)
+    path = _path(assets, item, inputs)
+    if (failed := _failed_checks(path, inputs)) is not None:
+        return Certificate(Standing.FAILED if failed else Standing.GOOD, failed, path)
+    for older in _older(path, item):
+        if (failed := _failed_checks(older)) is not None:
+            return Certificate(Standing.STALE, failed, older)
+    return Certificate(Standing.NONE)
+
+
+def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | None:
+    """The codes that failed in a stored certificate; None where it cannot be read, or is not of these inputs."""
     try:
         stored = json.loads(path.read_bytes())
-        inputs, checks = stored["inputs"], stored["checks"]
-        failed = tuple(str(check["code"]) for check in checks if check["ok"] is False)
+        if inputs not in (None, stored["inputs"]):
+            return None
+        return tuple(str(check["code"]) for check in stored["checks"] if check["ok"] is False)
     except (OSError, ValueError, KeyError, TypeError):
-        return Certificate(Standing.NONE)
-    if inputs != inputs_hash(item, lock):
-        return Certificate(Standing.STALE, failed, path)
-    return Certificate(Standing.FAILED if failed else Standing.GOOD, failed, path)
+        return None
 
 
-def _path(assets: Path, item: ObjectConfig) -> Path:
-    """One file for each thing: two of one name differ in what is seen of them."""
-    which = f"{item.name} {_CONTENT.sub('', item.mesh.set)} {item.mesh.file}"
-    return assets / _FOLDER / f"{item.name}-{sha256_bytes(which.encode())[:8]}.json"
+def _path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
+    """The file of one content of a thing: its name, which thing of that name it is, and the hash of its inputs."""
+    return assets / _FOLDER / f"{item.name}-{_identity(item, item.mesh.set)}-{inputs[:12]}.json"
+
+
+def _older(path: Path, item: ObjectConfig) -> list[Path]:
+    """Certificates of other contents of the same thing, the newest first.
+
+    Up to version 0.2.0 a file's name had no content hash, and imports of different files under one name shared it.
+    """
+    shared = f"{item.name}-{_identity(item, _CONTENT.sub('', item.mesh.set))}.json"
+    found = path.parent.glob(f"{item.name}-{_identity(item, item.mesh.set)}-*.json")
+    return [*sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True), path.with_name(shared)]
+
+
+def _identity(item: ObjectConfig, mesh_set: str) -> str:
+    """Tells two things of one name apart: a digest over what is seen of them."""
+    return sha256_bytes(f"{item.name} {mesh_set} {item.mesh.file}".encode())[:8]
