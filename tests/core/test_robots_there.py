@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
-from yamsim_cli.core.errors import UsageError
+from tests.cli.run_cli import yamsim
+from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robot_check import new_robot
 from yamsim_cli.core.robots_there import robot_there, robots_there
 
 
@@ -26,3 +31,38 @@ def test_a_familys_name_shows_its_newest_revision(locations: Locations) -> None:
     assert robot_there("yam_ultra", locations)["name"] == "yam_ultra_v2"
     with pytest.raises(UsageError, match="unknown robot 'yamu'; did you mean"):
         robot_there("yamu", locations)
+
+
+def test_a_users_arm_with_a_shipped_ones_revision_is_at_fault_and_the_rest_is_listed(
+    tmp_path: Path, locations: Locations
+) -> None:
+    mine = replace(locations, data=(tmp_path, *locations.data))
+    # Its name comes before and after the shipped one's.
+    for name in ("a_copy", "z_copy"):
+        path, _ = new_robot(name, tmp_path, mine)
+        path.write_text(path.read_text() + "family: yam_ultra\nrevision: v2\n")
+    items = {item["name"]: item for item in robots_there(mine)}
+    shipped = locations.config_file("robots", "yam_ultra_v2")
+    for name in ("a_copy", "z_copy"):
+        ours = tmp_path / "robot_models" / name / "model.yaml"
+        fault = items[name]["fault"]
+        assert fault.startswith(f"{ours}:") and f"{shipped} is revision 'v2' of 'yam_ultra' too" in fault
+        with pytest.raises(ConfigError, match="is revision 'v2' of 'yam_ultra' too"):
+            robot_there(name, mine)
+    assert [name for name, item in items.items() if "fault" in item] == ["a_copy", "z_copy"]
+    assert items.keys() - {"a_copy", "z_copy"} == {item["name"] for item in robots_there(locations)}
+    assert robot_there("yam_ultra", mine)["name"] == "yam_ultra_v2"
+    done = yamsim("robots", "list", env={"YAMSIM_DATA_DIR": str(tmp_path)})
+    assert done.code == 0
+    assert "big_yam" in done.out and "NOT VALID" in done.out
+    assert "a_copy is not valid: " in done.err and "z_copy is not valid: " in done.err
+
+
+def test_an_arm_that_cannot_be_read_does_not_hide_the_others(tmp_path: Path, locations: Locations) -> None:
+    mine = replace(locations, data=(tmp_path, *locations.data))
+    path = tmp_path / "robot_models" / "mine" / "model.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text("base: [\n")
+    items = {item["name"]: item for item in robots_there(mine)}
+    assert str(path) in items["mine"]["fault"]
+    assert len(items) == len(robots_there(locations)) + 1

@@ -31,11 +31,18 @@ _Data = Annotated[
 def list_robots(json: Json = False) -> None:
     """List arms, grippers and stations: what goes together, where figures are from, and whether meshes are here.
 
+    An arm or a station that is not valid is listed with its fault.
+
     Example: yamsim robots list
     """
     from yamsim_cli.core.robots_there import robots_there
+    from yamsim_cli.terminal.console import note
 
-    print_items(robots_there(opener.locations()), ["", "name", "of", "goes with", "source", "meshes"], _row, json)
+    items = robots_there(opener.locations())
+    print_items(items, ["", "name", "of", "goes with", "source", "meshes"], _row, json)
+    for item in items:
+        if "fault" in item and not json:
+            note(f"{item['name']} is not valid: {item['fault']}")
 
 
 @app.command()
@@ -114,7 +121,8 @@ def _locations(data: Path | None) -> Locations:
 
 def _row(item: Mapping[str, Any]) -> list[str]:
     goes_with = ", ".join(item["goes_with"])
-    return [item["kind"], item["name"], _of(item), goes_with, item["source"] or "", _meshes(item)]
+    source = "NOT VALID, see below" if "fault" in item else item["source"] or ""
+    return [item["kind"], item["name"], _of(item), goes_with, source, _meshes(item)]
 
 
 def _of(item: Mapping[str, Any]) -> str:

@@ -8,8 +8,8 @@ from typing import Any
 from .assets import AssetStore, load_lock
 from .config.loader import load_config
 from .config.rig import RigConfig
-from .config.robot_names import ARMS, GRIPPERS, families
-from .errors import UsageError, suggest
+from .config.robot_names import ARMS, GRIPPERS, valid_families
+from .errors import ConfigError, UsageError, suggest
 from .resources import Locations
 from .robots.models import ArmModel, Gripper, fit
 from .scene.compose import rig_mesh_sets
@@ -20,13 +20,16 @@ ARM, GRIPPER, STATION = "arm", "gripper", "station"
 def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
     """Every arm, gripper and station as plain data: first the arms, then the grippers, then the rigs with two arms.
 
+    An arm or a station whose file is not valid has a `fault`, the reason, and goes with nothing.
+
     Raises:
-        ConfigError: one of them is not valid.
+        ConfigError: a gripper is not valid.
     """
     meshes = _meshes(locations)
-    arms = {name: load_config(ArmModel, ARMS, name, locations) for name in locations.config_names(ARMS)}
+    families, faults = valid_families(locations)
+    arms, broken_arms = _loaded_arms(locations, faults)
     grippers = {name: load_config(Gripper, GRIPPERS, name, locations) for name in locations.config_names(GRIPPERS)}
-    newest = {list(revisions.values())[-1] for revisions in families(locations).values()}
+    newest = {list(revisions.values())[-1] for revisions in families.values()}
     pairs = {(arm, gripper) for arm in arms for gripper in grippers if _fits(arms[arm], grippers[gripper])}
     found: list[dict[str, Any]] = []
     for name, arm in arms.items():
@@ -42,6 +45,7 @@ def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
                 **_common(arm.source, arm.mjcf.file, arm.mesh_sets, meshes),
             }
         )
+    found += [_faulty(ARM, ARMS, name, fault, locations) for name, fault in broken_arms.items()]
     for name, gripper in grippers.items():
         fingers = gripper.fingers
         found.append(
@@ -62,18 +66,44 @@ def robot_there(name: str, locations: Locations) -> dict[str, Any]:
 
     Raises:
         UsageError: there is none.
+        ConfigError: its file is not valid.
     """
     items = robots_there(locations)
     for item in items:
         if name == item["name"] or (item.get("newest") and name == item["family"]):
+            if "fault" in item:
+                raise ConfigError(item["fault"])
             return item
-    known = [*(item["name"] for item in items), *families(locations)]
+    known = [*(item["name"] for item in items), *valid_families(locations)[0]]
     raise UsageError(f"unknown robot {name!r}; {suggest(name, known)}")
+
+
+def _loaded_arms(
+    locations: Locations, faults: Mapping[str, ConfigError]
+) -> tuple[dict[str, ArmModel], dict[str, ConfigError]]:
+    """Name -> arm, and name -> fault of the arms that are not valid, the faults that are known already included."""
+    loaded, broken = dict[str, ArmModel](), dict(faults)
+    for name in locations.config_names(ARMS):
+        try:
+            if name not in broken:
+                loaded[name] = load_config(ArmModel, ARMS, name, locations)
+        except ConfigError as error:
+            broken[name] = error
+    return loaded, broken
+
+
+def _faulty(what: str, kind: str, name: str, fault: ConfigError, locations: Locations) -> dict[str, Any]:
+    path = str(locations.config_file(kind, name))
+    return {"kind": what, "name": name, "goes_with": [], **_common(None, path, (), {}), "fault": str(fault)}
 
 
 def _stations(locations: Locations, meshes: Mapping[str, bool]) -> Iterator[dict[str, Any]]:
     for name in locations.config_names("rigs"):
-        rig = load_config(RigConfig, "rigs", name, locations)
+        try:
+            rig = load_config(RigConfig, "rigs", name, locations)
+        except ConfigError as error:
+            yield _faulty(STATION, "rigs", name, error, locations)
+            continue
         if len(rig.arms) > 1:
             yield {
                 "kind": STATION,

@@ -59,12 +59,53 @@ def test_robots_list_tells_of_both(locations: Locations) -> None:
     assert items[ARM]["goes_with"] == [GRIPPER]
 
 
+def broken(locations: Locations, file: str, old: str, new: str) -> Path:
+    """A file of the made-up robot with a fault in it."""
+    path = locations.data[0] / "robot_models" / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return path
+
+
+LOADS = [
+    ("robots", "check", ARM),
+    ("pickplace", "batch", "--rig", RIG, "--grasp", "contact", "--n", 1, "--workers", 1),
+    ("render-views", "--rig", RIG, "--out", "VIEWS"),
+]
+
+
+@pytest.mark.parametrize("words", LOADS, ids=lambda words: words[0])
+@pytest.mark.parametrize("site", ["pinch_site", "grasp_site"])
+def test_a_gripper_without_its_sites_is_refused_by_its_file(
+    locations: Locations, tmp_path: Path, words: tuple[Any, ...], site: str
+) -> None:
+    path = broken(locations, f"grippers/{GRIPPER}/gripper.xml", f'<site name="{site}" pos="0 0 0.13"/>', "")
+    done = yamsim(*(tmp_path / "views" if word == "VIEWS" else word for word in words))
+    assert done.code == 3
+    assert f"{path}: has no site '{site}'" in done.err
+    assert len(done.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("words", LOADS, ids=lambda words: words[0])
 @pytest.mark.parametrize(
-    "words", [["pickplace", "batch", "--grasp", "contact", "--n", 1], ["render-views", "--out", "views"]]
+    ("old", "new", "told"),
+    [
+        ('<joint name="turn"', '<joint name="turn" class="nope"', "XML Error: unknown default class name 'nope' "),
+        ('mass="0.3"', 'mass="0"', "mass and inertia of moving bodies must be larger than mjMINVAL "),
+    ],
+    ids=["not read", "not compiled"],
 )
-def test_a_gripper_without_pinch_site_is_one_line(locations: Locations, tmp_path: Path, words: list[Any]) -> None:
-    (file,) = (tmp_path / "data").glob(f"robot_models/grippers/{GRIPPER}/gripper.xml")
-    file.write_text(file.read_text(encoding="utf-8").replace('name="pinch_site"', 'name="pinch"'), encoding="utf-8")
-    run = yamsim(*words, "--rig", RIG, cwd=tmp_path)
-    assert run.code == 3, run.err
-    assert f"{file}: has no site 'pinch_site'; its sites: grasp_site, pinch" in run.message
+def test_an_arm_that_does_not_compile_is_told_in_one_line(
+    locations: Locations,
+    tmp_path: Path,
+    words: tuple[Any, ...],
+    old: str,
+    new: str,
+    told: str,
+) -> None:
+    path = broken(locations, f"{ARM}/arm.xml", old, new)
+    done = yamsim(*(tmp_path / "views" if word == "VIEWS" else word for word in words))
+    assert done.code == 3
+    assert str(path) in done.err and told in done.err
+    assert len(done.err.splitlines()) == 1

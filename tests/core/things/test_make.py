@@ -71,6 +71,14 @@ def test_mass_follows_what_is_told() -> None:
     assert mass(mass=0.3) == (pytest.approx(0.3), False)
 
 
+@pytest.mark.parametrize("tilt", [0.0, 0.4])
+def test_a_plane_is_refused_since_it_has_no_volume(tilt: float) -> None:
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, tilt * 0.1], [0, 0.1, tilt * 0.1]])
+    plane = Surface(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    with pytest.raises(ResourceError, match=r"^sheet: all 4 corners of its base lie in one plane: no volume"):
+        make(thing(plane), Wishes("sheet", collision="hull"), Path("unused"))
+
+
 def test_an_open_surface_weighs_as_a_sheet() -> None:
     vertices, faces = mug_mesh(32)
     held = filling(vertices, faces[5:].astype(np.int32))

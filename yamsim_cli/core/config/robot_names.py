@@ -21,17 +21,43 @@ def families(locations: Locations) -> Families:
     Raises:
         ConfigError: a model cannot be read, or two of a family call their revision alike.
     """
+    found, faults = valid_families(locations)
+    for fault in faults.values():
+        raise fault
+    return found
+
+
+def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigError]]:
+    """The families of all valid models, and model -> fault for the others.
+
+    Of two models that are the same revision, the less important root's is valid: a user's file is at fault, and not a
+    shipped one.
+    """
     found: dict[str, dict[str, str]] = {}
-    for model in locations.config_names(ARMS):
-        document = load_yaml(locations.config_file(ARMS, model))
+    faults: dict[str, ConfigError] = {}
+    files = {model: locations.config_file(ARMS, model) for model in locations.config_names(ARMS)}
+    roots = list(locations.data)
+    for model in sorted(
+        files, key=lambda model: -next(k for k, root in enumerate(roots) if root in files[model].parents)
+    ):
+        try:
+            document = load_yaml(files[model])
+        except ConfigError as error:
+            faults[model] = error
+            continue
         family, revision = (document.data.get(key) for key in ("family", "revision"))
-        if isinstance(family, str) and isinstance(revision, str):
-            if other := found.setdefault(family, {}).get(revision):
-                raise ConfigError(
-                    f"{document.place(('revision',))}: {other} is revision {revision!r} of {family!r} too; rename one"
-                )
-            found[family][revision] = model
-    return {family: dict(sorted(found[family].items(), key=lambda item: _age(item[0]))) for family in sorted(found)}
+        if not (isinstance(family, str) and isinstance(revision, str)):
+            continue
+        if other := found.setdefault(family, {}).get(revision):
+            place = document.place(("revision",))
+            faults[model] = ConfigError(
+                f"{place}: {files[other]} is revision {revision!r} of {family!r} too; give {model} another revision"
+            )
+            continue
+        found[family][revision] = model
+    return {
+        family: dict(sorted(found[family].items(), key=lambda item: _age(item[0]))) for family in sorted(found)
+    }, faults
 
 
 def model_named(name: str, locations: Locations) -> str:

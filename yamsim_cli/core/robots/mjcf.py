@@ -21,6 +21,9 @@ _ARMS_OWN = ("option", "size", "visual", "statistic", "custom")
 # Elements that read other files or run code of others, which an arm's or a gripper's MJCF may not have.
 _NOT_READ = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
 
+# Sites that every gripper has: where the fingers meet, and the frame of recorded poses.
+_SITES = ("pinch_site", "grasp_site")
+
 # Where sections outside `worldbody` name a body.
 _BODY_KEYS = ("body", "body1", "body2")
 
@@ -55,7 +58,7 @@ def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
         raise ConfigError(f"{gripper.mjcf.file}: <compiler> says {theirs}, and {arm.mjcf.file} {ours}; make them equal")
     flange = body(root, arm.flange, arm.mjcf)
     frame = _gripper_frame(hand, gripper.mjcf)
-    _require_site(frame, "pinch_site", gripper.mjcf)
+    _check_sites(frame, gripper.mjcf)
     _check_names(root, frame, arm.mjcf, gripper.mjcf)
     _prefix_classes(hand, gripper.name)
     _rename_body(hand, frame.get("name", ""), arm.flange)
@@ -146,15 +149,6 @@ def numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)).removesuffix(".0") for value in values)
 
 
-def _require_site(frame: Element, name: str, mjcf: Mjcf) -> None:
-    sites = [site.get("name", "") for site in frame.iter("site")]
-    if name not in sites:
-        raise ConfigError(
-            f"{mjcf.file}: has no site {name!r}; its sites: {', '.join(sites) or 'none'}; "
-            "add one where the fingers meet, z into the grasp, y along the closing direction"
-        )
-
-
 def _check_sections(root: Element, mjcf: Mjcf, allowed: Iterable[str]) -> None:
     valid = ("compiler", "default", "worldbody", *allowed)
     for section in root:
@@ -187,6 +181,16 @@ def _gripper_frame(hand: Element, mjcf: Mjcf) -> Element:
     if frame.find("joint") is not None or frame.find("freejoint") is not None:
         raise ConfigError(f"{mjcf.file}: body {frame.get('name')!r} has a joint; it becomes part of the flange")
     return frame
+
+
+def _check_sites(frame: Element, mjcf: Mjcf) -> None:
+    found = {site.get("name") for site in frame.iter("site")}
+    for name in _SITES:
+        if name not in found:
+            raise ConfigError(
+                f"{mjcf.file}: has no site {name!r}; add <site name={name!r} pos=... quat=.../> to body "
+                f"{frame.get('name')!r}: z into the grasp, y along the closing direction"
+            )
 
 
 def _check_names(root: Element, frame: Element, arms: Mjcf, grippers: Mjcf) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,20 +12,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.rig import ArmConfig
-from ..errors import ResourceError
+from ..errors import ConfigError, ResourceError
 from ..geometry.se3 import Array
 from ..resources import Meshes
+from ..robots.models import ArmModel, Gripper
 from ..robots.robot import Robot
+from .compiling import compile_spec
 
 # Geom groups: what a viewer shows by default (2) and what it hides (3).
 _SEEN_GROUP = 2
 
 
 def _load(arm: ArmConfig) -> mujoco.MjSpec:
+    _require_compiles(arm.robot.xml, arm.model, arm.gripper)
     spec = mujoco.MjSpec.from_string(arm.robot.xml)
     if arm.grasp_offset is not None:
         spec.site("grasp_site").pos[2] = arm.grasp_offset
     return spec
+
+
+@functools.lru_cache(maxsize=64)
+def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
+    """Raise a ConfigError, which names the file and MuJoCo's reason, if an arm with its gripper does not compile."""
+    for mjcf in (arm.mjcf, gripper.mjcf):
+        try:
+            mujoco.MjSpec.from_string(mjcf.text)
+        except ValueError as error:
+            raise ConfigError(f"{mjcf.file} does not compile: {' '.join(str(error).split())}") from error
+    both = f"{arm.mjcf.file} with {gripper.mjcf.file}"
+    try:
+        spec = mujoco.MjSpec.from_string(xml)
+    except ValueError as error:
+        # Its line number is one of the two files together, which is in no file.
+        reason = re.sub(r",? line \d+", "", " ".join(str(error).split()))
+        raise ConfigError(f"{both} does not compile: {reason}") from error
+    compile_spec(with_looks(spec, (*arm.mesh_sets, *gripper.mesh_sets), None), both, ConfigError)
 
 
 def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:

@@ -29,6 +29,7 @@ _TORSION, _ROLLING, _ROLLS = 0.005, 0.0005, 0.05
 _IN = 0.03
 # What is put onto a thing finds a level place: within so much of its middle, no more uneven than so, m.
 _MIDDLE, _LEVEL = 0.012, 0.004
+_FLAT = 1e-6  # least spread of a base's corners as a share of their largest: STL keeps 7 digits
 # Joints that rub on nothing go on for ever; a part of a thing that a file says nothing of.
 _RUBS = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
 
@@ -85,6 +86,7 @@ def make(thing: ReadThing, wishes: Wishes, kept: Path, share: Share = lambda don
     """
     if not thing.parts[0].looks:
         raise ResourceError(f"{wishes.name}: its base {thing.parts[0].name!r} has nothing that can be seen")
+    _require_volume(thing, wishes.name)
     labels = _labels(thing)
     fillings = [filling(*whole(part.looks)) if part.looks else None for part in thing.parts]
     weights, guessed = _weights(thing, wishes, fillings)
@@ -126,6 +128,16 @@ def make(thing: ReadThing, wishes: Wishes, kept: Path, share: Share = lambda don
     mass = sum(weight.mass for weight in weights)
     closed = all(held.closed for held in fillings if held is not None)
     return Made(data, files, tuple(touches), mass, guessed, closed, thing.notes)
+
+
+def _require_volume(thing: ReadThing, name: str) -> None:
+    """Refuse a thing whose base lies in one plane or on one line, whatever that plane's direction."""
+    vertices = whole(thing.parts[0].looks)[0]
+    spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    if len(vertices) < 4 or spread[-1] <= _FLAT * spread[0]:
+        raise ResourceError(
+            f"{name}: all {len(vertices)} corners of its base lie in one plane: no volume; give it a thickness"
+        )
 
 
 @dataclass(frozen=True)
