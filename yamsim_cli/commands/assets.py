@@ -50,7 +50,9 @@ def list_assets(json: Json = False) -> None:
 def fetch(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAMES]...", help="Sets to fetch; without any, those that are not `on_demand`."),
+        typer.Argument(
+            metavar="[NAMES]...", help="Sets to fetch.  [default: those that shipped rigs, tasks and objects show]"
+        ),
     ] = None,
     json: Json = False,
 ) -> None:

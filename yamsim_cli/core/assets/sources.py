@@ -38,7 +38,8 @@ class AssetSource(Protocol):
 
         Args:
             assets: the set to get.
-            scratch: an empty folder of its own, deleted afterwards.
+            scratch: an empty folder for this set, deleted afterwards. Its parent is kept until all sets of the fetch
+                are read.
             progress: told of the bytes as they arrive.
 
         Returns:
