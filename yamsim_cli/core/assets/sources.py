@@ -15,7 +15,7 @@ class SourceError(Exception):
 class FetchProgress(Protocol):
     """Called with how far a download is, in bytes, from the thread that called `fetch`; the lock gives the total."""
 
-    def __call__(self, label: str, done_bytes: int, total_bytes: int) -> None:
+    def __call__(self, label: str, done_bytes: int, total_bytes: int, /) -> None:
         """Take note; must return quickly."""
 
 
