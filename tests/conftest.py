@@ -16,6 +16,8 @@ from yamsim_cli.core.resources import Locations
 
 settle_backend()
 remember_backend()
+# Tests that fetch at first use unset it, and have a package index of their own.
+os.environ["YAMSIM_OFFLINE"] = "1"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -59,6 +59,7 @@ def record(
     session = PROGRAM.open(
         config,
         parallel=workers is not None,
+        resumes=Path(out) if resume else None,
         n=episodes,
         seed=seed,
         workers=workers or 1,

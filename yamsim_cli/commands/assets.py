@@ -50,7 +50,9 @@ def list_assets(json: Json = False) -> None:
 def fetch(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAMES]...", help="Sets to fetch; without any, those that are not `on_demand`."),
+        typer.Argument(
+            metavar="[NAMES]...", help="Sets to fetch.  [default: those that shipped rigs, tasks and objects show]"
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -134,26 +136,18 @@ def _fetch_with_progress(
     lock: AssetLock, store: AssetStore, names: list[str]
 ) -> tuple[FetchReport, dict[str, ReducedSet]]:
     """What was fetched, and set -> its reduced meshes, as far as they could be made."""
-    from rich.progress import BarColumn, Progress, TextColumn
-
     from yamsim_cli.core.assets import default_sources, fetch, make_reduced
-    from yamsim_cli.terminal.console import console, note
+    from yamsim_cli.terminal.console import note
+    from yamsim_cli.terminal.fetch_bar import fetch_bar
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[done]}"))
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("meshes", total=None, done="")
-
-        def received(label: str, done_bytes: int, total_bytes: int) -> None:
-            shown = f"{done_bytes / 1e6:.1f} of {total_bytes / 1e6:.1f} MB"
-            bar.update(task, description=label, completed=done_bytes, total=total_bytes, done=shown)
-
-        report = fetch(lock, names, store, default_sources(lock), received)
+    with fetch_bar() as advance:
+        report = fetch(lock, names, store, default_sources(lock), advance)
         reduced: dict[str, ReducedSet] = {}
         for fetched in report.sets:
             assets = lock.sets[fetched.name]
 
             def made(done: int, total: int, label: str = f"{assets.name}: reducing") -> None:
-                bar.update(task, description=label, completed=done, total=total, done=f"{done} of {total} files")
+                advance(label, done, total, f"{done} of {total} files")
 
             try:
                 reduced[assets.name] = make_reduced(store, assets, fetched.directory, lock.notices[assets.notice], made)

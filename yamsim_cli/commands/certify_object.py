@@ -11,7 +11,7 @@ import typer
 from yamsim_cli import __version__
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
 from yamsim_cli.terminal.tables import listing
 
@@ -25,6 +25,7 @@ def certify_object(
     thing: Annotated[str, typer.Argument(metavar="THING", help="An object: a name from configs/objects/ or a file.")],
     html: Annotated[Path | None, typer.Option(help="Also write a page with pictures of every check.")] = None,
     overwrite: Overwrite = False,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Check a thing's size, surfaces, weight, rest, falls, hollow, joints and grasp. Exit code 4 where one fails.

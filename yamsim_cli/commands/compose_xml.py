@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.session import Json, Margin, Revision, Robot, opener
+from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Robot, opener
 from yamsim_cli.flags.settings import Grasp, Rig
 from yamsim_cli.terminal.console import note, print_json, print_line
 
@@ -36,6 +36,7 @@ def compose_xml(
     ] = "3.3",
     as_zip: Annotated[bool, typer.Option("--zip", help="One zip file instead of a folder.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Move what is in the way aside.")] = False,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Write scene.xml and every mesh and texture it needs, loadable by plain MuJoCo (3.3 and newer) anywhere.

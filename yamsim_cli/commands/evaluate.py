@@ -9,7 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.outputs import require_free
-from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
 from yamsim_cli.flags.settings import (
     Arm,
     ConfigOption,
@@ -116,6 +116,7 @@ def evaluate(
     robot: Robot = None,
     arm: Arm = None,
     config: ConfigOption = "default",
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Run a policy from sampled starts, the same as `pickplace batch` has for that seed, and count its successes.

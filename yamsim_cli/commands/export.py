@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError, counted
-from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
@@ -80,6 +80,7 @@ def raiden(
     actions: RealActions = None,
     episodes: Episodes = None,
     overwrite: Overwrite = False,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """The converted layout of the real stack (TRI's raiden), at 30 frames a second; a lone arm is the left one.

@@ -11,7 +11,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, Margin, Revision, Robot, opener
+from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Robot, opener
 from yamsim_cli.flags.settings import ReportFile
 from yamsim_cli.terminal.console import note, print_json, print_table, progress_bar
 
@@ -65,6 +65,7 @@ def gap(
     html: Annotated[Path | None, typer.Option(help="Also write a page with curves and pictures.")] = None,
     overwrite: Overwrite = False,
     out: ReportFile = None,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Let the simulated arms follow recorded commands, and say how far what was measured lies from what they do.

@@ -11,7 +11,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.outputs import require_free
-from yamsim_cli.flags.session import Json, Margin, Revision, opener
+from yamsim_cli.flags.session import Json, Margin, Offline, Revision, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def overlay(
     video: Annotated[Path | None, typer.Option(help="Also write an MP4 of all pictures.")] = None,
     fps: Annotated[float, typer.Option(min=0.1, max=240, help="Pictures a second in the MP4.")] = 15.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a video that exists.")] = False,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Find each arm's pose in photos by its board, lay the simulated arm over them, and score the fit.

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from yamsim_cli.flags.outputs import require_free
-from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
 from yamsim_cli.flags.settings import (
     Arm,
     ConfigOption,
@@ -62,6 +62,7 @@ def batch(
     revision: Revision = None,
     robot: Robot = None,
     config: ConfigOption = "default",
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Run trials from sampled starts in physics alone and count the successes; --video renders some of them.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
 from yamsim_cli.flags.settings import (
     Arm,
     Cameras,
@@ -88,6 +88,7 @@ def record(
         float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
     ] = 600.0,
     config: ConfigOption = "default",
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Record successful episodes of a task into a dataset. Nothing half-written is ever visible.
@@ -97,6 +98,7 @@ def record(
     mode = mode_of(resume=resume, overwrite=overwrite)
     session = opener.open(
         config,
+        resumes=out if resume else None,
         workers=workers,
         n=n,
         seed=seed,

@@ -9,7 +9,7 @@ import typer
 
 from yamsim_cli.core.opener import parse_size
 from yamsim_cli.flags.outputs import Overwrite, require_free
-from yamsim_cli.flags.session import Json, Margin, Revision, RigName, Robot, opener
+from yamsim_cli.flags.session import Json, Margin, Offline, Revision, RigName, Robot, opener
 from yamsim_cli.flags.settings import Quality
 from yamsim_cli.terminal.console import print_json, print_line
 
@@ -23,6 +23,7 @@ def render_views(
     quality: Quality = None,
     margin: Margin = None,
     overwrite: Overwrite = False,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Render a rig from the front, from nearly above and from close by, and a montage of the three.

@@ -11,7 +11,7 @@ import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.opener import parse_size
-from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import noted_signals
@@ -41,6 +41,7 @@ def replay(
     web: Web = None,
     port: Port = None,
     host: Host = None,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Play a recorded episode in a viewer, or make a video of it; its actions are repeated in physics and compared.

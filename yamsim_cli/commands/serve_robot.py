@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
 from yamsim_cli.flags.settings import ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task
 from yamsim_cli.terminal.console import note, print_json, print_line
 from yamsim_cli.terminal.signals import stoppable
@@ -81,6 +81,7 @@ def serve_robot(
     ] = 30.0,
     seconds: Annotated[float | None, typer.Option(min=0.1, max=1e6, help="End by itself after so long.")] = None,
     config: ConfigOption = "default",
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Simulate arms in real time, with motors on CAN buses that the maker's own SDK drives. Ctrl-C ends it.

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.flags.settings import ConfigOption, Rig, Seed, Workers
 from yamsim_cli.terminal.films import film, films_at
 from yamsim_cli.terminal.items import print_item, print_items
@@ -80,6 +80,7 @@ def check(
     workers: Workers = None,
     rig: Rig = None,
     config: ConfigOption = "default",
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Prove a task: its region is in reach, its expert does it, and neither doing nothing nor near misses count.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError, counted
-from yamsim_cli.flags.session import Json, Revision, Robot, opener
+from yamsim_cli.flags.session import Json, Offline, Revision, Robot, opener
 from yamsim_cli.flags.settings import Arm, ConfigOption, Object, Quality, Rig, Seed, Size, Target, Task, Wrist
 from yamsim_cli.flags.viewing import Host, Port, page_address, quiet_page
 from yamsim_cli.terminal.console import note, print_json, print_line
@@ -54,6 +54,7 @@ def teleop(
     port: Port = None,
     host: Host = None,
     config: ConfigOption = "default",
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Drive the arm from a browser page, or by a stream of commands, and record what succeeds. Ctrl-C ends it.
@@ -68,6 +69,7 @@ def teleop(
         raise UsageError("--realtime is for --input; the page keeps to the clock anyway")
     session = opener.open(
         config,
+        resumes=out if resume else None,
         rig=rig,
         revision=revision,
         robot=robot,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.session import Json, opener
+from yamsim_cli.flags.session import Json, Offline, opener
 from yamsim_cli.terminal.console import print_json, print_table, progress_bar
 from yamsim_cli.terminal.tables import facts
 
@@ -35,6 +35,7 @@ def verify(
     image_tolerance: Annotated[
         float, typer.Option(min=0.0, help="With --images: how far pixels may differ in an image's mean, of 255.")
     ] = 0.0,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Make episodes again, from their seeds and from their actions, and name the first value that differs.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.flags.session import Json, Margin, Revision, Robot, opener
+from yamsim_cli.flags.session import Json, Margin, Offline, Revision, Robot, opener
 from yamsim_cli.flags.settings import Rig, Seed, Task
 from yamsim_cli.flags.viewing import Host, Port, Web, choose_viewer, prepare_viewer
 from yamsim_cli.terminal.console import print_json, print_line
@@ -38,6 +38,7 @@ def view(
     port: Port = None,
     host: Host = None,
     boards: Annotated[bool, typer.Option("--boards/--no-boards", help="Base boards and their mounts.")] = True,
+    offline: Offline = False,
     json: Json = False,
 ) -> None:
     """Watch a rig in real time and move its joints, in MuJoCo's window or in a browser page. Ctrl-C ends it.

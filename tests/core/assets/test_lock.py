@@ -7,8 +7,14 @@ from hypothesis import strategies as st
 
 from yamsim_cli.core.assets import load_lock
 from yamsim_cli.core.assets.lock import is_contained
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.blueprint import recording_blueprint
+from yamsim_cli.core.scene.compose import mesh_sets, rig_mesh_sets
 
 
 @pytest.fixture(scope="module")
@@ -117,9 +123,21 @@ def test_sets_are_selected_once_and_in_the_locks_order(committed):
     assert [assets.name for assets in committed.select(["ycb", "i2rt_yam_crank", "ycb"])] == ["i2rt_yam_crank", "ycb"]
 
 
-def test_without_names_only_what_few_need_is_left_out(committed):
-    fetched = [assets.name for assets in committed.select([])]
-    assert sorted(fetched) == ["finray", "i2rt_yam_crank", "i2rt_yam_linear_4310", "ycb", "ycb_objects", "ycb_small"]
+def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(committed):
+    where = Locations.find({})
+    opener = Opener({}, lambda text: None, str)
+    rigs = {name: load_config(RigConfig, "rigs", name, where) for name in where.config_names("rigs")}
+    things = {name: load_config(ObjectConfig, "objects", name, where) for name in where.config_names("objects")}
+    # A task of the first kind names no rig, and `handover` is done with two arms.
+    given = {name: {"rig": "bimanual"} if name == "handover" else {} for name in where.config_names("tasks")}
+    tasks = {name: opener.config("default", where, task=name, **more) for name, more in given.items()}
+    shown = {f"rigs/{name}": rig_mesh_sets(rig) for name, rig in rigs.items()}
+    shown |= {f"objects/{name}": item.mesh_sets for name, item in things.items()}
+    shown |= {f"tasks/{name}": mesh_sets(recording_blueprint(config)) for name, config in tasks.items()}
+    fetched = {assets.name for assets in committed.select([])}
+    assert {place: lacks for place, names in shown.items() if (lacks := set(names) - fetched)} == {}
+    on_demand = {"i2rt_arm_yam_ultra", "i2rt_arm_big_yam", "i2rt_gripper_flexible_4310"}
+    assert fetched == committed.sets.keys() - on_demand
     assert sum(committed.sets[name].size for name in fetched) < 40e6
     assert [assets.name for assets in committed.select(["i2rt_arm_big_yam"])] == ["i2rt_arm_big_yam"]
 

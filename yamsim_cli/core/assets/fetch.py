@@ -47,6 +47,8 @@ def fetch(
     store: AssetStore,
     sources: Sequence[AssetSource],
     progress: FetchProgress = no_progress,
+    *,
+    stop_at_failure: bool = False,
 ) -> FetchReport:
     """Where each of the named sets is in the store, after those that are missing were fetched.
 
@@ -61,6 +63,7 @@ def fetch(
         store: where the sets go.
         sources: asked in this order, for each set, until one gives it.
         progress: told of bytes as they arrive.
+        stop_at_failure: do not try further sets after one that no source gave.
 
     Raises:
         UsageError: a name is not in the lock.
@@ -79,6 +82,10 @@ def fetch(
                         sets[assets.name] = _obtain(assets, lock, store, sources, staging, progress)
                     except SourceError as error:
                         failures.append(f"{assets.name} ({error})")
+                        if stop_at_failure:
+                            break
+                if not failures:
+                    store.failure_mark.unlink(missing_ok=True)
         except OSError as error:
             raise ResourceError(
                 f"cannot write to the asset store {store.root}: {error.strerror or error}; free some space, or set "

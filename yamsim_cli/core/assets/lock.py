@@ -93,7 +93,7 @@ class AssetSet(_Frozen):
         notice: the text file kept beside the meshes, one of the lock's notices.
         archive: the name of the pinned archive that holds the files; None where they are made here.
         menagerie: the MuJoCo Menagerie model that holds them too, if any.
-        on_demand: it is fetched only where it is named, since few need it.
+        on_demand: `assets fetch` without names leaves it out: no shipped rig or task shows it.
         files: file name -> what it must be.
     """
 

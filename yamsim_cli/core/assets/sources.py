@@ -15,7 +15,7 @@ class SourceError(Exception):
 class FetchProgress(Protocol):
     """Called with how far a download is, in bytes, from the thread that called `fetch`; the lock gives the total."""
 
-    def __call__(self, label: str, done_bytes: int, total_bytes: int) -> None:
+    def __call__(self, label: str, done_bytes: int, total_bytes: int, /) -> None:
         """Take note; must return quickly."""
 
 
@@ -38,7 +38,8 @@ class AssetSource(Protocol):
 
         Args:
             assets: the set to get.
-            scratch: an empty folder of its own, deleted afterwards.
+            scratch: an empty folder for this set, deleted afterwards. Its parent is kept until all sets of the fetch
+                are read.
             progress: told of the bytes as they arrive.
 
         Returns:

@@ -64,6 +64,11 @@ class AssetStore:
         """Where the set is published."""
         return self.root / assets.directory_name
 
+    @property
+    def failure_mark(self) -> Path:
+        """The file whose time tells when fetching at first use failed last."""
+        return self.root / ".fetch-failed"
+
     def resolve(self, assets: AssetSet) -> Path | None:
         """The folder that holds every file of the set, each verified by SHA-256; None when there is none."""
         for folder in self._folders(assets):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ...documents.document import load_yaml
 from ...errors import ConfigError
 from ...shown_meshes import ShownMeshes, differences, remedy, shown
 from ..layout import CONFIG
@@ -47,6 +48,14 @@ def unsaid_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
         f"{dataset / CONFIG} does not say which meshes the episodes show, as an earlier yamsim recorded them. New ones "
         f"show {texts}; whether that is the same, `yamsim verify {dataset} --sample 1 --images` tells."
     )
+
+
+def shown_in(dataset: Path) -> ShownMeshes:
+    """Return what a dataset says of its meshes: nothing where it has no config that can be read."""
+    try:
+        return _said(load_yaml(dataset / CONFIG).data)
+    except ConfigError:
+        return {}
 
 
 def _said(config: Mapping[str, Any]) -> ShownMeshes:

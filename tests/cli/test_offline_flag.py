@@ -1,0 +1,29 @@
+"""`--offline`, and what a command without a network says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run_cli import yamsim
+
+COMMANDS = Path(__file__).resolve().parents[2] / "yamsim_cli/commands"
+
+
+def test_every_command_that_shows_meshes_can_stay_offline() -> None:
+    sources = {path.stem: path.read_text() for path in COMMANDS.glob("*.py")}
+    shows = {name for name, text in sources.items() if re.search(r"opener\.(open|with_meshes|find_meshes)\(", text)}
+    assert len(shows) >= 15
+    assert {name for name in shows if "offline: Offline = False" not in sources[name]} == set()
+
+
+@pytest.mark.parametrize("how", ["flag", "variable"])
+def test_offline_fetches_nothing(tmp_path: Path, how: str) -> None:
+    env = {"YAMSIM_ASSETS": str(tmp_path / "new"), "YAMSIM_OFFLINE": "0" if how == "flag" else "1"}
+    flag = ["--offline"] if how == "flag" else []
+    run = yamsim("compose-xml", "--out", tmp_path / "scene.xml", *flag, env=env)
+    assert run.code == 0
+    assert "so primitives are shown: run `yamsim assets fetch`" in run.err
+    assert not (tmp_path / "new").exists()

@@ -1,0 +1,35 @@
+"""A dataset that shows primitives goes on with primitives, whatever meshes have come since."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run_cli import yamsim
+from yamsim_cli.core.dataset.reader import open_episodes
+from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.shown_meshes import PRIMITIVES
+
+pytestmark = [pytest.mark.render, pytest.mark.slow]
+
+RECORD = ("record", "--size", "64x48", "--quality", "fast", "--seed", "1", "--workers", "1")
+
+
+def test_a_dataset_of_primitives_goes_on_when_the_meshes_are_here(locations: Locations, tmp_path: Path) -> None:
+    opener = Opener({"YAMSIM_OFFLINE": "1"}, lambda text: None, str)
+    if None in opener.find_meshes(locations, ["i2rt_yam_crank", "ycb"]).meshes.values():
+        pytest.skip("the meshes of i2rt_yam_crank and ycb are not here: yamsim assets fetch")
+    dataset = tmp_path / "dataset"
+    bare = {"YAMSIM_ASSETS": str(tmp_path / "none")}
+    first = yamsim(*RECORD, "--n", "1", "--out", dataset, env=bare)
+    assert first.code == 0, first.err
+    # Here, the meshes are those of the user.
+    second = yamsim(*RECORD, "--n", "2", "--out", dataset, "--resume", env={"YAMSIM_ASSETS": str(locations.assets)})
+    assert second.code == 0, second.err
+    said = [episode.record.meshes for episode in open_episodes(dataset)]
+    assert said == [{"i2rt_yam_crank": PRIMITIVES, "ycb": PRIMITIVES}] * 2
+    again = yamsim("verify", dataset, "--images", env=os.environ)
+    assert again.code == 0, again.err

@@ -1,0 +1,32 @@
+"""The bar that shows how far meshes are downloaded and reduced."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+
+class FetchBar(Protocol):
+    """Shows how far a download or a reduction is."""
+
+    def __call__(self, label: str, done: int, total: int, /, shown: str = "") -> None:
+        """Show `done` of `total`, which are bytes unless `shown` says it in words."""
+
+
+@contextmanager
+def fetch_bar() -> Iterator[FetchBar]:
+    """Return what moves a progress bar on stderr; without a terminal, nothing is shown."""
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from .console import console
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[done]}"))
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("meshes", total=None, done="")
+
+        def advance(label: str, done: int, total: int, /, shown: str = "") -> None:
+            text = shown or f"{done / 1e6:.1f} of {total / 1e6:.1f} MB"
+            bar.update(task, description=label, completed=done, total=total, done=text)
+
+        yield advance
