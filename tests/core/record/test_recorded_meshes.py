@@ -218,9 +218,7 @@ FRUIT = {
     },
     "phrasings": {"training": ["put the fruit onto the plate"]},
     "goal": {"all": [{"on": {"thing": "fruit", "surface": "plate"}}]},
-    "expert": [
-        {"each": {"of": "fruit", "do": [{"pick": {"thing": "it"}}, {"place": {"thing": "it", "on": "plate"}}]}}
-    ],
+    "expert": [{"each": {"of": "fruit", "do": [{"pick": {"thing": "it"}}, {"place": {"thing": "it", "on": "plate"}}]}}],
 }
 
 
