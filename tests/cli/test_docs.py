@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib.util
 import re
 import shlex
 import tomllib
@@ -13,7 +15,7 @@ import pytest
 import typer
 
 from tests.e2e import page_lines
-from tests.pages import DOCS, PAGES, README, TEXT, shell_blocks, without_blocks
+from tests.pages import DOCS, PAGES, README, TEXT, blocks, shell_blocks, without_blocks
 from tools import reference
 from yamsim_cli.main import app
 
@@ -88,6 +90,64 @@ def test_the_pages_command_lines_parse(line: str) -> None:
     parse(line)
     # So does what the test that runs them makes of it.
     parse(page_lines.prepared(line, policy_port=8081))
+
+
+def episodes_outside(lines: list[str]) -> list[str]:
+    """The lines that name an episode which their dataset does not have, as a test of the pages runs them."""
+    recorded: dict[str, int] = {}
+    outside = []
+    for shown in lines:
+        line = page_lines.prepared(shown, policy_port=8081)
+        words = shlex.split(line)
+        if line.startswith("yamsim record "):
+            out = words[words.index("--out") + 1] if "--out" in words else "dataset"
+            count = int(words[words.index("--n") + 1]) if "--n" in words else 0
+            recorded[out.strip("/")] = max(count, recorded.get(out.strip("/"), 0))
+        named = [(path, int(number)) for path, number in re.findall(r"(\S+?)/ep_(\d+)", line)]
+        ranges = re.findall(r"--episodes? (\S+)", shown)
+        paths = [word.rstrip("/") for word in words if word.rstrip("/") in recorded]
+        named += [(paths[0], int(number)) for one in ranges for number in re.findall(r"\d+", one) if paths]
+        if any(number >= recorded.get(path, number + 1) for path, number in named):
+            outside.append(shown)
+    return outside
+
+
+def test_the_pages_name_episodes_that_their_commands_record() -> None:
+    assert episodes_outside(YAMSIM_LINES) == []
+
+
+def test_an_episode_that_is_not_recorded_is_found() -> None:
+    begun = ["yamsim record --n 500 --workers 4"]
+    assert episodes_outside([*begun, "yamsim export rerun dataset/ rrd/ --episodes 0-3"]) == []
+    for line in ("yamsim export rerun dataset/ rrd/ --episodes 0-9", "yamsim replay dataset/ep_000004"):
+        assert episodes_outside([*begun, line]) == [line]
+
+
+def test_no_range_of_episodes_is_made_smaller() -> None:
+    """A range that does not fit the data has to fail when the pages' lines are run."""
+    line = "yamsim export rerun dataset/ rrd/ --episodes 0-7"
+    assert page_lines.prepared(line, policy_port=8081) == line
+
+
+def missing_packages(text: str) -> set[str]:
+    """Packages that a page imports, and that neither this set-up brings nor the page says to install."""
+    trees = [ast.parse(block.text) for block in blocks(text) if block.language == "python"]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module}
+    packages = {name.split(".")[0] for name in names}
+    return {name for name in packages if importlib.util.find_spec(name) is None and f"`pip install {name}`" not in text}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_pages_python_imports_what_is_installed_or_said_to_be_needed(page: Path) -> None:
+    assert missing_packages(page.read_text(encoding="utf-8")) == set()
+
+
+def test_a_package_that_nobody_installs_is_found() -> None:
+    code = "```python\nimport no_such_package.part\n```\n"
+    assert missing_packages(code) == {"no_such_package"}
+    assert missing_packages(f"{code}Install it: `pip install no_such_package`.") == set()
 
 
 def test_the_pages_make_targets_exist() -> None:

@@ -12,7 +12,6 @@ SMALLER = {
     r"--n \d{2,}": "--n 1",
     r"--task handover (.*)--n \d": r"--task handover \1--n 1",
     r"--sample \d+": "--sample 2",
-    r"--episodes 0-9\b": "--episodes 0-1",
     # Places that no test may write to.
     r"/data/episodes": "episodes",
 }

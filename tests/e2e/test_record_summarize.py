@@ -60,7 +60,7 @@ def test_layout_on_the_disk(dataset: Path) -> None:
         assert frames == [f"{k:06d}.jpg" for k in range(57)]
     assert len(list((dataset / "ep_000001" / "lowdim").iterdir())) == 57
     image = ImageConfig(size_px=(96, 72), jpeg_quality=85)
-    assert EpisodeSize.expected(57, 2, image, 4096).inodes == 1 + len(list((dataset / "ep_000001").rglob("*")))
+    assert EpisodeSize.expected((57, 57), 2, image, 4096).inodes == 1 + len(list((dataset / "ep_000001").rglob("*")))
 
 
 def test_lowdim_reads_without_yamsim(dataset: Path) -> None:

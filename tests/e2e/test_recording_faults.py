@@ -168,7 +168,7 @@ def test_a_disk_that_is_too_small_is_refused_before_anything_is_made(tmp_path: P
     script = 'mount -t tmpfs -o "$options" none "$disk"; record --n 4; code=$?; ls -A "$disk"; exit $code'
     done = in_namespace(script, options=options, disk=tmp_path, out=tmp_path / "d")
     assert (done.returncode, done.stdout) == (4, "")
-    assert done.stderr.startswith("yamsim: 4 episodes take 476 files and at least 2 MB")
+    assert done.stderr.startswith("yamsim: 4 episodes take at least 476 files and 2 MB")
     assert what in done.stderr
     assert len(done.stderr.splitlines()) == 1
 

@@ -8,9 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from ..config.program_task import ProgramTask
-from ..documents.base import ConflictError
-from ..documents.explain import dotted
-from ..errors import ConfigError
 from ..geometry.se3 import Array, pose
 from ..goals.cast import Cast
 from ..planning.demonstration import start_stands
@@ -19,9 +16,8 @@ from ..sim.crumple import crumpled
 from ..sim.rollout import path_actions
 from ..sim.watched import See, Watched, WatchedLoop, settle
 from ..sim.world import world_of
-from ..skills.base import Skill
 from ..skills.errors import SkillFailedError
-from ..skills.program import Diary, read_program, run_program
+from ..skills.program import Diary, program_of, run_program
 from ..tasks.casting import Placed, draw_phrasing, draw_places
 from ..tasks.pickplace import SPAWN_GAP, on_the_way
 from ..tasks.randomness import Stream, generator
@@ -89,7 +85,7 @@ def demonstrate_program(simulator: Simulator, attempt: Attempt, *, grips: bool =
     # What comes after the program has to act as well.
     most = task.most_ticks - task.timing.settle_ticks - task.hold_ticks
     try:
-        for segment in run_program(_program(task, cast), bench, cast, diary):
+        for segment in run_program(program_of(task, cast), bench, cast, diary):
             note()
             if loop.ticks + segment.ticks > most:
                 failure = Cause.TIME, f"not done after {loop.ticks * task.timing.tick:.0f} s"
@@ -138,14 +134,6 @@ def _played(simulator: Simulator) -> tuple[ProgramTask, Cast]:
     task, cast = simulator.config.program, simulator.cast
     assert task is not None and cast is not None, "of tasks that are data alone"
     return task, cast
-
-
-def _program(task: ProgramTask, cast: Cast) -> list[Skill]:
-    try:
-        return read_program(task.expert, cast)
-    except ConflictError as error:
-        # A dataset's own config, which nobody checked.
-        raise ConfigError(f"task {task.name!r}: expert{dotted(error.paths[0])}: {error}") from error
 
 
 def _blocks(simulator: Simulator) -> dict[str, Array]:

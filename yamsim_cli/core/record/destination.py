@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import statistics
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from ..dataset.writing.writer import DatasetWriter
 from ..errors import InterruptedJobError
 from ..files import nearest_directory
 from ..mounts import Mount, network_mount, read_mounts
+from ..skills.durations import typical_ticks
 from ..tasks.kinds import kind_of
 from ..workers.stop import Stop
 from .collect import Notifier, Sink
@@ -24,6 +26,7 @@ from .collect import Notifier, Sink
 # To make, write, flush and close a file. Source: measured over sshfs, 60 ms a file at 10 ms a round trip.
 _ROUND_TRIPS_A_FILE = 6
 _POLL_SECONDS = 0.5
+_LEAST_DURATION = 0.5  # share of a program's typical duration that a successful episode takes at least
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,8 @@ def _look_at_mounts(config: RecordConfig, output: Output, watch: Notifier) -> Mo
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:
-        files = _files(config)
+        frames = _frames(config, {})[1]
+        files = files_per_episode(frames, len(config.recorded_cameras), truth=config.truth)
         seconds = files * _ROUND_TRIPS_A_FILE * 0.01
         watch.warn(
             f"{output.path} is on {mount.point}, which is {mount.kind} ({mount.source}): an episode is {files} files, "
@@ -151,24 +155,21 @@ def _check_space(
     """Refuse what cannot fit, and warn of what may not."""
     if episodes <= 0:
         return
-    frames, cameras = _frames(config), _cameras(config)
     disk = nearest_directory(place)
     block = block_size(disk)
-    size = EpisodeSize.expected(frames, cameras, config.image, block, truth=config.truth)
-    size = size.learned(entries.values(), _files(config), block)
-    if warning := check_space(disk, episodes, size):
+    frames = _frames(config, entries)
+    size = EpisodeSize.expected(frames, len(config.recorded_cameras), config.image, block, truth=config.truth)
+    if warning := check_space(disk, episodes, size.learned(entries.values(), block)):
         watch.warn(warning)
 
 
-def _files(config: RecordConfig) -> int:
-    return files_per_episode(_frames(config), _cameras(config), truth=config.truth)
-
-
-def _frames(config: RecordConfig) -> int:
-    # How long a program takes nobody knows beforehand; it is seldom more than half of what it may.
-    ticks = config.program.most_ticks // 2 if config.program else kind_of(config.pair).ticks(config)
-    return math.ceil(ticks / config.task.timing.ticks_per_frame)
-
-
-def _cameras(config: RecordConfig) -> int:
-    return len(config.recorded_cameras)
+def _frames(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
+    """Frames of an episode, at least and typically; those of a program are typically the mean of `entries`."""
+    every = config.task.timing.ticks_per_frame
+    if config.program is None:
+        frames = math.ceil(kind_of(config.pair).ticks(config) / every)
+        return frames, frames
+    frames = math.ceil(typical_ticks(config.program) / every)
+    if entries:
+        frames = round(statistics.fmean(entry.frames for entry in entries.values()))
+    return math.ceil(_LEAST_DURATION * frames), frames

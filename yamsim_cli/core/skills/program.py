@@ -9,8 +9,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from ..config.program_task import ProgramTask
 from ..documents.base import ConflictError
-from ..errors import suggest
+from ..documents.explain import dotted
+from ..errors import ConfigError, suggest
 from ..goals.cast import Cast
 from .base import Skill
 from .bench import Bench, Segment
@@ -78,6 +80,18 @@ class Diary:
     """What happened while a program ran."""
 
     recoveries: list[Recovery] = field(default_factory=list)
+
+
+def program_of(task: ProgramTask, cast: Cast) -> list[Skill]:
+    """The skills of a task's expert, loops unrolled for a cast.
+
+    Raises:
+        ConfigError: it is not valid, as only a config that nobody checked can be, such as a dataset's own.
+    """
+    try:
+        return read_program(task.expert, cast)
+    except ConflictError as error:
+        raise ConfigError(f"task {task.name!r}: expert{dotted(error.paths[0])}: {error}") from error
 
 
 def read_program(steps: Sequence[Mapping[str, Any]], cast: Cast, path: tuple[str | int, ...] = ()) -> list[Skill]:
