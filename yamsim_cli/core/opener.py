@@ -307,9 +307,8 @@ class Opener:
                 why = str(error)
         found = {name: store.resolve(lock.sets[name]) for name in missing}
         if lacking := [name for name, folder in found.items() if folder is None]:
-            self.notify(
-                notice := f"The meshes of {' and '.join(lacking)} are not here, so primitives are shown: {why}."
-            )
+            notice = f"The meshes of {' and '.join(lacking)} are not here, so primitives are shown: {why}."
+            self.notify(notice)
             self.remind(notice)
         return found
 
