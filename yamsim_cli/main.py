@@ -35,6 +35,7 @@ from .commands.teleop import teleop
 from .commands.verify import verify
 from .commands.view import view
 from .core.errors import ResourceError, YamsimError
+from .terminal.console import write_end_notes
 from .terminal.signals import raise_signals
 
 app = typer.Typer(
@@ -112,6 +113,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
         if code == _INTERRUPTED:
             # Typer has turned a KeyboardInterrupt into this code.
             raise KeyboardInterrupt
+        write_end_notes()
     except YamsimError as error:
         _fail(str(error), error.exit_code)
     except OSError as error:

@@ -25,5 +25,7 @@ def test_offline_fetches_nothing(tmp_path: Path, how: str) -> None:
     flag = ["--offline"] if how == "flag" else []
     run = yamsim("compose-xml", "--out", tmp_path / "scene.xml", *flag, env=env)
     assert run.code == 0
-    assert "so primitives are shown: run `yamsim assets fetch`" in run.err
+    lines = run.err.splitlines()
+    assert "so primitives are shown: run `yamsim assets fetch`" in lines[0]
+    assert lines[-1] == lines[0] and len(lines) > 1, "said at the start and at the end"
     assert not (tmp_path / "new").exists()

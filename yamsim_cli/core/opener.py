@@ -76,6 +76,7 @@ class Opener:
         thing: makes a config of what names a thing otherwise, such as by its file, and gives its place.
         task: a task's name, or its config as plain data where the name is that of a scene elsewhere.
         fetch_bar: opens what shows how far the fetching of missing meshes is.
+        remind: told what is to be said again when all is done.
     """
 
     environ: MutableMapping[str, str]
@@ -84,6 +85,7 @@ class Opener:
     thing: Callable[[str, Locations, Callable[[str], None]], str] = lambda name, where, notify: name
     task: Callable[[str], str | dict[str, Any]] = lambda name: name
     fetch_bar: Callable[[], AbstractContextManager[FetchProgress]] = _show_no_progress
+    remind: Callable[[str], None] = lambda text: None
 
     def open(
         self, name: str, *, renders: bool = True, parallel: bool = True, resumes: Path | None = None, **given: Any
@@ -305,7 +307,9 @@ class Opener:
                 why = str(error)
         found = {name: store.resolve(lock.sets[name]) for name in missing}
         if lacking := [name for name, folder in found.items() if folder is None]:
-            self.notify(f"The meshes of {' and '.join(lacking)} are not here, so primitives are shown: {why}.")
+            notice = f"The meshes of {' and '.join(lacking)} are not here, so primitives are shown: {why}."
+            self.notify(notice)
+            self.remind(notice)
         return found
 
     def _asks_for_primitives(self, where: Locations) -> bool:

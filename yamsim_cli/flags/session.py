@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.import_thing.named import config_of
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.kitchen_scenes import task_of
-from yamsim_cli.terminal.console import note
+from yamsim_cli.terminal.console import note, note_at_end
 from yamsim_cli.terminal.fetch_bar import fetch_bar
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")]
@@ -39,7 +39,7 @@ def _flag(setting: str) -> str:
 
 
 # Its error messages name flags, and what it has to tell goes to stderr.
-opener = Opener(os.environ, note, _flag, config_of, task_of, fetch_bar)
+opener = Opener(os.environ, note, _flag, config_of, task_of, fetch_bar, note_at_end)
 
 
 def _stay_offline(wanted: bool) -> bool:

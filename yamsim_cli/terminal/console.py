@@ -19,6 +19,8 @@ console = Console(stderr=True)
 # Seconds between two lines of progress in a log. A short job stays silent, and one of a whole night can be followed.
 _LOG_SECONDS = 30.0
 
+_end_notes = list[str]()
+
 
 class Advance(Protocol):
     """Tells how far a job is."""
@@ -66,6 +68,19 @@ def print_text(marked: str, text: str, style: str) -> None:
 def note(text: str) -> None:
     """Tell the user something on stderr, as it is."""
     sys.stderr.write(text + "\n")
+
+
+def note_at_end(text: str) -> None:
+    """Tell the user something on stderr once the command has done its work, see `write_end_notes`."""
+    if text not in _end_notes:
+        _end_notes.append(text)
+
+
+def write_end_notes() -> None:
+    """Write what `note_at_end` was given."""
+    for text in _end_notes:
+        note(text)
+    _end_notes.clear()
 
 
 @contextmanager
