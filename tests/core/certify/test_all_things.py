@@ -16,6 +16,8 @@ from yamsim_cli.core.resources import Locations
 pytestmark = pytest.mark.slow
 
 WHERE = Locations.find(os.environ)
+# Lying on a table, they are lower than the pads reach below the pinch point: `pickplace batch` fails on them, too.
+TOO_LOW = ("kitchen_dry_pasta", "kitchen_penne")
 CLOTH = ("soft_cloth", "soft_dish_towel", "soft_napkin")
 
 
@@ -25,7 +27,7 @@ def test_it_passes(name: str) -> None:
     meshes = Opener(os.environ, lambda text: None, str).find_meshes(WHERE, item.mesh_sets).meshes
     assert item.cloth is None
     certified = certify(item, meshes, WHERE)
-    assert {code: outcome.note for code, outcome in certified.outcomes.items() if outcome.ok is False} == {}
+    assert certified.failed == (("grasp.slips",) if name in TOO_LOW else ()), certified.plain()
     if item.shape is not None or (meshes and all(meshes.values())):
         # What can be made of every thing that has meshes was made.
         made = {code for code, outcome in certified.outcomes.items() if outcome.ok}

@@ -1,4 +1,4 @@
-"""Whether a hand can hold a thing where its config says: lift it, turn it, shake it."""
+"""Whether a hand can take a thing from a table where its config says, and hold it: lift it, turn it, shake it."""
 
 from __future__ import annotations
 
@@ -73,25 +73,25 @@ class _Trial:
 
 
 def _try(hand: Hand, point: GraspPoint, friction: FrictionGrasp, clearance: float) -> _Trial:
-    gravity = np.array([0.0, 0.0, -9.81])
     T = point.T_pinch_in_object(flipped=False)
-    hand.model.opt.gravity[:] = 0.0
     hand.reach(T, min(point.opening + clearance, full_opening(hand.looked.locations)))
-    overlap = hand.overlap()
+    overlap, in_table = hand.overlap(table=False), hand.overlap(table=True)
+    coming = (View(hand.model, hand.data.qpos.copy(), "the hand comes"),)
     if overlap > _OVERLAP:
-        coming = (View(hand.model, hand.data.qpos.copy(), "the hand comes"),)
         return _Trial(0, 0, overlap, f"the hand reaches {overlap * 1000:.3g} mm into it before it closes", coming)
-    # Without weight nothing falls before the pads press.
+    if in_table > 0:
+        fault = f"the hand reaches {in_table * 1000:.3g} mm into the table that it stands on"
+        return _Trial(0, 0, overlap, fault, coming)
     told = point.opening - 2 * friction.force / hand.drive_gain
     for share in np.linspace(0, 1, round(_CLOSE / 2 / _STEP)):
         hand.squeeze(point.opening + clearance * (1 - share))
         hand.run(_STEP)
     hand.squeeze(told)
     hand.run(_CLOSE / 2)
-    hand.model.opt.gravity[:] = gravity
     held = hand.T_thing_in_pinch
     far = [_go(hand, T, held, np.linspace(0, 1, round(_HOLD / _STEP)), _lifted)]
     views = [View(hand.model, hand.data.qpos.copy(), "lifted")]
+    hand.remove_table()
     there = np.sin(np.linspace(0, np.pi, round(_TURN / _STEP)))
     far += [_go(hand, T, held, there, functools.partial(_turned, axis=axis)) for axis in (0, 1)]
     times = np.linspace(0, _SHAKE, round(_SHAKE / _STEP))
