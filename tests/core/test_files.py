@@ -309,3 +309,42 @@ def test_of_several_files_all_are_written_or_none_and_the_result_is_kept_elsewhe
     assert list(full.iterdir()) == []
     kept = Path(str(told.value).rpartition(" ")[2])
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == {"a.png": b"a", "b.png": b"b"}
+
+
+@pytest.mark.parametrize("kind", ["staged", "scratch"])
+def test_a_killed_processs_folder_is_removed_by_the_next_one_and_a_living_ones_is_not(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    call = (
+        f"staged_directory(Path({str(tmp_path / 'out')!r}))" if kind == "staged" else "scratch_directory('yamsim-t-')"
+    )
+    script = f"""
+import time
+from pathlib import Path
+from yamsim_cli.core.files import scratch_directory, staged_directory
+with {call}:
+    print("made", flush=True)
+    time.sleep(60)
+"""
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "TMPDIR": str(tmp_path)}
+    other = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, env=env)
+    try:
+        assert other.stdout.readline() == b"made\n"
+        (theirs,) = tmp_path.iterdir()
+        (theirs / "file").write_text("half")
+        bystander = tmp_path / (".other.part" if kind == "staged" else "yamsim-tools")
+        bystander.mkdir()
+
+        def work() -> None:
+            with files.staged_directory(tmp_path / "out") if kind == "staged" else files.scratch_directory("yamsim-t-"):
+                pass
+            if kind == "staged":
+                (tmp_path / "out").rmdir()
+
+        work()
+        assert set(tmp_path.iterdir()) == {theirs, bystander}
+    finally:
+        other.kill()
+        other.wait()
+        other.stdout.close()
+    work()
+    assert set(tmp_path.iterdir()) == {bystander}

@@ -11,10 +11,11 @@ import errno
 import fcntl
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -219,7 +220,8 @@ class StagedDirectory:
 def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[StagedDirectory]:
     """A hidden directory beside `final`, to be filled in the block; then flushed to the disk and renamed to `final`.
 
-    For trees that are too large for `publish_directory`. An exception in the block removes what was written.
+    For trees that are too large for `publish_directory`. An exception in the block removes what was written,
+    and the next call for the same `final` removes what a killed process left.
 
     Args:
         overwrite: move what is at `final` aside, once the new directory is whole.
@@ -231,8 +233,18 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
     """
     final = _named(final)
     _require_elsewhere(final)
-    stage = StagedDirectory(final.with_name(f".{final.name}.{uuid.uuid4().hex}.part"))
-    stage.path.mkdir()
+    _remove_stale(final.parent, re.compile(rf"\.{re.escape(final.name)}\.[0-9a-f]{{32}}\.part"))
+
+    def make() -> Path:
+        path = final.with_name(f".{final.name}.{uuid.uuid4().hex}.part")
+        path.mkdir()
+        return path
+
+    with _held(make) as path:
+        yield from _filled(StagedDirectory(path), final, overwrite=overwrite)
+
+
+def _filled(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
     try:
         yield stage
         _fsync_tree(stage.path)
@@ -248,6 +260,54 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
     except BaseException:
         shutil.rmtree(stage.path, ignore_errors=True)
         raise
+
+
+@contextlib.contextmanager
+def scratch_directory(prefix: str) -> Iterator[Path]:
+    """A new folder among the temporary files for the block; folders of killed processes are removed first."""
+    _remove_stale(Path(tempfile.gettempdir()), re.compile(rf"{re.escape(prefix)}\w{{8}}"))
+    with _held(lambda: Path(tempfile.mkdtemp(prefix=prefix))) as folder:
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _held(make: Callable[[], Path]) -> Iterator[Path]:
+    """A new folder, locked for the block as a sign that a living process uses it."""
+    while True:
+        folder = make()
+        # Another process may take the folder for stale before it is locked here, and remove it: then make another.
+        try:
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        except FileNotFoundError:
+            continue
+        try:
+            # On a filesystem without locks, nobody can remove it either.
+            with contextlib.suppress(OSError):
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if folder.exists():
+                yield folder
+                return
+        finally:
+            os.close(descriptor)
+
+
+def _remove_stale(parent: Path, names: re.Pattern[str]) -> None:
+    """Remove the folders of these names that a killed process left: those that no process has locked."""
+    for folder in parent.iterdir() if parent.is_dir() else ():
+        if not names.fullmatch(folder.name):
+            continue
+        # The system refuses what is another user's, in use, or on a filesystem without locks: it stays.
+        with contextlib.suppress(OSError):
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.fstat(descriptor).st_uid == os.getuid():
+                    shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(descriptor)
 
 
 def _fsync_tree(root: Path) -> None:

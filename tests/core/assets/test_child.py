@@ -1,5 +1,9 @@
+import os
+import subprocess
 import sys
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -46,3 +50,30 @@ def test_an_interrupt_ends_the_program(tmp_path):
 def test_a_program_that_does_not_exist_is_named(tmp_path):
     with pytest.raises(SourceError, match="cannot run no-such-program"):
         run_child(["no-such-program"], tmp_path, limit_s=1, idle_s=1)
+
+
+def test_a_child_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
+    script = f"""
+from pathlib import Path
+from yamsim_cli.core.assets.child import run_child
+run_child(["sh", "-c", "echo $$ > {tmp_path}/pid; exec sleep 60"], Path({str(tmp_path)!r}), limit_s=60, idle_s=60)
+"""
+    parent = subprocess.Popen(
+        [sys.executable, "-c", script], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    )
+    try:
+        pid = wait_for(lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text().strip())
+    finally:
+        parent.kill()
+        parent.wait()
+    state = Path(f"/proc/{pid}/stat")
+    wait_for(lambda: not state.is_file() or state.read_text().split()[2] == "Z")
+
+
+def wait_for(found: Callable[[], str | bool]) -> str | bool:
+    """What is found within 10 s."""
+    end = time.monotonic() + 10
+    while not (value := found()):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    return value

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import functools
 import os
 import signal
 import subprocess
@@ -14,6 +16,8 @@ from pathlib import Path
 from .sources import SourceError
 
 _POLL_S = 0.1
+_PR_SET_PDEATHSIG = 1  # of prctl(2)
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded here: a new child may take no locks
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,12 @@ def run_child(
         try:
             # In a session of its own it can be ended with its children, and Ctrl-C in the terminal does not reach it.
             child = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, start_new_session=True
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=stdout,
+                stderr=stderr,
+                start_new_session=True,
+                preexec_fn=functools.partial(_end_with_parent, os.getpid()),
             )
         except OSError as error:
             raise SourceError(f"cannot run {command[0]}: {error.strerror}") from error
@@ -67,6 +76,14 @@ def run_child(
                 os.killpg(child.pid, signal.SIGKILL)
                 child.wait()
     return ChildResult(child.returncode, out.read_text(errors="replace"), err.read_text(errors="replace"))
+
+
+def _end_with_parent(parent: int) -> None:
+    """Have the kernel kill this process, a new child, when its parent ends, even if that is killed."""
+    if _LIBC is not None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(1)
 
 
 def _wait(child: subprocess.Popen[bytes], limit_s: float, idle_s: float, watch: Callable[[], int] | None) -> None:

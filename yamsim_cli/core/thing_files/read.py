@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import stat
-import tempfile
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from ..assets.child import python_call, run_child
 from ..assets.sources import SourceError
 from ..errors import ResourceError, UsageError
+from ..files import scratch_directory
 from ..geometry.se3 import Array
 from .child import REFUSED
 from .endings import ENDINGS
@@ -88,8 +88,8 @@ def read_as_is(path: Path) -> ReadThing:
     if status.st_size > MOST_BYTES:
         raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MOST_BYTES // 10**6}")
     seconds = _SECONDS + _SECONDS_A_MB * status.st_size / 1e6
-    with tempfile.TemporaryDirectory(prefix="yamsim-read-") as scratch:
-        return _read_in_child(path.resolve(), Path(scratch), seconds)
+    with scratch_directory("yamsim-read-") as scratch:
+        return _read_in_child(path.resolve(), scratch, seconds)
 
 
 def _read_in_child(path: Path, scratch: Path, seconds: float) -> ReadThing:

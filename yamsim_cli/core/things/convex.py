@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -22,7 +21,7 @@ import numpy as np
 from ..assets.child import python_call, run_child
 from ..assets.sources import SourceError
 from ..errors import ResourceError
-from ..files import sha256_bytes, write_file
+from ..files import scratch_directory, sha256_bytes, write_file
 from ..geometry.closed import is_closed, welded
 from ..geometry.se3 import Array
 from ..geometry.stl import Faces
@@ -90,8 +89,7 @@ def decompose(
     file = kept / f"{sha256_bytes(vertices.tobytes() + faces.tobytes() + text)}.npz"
     if (parts := _read(file)) is not None:
         return parts
-    with tempfile.TemporaryDirectory(prefix="yamsim-parts-") as folder:
-        scratch = Path(folder)
+    with scratch_directory("yamsim-parts-") as scratch:
         (scratch / "body.npz").write_bytes(source.getvalue())
         (scratch / "how.json").write_bytes(text)
         data = _in_child(scratch, share, limit_s)
@@ -141,7 +139,6 @@ def in_child(folder: str) -> None:
     import coacd
 
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    # Should the parent be killed, nobody else ends this.
     resource.setrlimit(resource.RLIMIT_CPU, (_CORE_SECONDS, _CORE_SECONDS))
     scratch = Path(folder)
     how = json.loads((scratch / "how.json").read_bytes())
