@@ -26,6 +26,7 @@ _LEAST_DISPLACED = 2  # markers
 _STILL_ALIKE = 0.5  # correlation of drawing and photo
 _DISPLACED_PX = 0.7  # px
 _CREASED_IF_DISPLACED = 0.9  # prior probability of a crease then
+_WITH_LENS = 4 / 3  # of the largest turn: what is allowed with the lens and the print's scale, which all photos share
 _FLAT = 0.5  # probability, below which a message names the print's shape as the cause
 
 # What a printed board's scale is known to where nobody measured it. A printer stretches by a few tenths of a percent.
@@ -37,7 +38,8 @@ class Limits:
     """The uncertainty up to which a pose counts as located.
 
     Attributes:
-        turn: standard deviation of the orientation, rad.
+        turn: standard deviation of the orientation, rad, without what the camera's focal length and the print's scale
+            add; with these, a third more is allowed.
         shift: standard deviation of the centre's position, m, without what the camera's focal length and the print's
             scale add: these are the same in all photos.
     """
@@ -89,7 +91,8 @@ def judge(
     sighting = Sighting(board, ids, Status.OK, "", shaped.T_ref_in_cam, covariance, shared, rms, shaped.smear)
     turn, shift = sighting.rotation_sigma, sighting.own_position_sigma
     assert turn is not None and shift is not None
-    if turn <= limits.turn and shift <= limits.shift:
+    own_turn = math.sqrt(float(np.trace((covariance - shared @ shared.T)[:3, :3])))
+    if own_turn <= limits.turn and turn <= _WITH_LENS * limits.turn and shift <= limits.shift:
         return sighting
     why = (
         "too few, too small or too blurred markers"
