@@ -53,6 +53,7 @@ FLOORS: dict[str, int] = {
     "core.recordings": 6,
     "core.attempt": 8,
     "core.skills": 7,
+    "core.episode": 7,
     # One for each thing that a user does.
     "core.certify": 9,
     "core.doctor": 9,

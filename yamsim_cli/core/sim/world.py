@@ -72,10 +72,15 @@ class SimWorld:
         root = model.body_rootid[model.geom_bodyid]
         self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
         self._geoms[TABLE] = np.array([model.geom(TABLE).id])
-        self._of_geom: Ids = np.full(model.ngeom, -1)
+        # Cloth has no geoms, and contacts say -1 of it, which is the last entry of these.
+        self._of_geom: Ids = np.full(model.ngeom + 1, -1)
         for k, name in enumerate(things):
             self._of_geom[self._geoms[name]] = k
         self._fingers = [_finger_geoms(model, arm) for arm in arms]
+        self._of_finger: Ids = np.full(model.ngeom + 1, -1)
+        for arm, geoms_of in enumerate(self._fingers):
+            for finger, geoms in enumerate(geoms_of):
+                self._of_finger[geoms] = 2 * arm + finger
         self._points: dict[str, Array] = {}
         self._hands: dict[str, list[str]] = {name: [] for name in things}
         self._handovers: dict[str, list[tuple[str, str]]] = {name: [] for name in things}
@@ -155,17 +160,33 @@ class SimWorld:
         return self._cloths[thing].addresses
 
     def holders(self, thing: str) -> frozenset[str]:
-        """See `World`; of cloth, the hands whose constraint holds it."""
-        if cloth := self._cloths.get(thing):
-            return frozenset(side for k, side in enumerate(self.sides) if cloth.held(k))
-        geoms = self._data.contact.geom
-        on_thing = np.isin(geoms, self._geoms[self._known(thing)]).any(axis=1)
-        touching = geoms[on_thing]
-        return frozenset(
-            side
-            for side, fingers in zip(self.sides, self._fingers, strict=True)
-            if len(fingers) and all(np.isin(touching, finger).any() for finger in fingers)
-        )
+        """See `World`; of cloth, the hands whose constraint holds it, and else also the hands whose weld holds it."""
+        return self.holding()[self._known(thing)]
+
+    def holding(self) -> dict[str, frozenset[str]]:
+        """Return the `holders` of every thing, in the order of `things`."""
+        pairs = self._data.contact.geom
+        things, fingers = self._of_geom[pairs], self._of_finger[pairs]
+        # On which finger (arms, 2) each thing presses: one side of a contact is the thing, the other one the finger.
+        pressed = np.zeros((len(self.things) + 1, 2 * len(self.arms) + 1), bool)
+        pressed[things[:, 0], fingers[:, 1]] = pressed[things[:, 1], fingers[:, 0]] = True
+        found = {}
+        for k, name in enumerate(self.things):
+            if cloth := self._cloths.get(name):
+                found[name] = frozenset(side for arm, side in enumerate(self.sides) if cloth.held(arm))
+            else:
+                found[name] = frozenset(
+                    side
+                    for arm, side in enumerate(self.sides)
+                    if pressed[k, 2 * arm : 2 * arm + 2].all() or self._welded(name, arm)
+                )
+        return found
+
+    def _welded(self, thing: str, arm: int) -> bool:
+        weld = self.arms[arm].weld
+        if weld is None or not self._data.eq_active[weld]:
+            return False
+        return bool(self._model.eq_obj2id[weld] == self._model.body(thing).id)
 
     def lifters(self, thing: str) -> frozenset[str]:
         """The sides of the hands that have a finger under a cloth: it would come up with them."""
@@ -214,8 +235,8 @@ class SimWorld:
         """Note which hands hold what now, for `passed_to` and `handovers`. When no hand holds a thing and it touches
         something, `passed_to` is cleared.
         """
-        for thing, hands in self._hands.items():
-            holders = self.holders(thing)
+        for thing, holders in self.holding().items():
+            hands = self._hands[thing]
             if not holders:
                 if hands and self._supported(thing):
                     hands.clear()

@@ -1,0 +1,45 @@
+"""Drive commands that make arms follow planned paths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..geometry.se3 import Array
+from ..scene.compiled import CompiledScene, SceneArm, SceneFingers
+from ..types import Actions, JointPath
+
+
+def drive_command(arm: SceneArm, path: JointPath, tick: int) -> Array:
+    """Return the commands (dof,) of an arm's joint drives on one control tick of a path, rad.
+
+    A drive pulls towards its command and damps all motion, with the torque `kp (ctrl - q) - kv qvel`. The command is
+    the reference in the middle of the tick, plus a lead that compensates for the damping (`kv / kp` times the velocity)
+    and for the inertia (the torque over `kp`). So the arm neither lags behind its reference nor overshoots it.
+    """
+    reference = (path.joints[tick] + path.joints[tick + 1]) / 2
+    command = reference + (arm.kv * path.velocities[tick] + path.torques[tick]) / arm.kp
+    clipped: Array = np.clip(command, arm.ctrl_range[:, 0], arm.ctrl_range[:, 1])
+    return clipped
+
+
+def grip_command(fingers: SceneFingers, path: JointPath) -> Array:
+    """Return a gripper's commands (n,), m: the opening, less what makes each finger press with half its force."""
+    clipped: Array = np.clip(path.gripper - 2 * path.grip / fingers.gain, *fingers.ctrl_range)
+    return clipped
+
+
+def path_actions(scene: CompiledScene, paths: Sequence[JointPath]) -> Actions:
+    """Return the actions that make each of the scene's arms follow its path; all paths have the same length."""
+    ctrl = np.zeros((len(paths[0].gripper), scene.model.nu))
+    for arm, path in zip(scene.arms, paths, strict=True):
+        ctrl[:, arm.arm_ctrl] = [drive_command(arm, path, tick) for tick in range(len(ctrl))]
+        if arm.fingers is not None:
+            ctrl[:, arm.fingers.ctrl] = grip_command(arm.fingers, path)
+    magnet = np.column_stack([path.magnet for path in paths])
+    references = [
+        path.joints[1:] if arm.fingers is None else np.column_stack([path.joints[1:], path.gripper])
+        for arm, path in zip(scene.arms, paths, strict=True)
+    ]
+    return Actions(ctrl, magnet, np.stack(references, axis=1))

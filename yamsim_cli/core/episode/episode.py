@@ -1,0 +1,326 @@
+"""A scene in motion: commands in, states and a verdict out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from ..geometry.se3 import Array
+from ..goals.cast import Cast
+from ..goals.goal import Goal, Verdict, judge
+from ..scene.compiled import CompiledScene
+from ..sim.readings import readings, sensed
+from ..sim.world import SimWorld, world_of
+from ..types import Actions, Cause, EpisodeJob, Holds, Margins, StepState
+from .grasps import grasp_of, weld_holds
+from .held import HeldThings
+from .limits import limits_fault
+from .monitor import Monitor
+from .rules import End, EndReason, EndRule, EpisodeRules
+
+#: Called with the start, and with the state after every physics step, which it must not change.
+OnStep = Callable[[mujoco.MjData], None]
+
+
+class Timing(Protocol):
+    """How time passes in a task."""
+
+    @property
+    def physics_steps_per_tick(self) -> int:
+        """Physics steps in a control tick."""
+
+    @property
+    def ticks_per_frame(self) -> int:
+        """Control ticks in a recorded frame."""
+
+    @property
+    def tick(self) -> float:
+        """Length of a control tick, s."""
+
+
+@dataclass(frozen=True)
+class EpisodeGoal:
+    """What an episode is about.
+
+    Attributes:
+        goal: what has to hold.
+        cast: which thing plays which role in it.
+        hold_ticks: control ticks for which it has to hold.
+    """
+
+    goal: Goal
+    cast: Cast
+    hold_ticks: int
+
+
+@dataclass(frozen=True)
+class Played:
+    """All that happened in an episode.
+
+    Attributes:
+        states: one for each recorded frame, taken before the frame's first command acts.
+        end: how it ended.
+        verdict: of the goal at the end; if the goal held then, but not for its hold time, of the last tick at which it
+            did not hold. None without a goal.
+        held_ticks: control ticks for which the goal had held without a break at the end.
+        margins: how near the arms came to their limits, and how still the things lay in the hands.
+        collision: the first forbidden contact, and when; None without one.
+        T_at_start, T_at_end: thing -> pose (4, 4) in `world`.
+        speeds: thing -> speed at the end, m/s.
+    """
+
+    states: tuple[StepState, ...]
+    end: End
+    verdict: Verdict | None
+    held_ticks: int
+    margins: Margins
+    collision: str | None
+    T_at_start: dict[str, Array]
+    T_at_end: dict[str, Array]
+    speeds: dict[str, float]
+
+    @property
+    def success(self) -> bool:
+        """Whether the goal had held for its hold time when the episode ended, and no rule failed it."""
+        return self.end.cause is None
+
+
+class Episode:
+    """One attempt in motion. The same commands from the same start give the same bits, in however many calls.
+
+    The goal is evaluated after every control tick, whoever acts. `end` says when and how the episode ended.
+
+    Attributes:
+        scene: in which it takes place.
+        data: MuJoCo's present state, with poses and contacts up to date.
+        world: the same state by the names of things.
+        ticks: control ticks that have passed.
+        verdict: of the goal now, with all its margins; None without a goal.
+        held_ticks: control ticks for which the goal has held without a break.
+        end: how the episode ended; None while it goes on.
+
+    Args:
+        start: MuJoCo's positions (nq,), from which everything starts at rest.
+        timing: of the task.
+        sides: "left" or "right" of each of the scene's arms.
+        goal: what is judged; None where somebody else judges.
+        rules: what ends it.
+        world: the state by the names of things; by default of all things in the scene.
+        on_step: see `OnStep`.
+    """
+
+    def __init__(
+        self,
+        scene: CompiledScene,
+        start: Array,
+        timing: Timing,
+        sides: Sequence[str],
+        goal: EpisodeGoal | None,
+        rules: EpisodeRules | None = None,
+        *,
+        world: Callable[[mujoco.MjData], SimWorld] | None = None,
+        on_step: OnStep | None = None,
+    ) -> None:
+        self.scene, self._timing, self._goal = scene, timing, goal
+        self._rules, self._on_step = rules or EpisodeRules(), on_step
+        self.data = mujoco.MjData(scene.model)
+        scene.reset(self.data, start)
+        self.world = world_of(scene, self.data, sides) if world is None else world(self.data)
+        self.world.begin()
+        self._grasp = grasp_of(scene, self._rules.magnet_reach)
+        self._monitor = Monitor(scene, timing.physics_steps_per_tick)
+        self._held = HeldThings(scene, self.world)
+        self._T_at_start = self._poses()
+        self._ctrl: list[Array] = []
+        self._magnet: list[Sequence[bool]] = []
+        self._joints: list[Array] = []
+        self._frames: list[tuple[float, Array, Array | None]] = []
+        self._low, self._high = scene.model.actuator_ctrlrange.T
+        self.ticks = 0
+        self.end: End | None = None
+        self.held_ticks = 0
+        self.verdict: Verdict | None = None
+        self._failed: Verdict | None = None
+        self._judge()
+        if on_step:
+            on_step(self.data)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames recorded so far."""
+        return len(self._frames)
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time that has passed, s."""
+        return self.ticks * self._timing.tick
+
+    @property
+    def succeeds(self) -> bool:
+        """Whether the goal has held for its hold time, now."""
+        goal = self._goal
+        return goal is not None and self._holds and self.held_ticks >= goal.hold_ticks
+
+    @property
+    def held(self) -> tuple[bool, ...]:
+        """Whether each arm's weld holds a thing."""
+        return tuple(weld_holds(self.data, arm) for arm in self.scene.arms)
+
+    @property
+    def joint_velocities(self) -> Array:
+        """Each arm's joint velocities in rad/s and its finger's in m/s, (arms, drives)."""
+        return np.array([self.data.qvel[arm.recorded_dof] for arm in self.scene.arms])
+
+    @property
+    def actions(self) -> Actions:
+        """All actions so far."""
+        return Actions(np.array(self._ctrl), np.array(self._magnet), np.array(self._joints))
+
+    @property
+    def status(self) -> str:
+        """How the goal stands, for a person; empty without a goal."""
+        if self.verdict is None or self._goal is None:
+            return ""
+        worst = self.verdict.worst
+        if not worst.holds:
+            return f"not yet: {worst.what}" + (f" ({worst.detail})" if worst.detail else "")
+        left = (self._goal.hold_ticks - self.held_ticks) * self._timing.tick
+        return "the goal holds" + (f", and has to for {left:.1f} s more" if left > 0 else "")
+
+    def readings(self, job: EpisodeJob) -> Array:
+        """Return what encoders read now of each arm's joints in rad and its finger's opening in m, (arms, drives)."""
+        now = np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
+        seen = sensed(self.scene, self.data)
+        return readings(self.scene, now if seen is None else seen, job, self.ticks)
+
+    def step(self, ctrl: Array, magnet: Sequence[bool] | Holds, joints: Array | None = None) -> None:
+        """Let a command act for one control tick; nothing happens once the episode has ended.
+
+        Args:
+            ctrl: commands of each arm's drives (arms, drives), rad and m.
+            magnet: whether each arm's magnet is commanded on (arms,).
+            joints: references (arms, drives) that the actor records for the end of the tick; by default the commands.
+        """
+        command = np.empty(self.scene.model.nu)
+        command[self.scene.drives] = ctrl
+        self._tick(command, magnet, joints)
+
+    def act(self, actions: Actions, *, until_success: bool = False) -> None:
+        """Let several control ticks of actions act, until the episode ends.
+
+        Args:
+            until_success: whether to leave out the rest once the goal has held for its hold time.
+        """
+        for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
+            if self.end is not None or (until_success and self.succeeds):
+                return
+            self._tick(ctrl, magnet, joints)
+
+    def finish(self) -> Played:
+        """End the episode on behalf of its actor, if it has not ended, and return all that happened."""
+        if self.end is None:
+            self._end(EndReason.ACTOR)
+        assert self.end is not None
+        verdict = self._failed if self._holds and not self.succeeds and self._failed is not None else self.verdict
+        return Played(
+            states=self._states(),
+            end=self.end,
+            verdict=verdict,
+            held_ticks=self.held_ticks,
+            margins=self._monitor.margins(self._held.slip, self._held.tilt),
+            collision=self._monitor.collision,
+            T_at_start=self._T_at_start,
+            T_at_end=self._poses(),
+            speeds={name: self.world.speed(name) for name in self.scene.things},
+        )
+
+    @property
+    def _holds(self) -> bool:
+        return self.verdict is not None and self.verdict.reached
+
+    def _tick(self, ctrl: Array, magnet: Sequence[bool] | Holds, joints: Array | None) -> None:
+        if self.end is not None:
+            return
+        scene, data, timing = self.scene, self.data, self._timing
+        ctrl = np.clip(ctrl, self._low, self._high)
+        if self.ticks % timing.ticks_per_frame == 0:
+            self._frames.append((data.time, data.qpos.copy(), sensed(scene, data)))
+        self._magnet.append(self._grasp.update(data, ctrl, magnet))
+        self._ctrl.append(ctrl)
+        self._joints.append(ctrl[scene.drives] if joints is None else joints)
+        data.ctrl[:] = ctrl
+        for _ in range(timing.physics_steps_per_tick):
+            scene.step(data)
+            self._monitor.step(data)
+            if self._on_step:
+                self._on_step(data)
+        self._refresh()
+        self._monitor.end_tick(data)
+        self.ticks += 1
+        self.world.watch()
+        self._held.watch()
+        self._judge()
+        self._look_for_end()
+
+    def _refresh(self) -> None:
+        """Bring poses and contacts up to date: after `mj_step`, they are those of the step before."""
+        model, data = self.scene.model, self.data
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        if self.scene.cloths:
+            mujoco.mj_flex(model, data)
+        mujoco.mj_collision(model, data)
+
+    def _judge(self) -> None:
+        if self._goal is None:
+            return
+        held = self._holds
+        self.verdict = judge(self._goal.goal, self.world, self._goal.cast)
+        self.held_ticks = self.held_ticks + 1 if held and self._holds else 0
+        if not self._holds:
+            self._failed = self.verdict
+
+    def _look_for_end(self) -> None:
+        monitor, rules = self._monitor, self._rules
+        if monitor.breakdown:
+            self._end(EndReason.UNSTABLE, Cause.UNSTABLE, monitor.breakdown)
+        elif rules.strict and monitor.collision:
+            self._end(EndReason.FORBIDDEN, Cause.COLLIDED, monitor.collision)
+        elif rules.strict and (fault := limits_fault(monitor.margins())):
+            self._end(EndReason.FORBIDDEN, Cause.LIMITS, fault)
+        elif rules.end is EndRule.SUCCESS and self.succeeds:
+            self._end(EndReason.SUCCESS)
+        elif rules.max_ticks is not None and self.ticks >= rules.max_ticks:
+            self._end(EndReason.TIME_LIMIT)
+
+    def _end(self, reason: EndReason, cause: Cause | None = None, detail: str = "") -> None:
+        if cause is None and self._goal is not None and not self.succeeds:
+            cause, detail = self._why_not()
+        self.end = End(reason, self.ticks, cause, detail)
+
+    def _why_not(self) -> tuple[Cause, str]:
+        """Return why the goal is not reached now."""
+        assert self.verdict is not None and self._goal is not None
+        if not self._holds:
+            worst = self.verdict.worst
+            return Cause.GOAL, f"{worst.what}: {worst.detail or 'it does not hold'}"
+        tick = self._timing.tick
+        return Cause.GOAL, (
+            f"the goal has held for {self.held_ticks * tick:.2f} s, and has to hold for "
+            f"{self._goal.hold_ticks * tick:.2f} s"
+        )
+
+    def _poses(self) -> dict[str, Array]:
+        return {name: self.world.pose(name) for name in self.scene.things}
+
+    def _states(self) -> tuple[StepState, ...]:
+        every, actions = self._timing.ticks_per_frame, self.actions
+        spans = [slice(k * every, (k + 1) * every) for k in range(len(self._frames))]
+        return tuple(
+            StepState(time, qpos, Actions(actions.ctrl[span], actions.magnet[span], actions.joints[span]), seen)
+            for (time, qpos, seen), span in zip(self._frames, spans, strict=True)
+        )

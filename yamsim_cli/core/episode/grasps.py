@@ -1,0 +1,132 @@
+"""How hands hold things. A grasp is a property of the grippers in a scene, whoever commands them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from ..geometry.se3 import Array
+from ..scene.compiled import CompiledScene, SceneArm
+from ..sim.cloth import ClothGrips
+from ..types import Holds
+
+
+class Grasp(Protocol):
+    """Decides at the start of every control tick what each hand holds during the tick."""
+
+    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
+        """Return whether a constraint holds something in each arm's hand.
+
+        Args:
+            data: MuJoCo's state with poses and contacts up to date. Constraints are switched in it.
+            ctrl: the commands (nu,) of all drives for the coming tick.
+            magnet: whether each arm's magnet is commanded on (arms,).
+        """
+        ...
+
+
+class FrictionGrasp:
+    """Fingers hold things by friction alone, so no constraint ever holds anything."""
+
+    def __init__(self, scene: CompiledScene) -> None:
+        self._none = (False,) * len(scene.arms)
+
+    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
+        """See `Grasp`; the command of a magnet has no effect."""
+        return self._none
+
+
+class WeldGrasp:
+    """A magnet in each hand, which welds the nearest thing to the flange while it is commanded on.
+
+    Args:
+        scene: a scene whose arms have welds.
+        reach: largest distance from the pinch point to a thing's surface at which the magnet takes it, m; None for any.
+    """
+
+    def __init__(self, scene: CompiledScene, reach: float | None) -> None:
+        self._scene, self._reach = scene, reach
+        model = scene.model
+        roots = model.body_rootid[model.geom_bodyid]
+        things = np.array([model.body(name).id for name in scene.object_qpos])
+        self._geoms = np.flatnonzero((model.geom_contype != 0) & np.isin(roots, things))
+        self._bodies = roots[self._geoms]
+
+    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
+        """See `Grasp`."""
+        return [self._switch(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
+
+    def _switch(self, data: mujoco.MjData, arm: SceneArm, on: bool) -> bool:
+        if arm.weld is None:
+            return False
+        if on and not weld_holds(data, arm):
+            body, distance = self._nearest(data, data.site(f"{arm.prefix}pinch_site").xpos)
+            on = self._reach is None or distance <= self._reach
+            if on:
+                attach(self._scene.model, arm, data, body)
+        data.eq_active[arm.weld] = on
+        return on
+
+    def _nearest(self, data: mujoco.MjData, point: Array) -> tuple[int, float]:
+        """Return the body whose geoms' bounding boxes are nearest to a point (3,), and their distance, m.
+
+        A point inside the boxes of several bodies is nearest to the body whose origin is nearest.
+        """
+        model, geoms = self._scene.model, self._geoms
+        rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
+        local = np.einsum("gij,gi->gj", rotations, point - data.geom_xpos[geoms])
+        outside = np.maximum(np.abs(local - model.geom_aabb[geoms, :3]) - model.geom_aabb[geoms, 3:], 0.0)
+        distances = np.linalg.norm(outside, axis=1)
+        origins = np.linalg.norm(data.xpos[self._bodies] - point, axis=1)
+        nearest = int(np.lexsort((origins, distances))[0])
+        return int(self._bodies[nearest]), float(distances[nearest])
+
+
+class ClothGrasp:
+    """Constraints hold points of cloth between closed fingers, see `sim.cloth`; friction holds everything else."""
+
+    def __init__(self, scene: CompiledScene) -> None:
+        self._grips = ClothGrips(scene)
+
+    def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | Holds) -> Sequence[bool]:
+        """See `Grasp`; the command of a magnet has no effect."""
+        return self._grips.update(data, ctrl)
+
+
+def grasp_of(scene: CompiledScene, magnet_reach: float | None) -> Grasp:
+    """Return the grasp of a scene's hands: of cloth where there is some, by weld where arms have welds, else friction.
+
+    Args:
+        magnet_reach: see `WeldGrasp`.
+    """
+    if scene.cloths:
+        return ClothGrasp(scene)
+    if any(arm.weld is not None for arm in scene.arms):
+        return WeldGrasp(scene, magnet_reach)
+    return FrictionGrasp(scene)
+
+
+def weld_holds(data: mujoco.MjData, arm: SceneArm) -> bool:
+    """Return whether an arm's weld holds a thing."""
+    return arm.weld is not None and bool(data.eq_active[arm.weld])
+
+
+def attach(model: mujoco.MjModel, arm: SceneArm, data: mujoco.MjData, body: int) -> None:
+    """Write a body's present pose relative to the flange into an arm's weld, so that switching it on moves nothing.
+
+    Args:
+        body: id of the body that the weld is to hold.
+    """
+    assert arm.weld is not None, "an arm without a weld attaches nothing"
+    hand, item = data.body(arm.flange), data.body(body)
+    position, quat, inverse_quat = np.empty(3), np.empty(4), np.empty(4)
+    mujoco.mju_negQuat(inverse_quat, hand.xquat)
+    mujoco.mju_rotVecQuat(position, item.xpos - hand.xpos, inverse_quat)
+    mujoco.mju_mulQuat(quat, inverse_quat, item.xquat)
+    model.eq_obj2id[arm.weld] = body
+    # The layout of a weld's data: the anchor in the second body (3), the second body's position (3) and quaternion (4)
+    # in the first, and the torque scale (1). Source: MuJoCo's documentation of `mjModel.eq_data`.
+    model.eq_data[arm.weld, :11] = [0, 0, 0, *position, *quat, 1]

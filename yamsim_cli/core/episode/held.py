@@ -1,0 +1,54 @@
+"""How still things lie in the hands that hold them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.se3 import Array, inverse, pose, tilt
+from ..scene.compiled import CompiledScene
+from ..sim.world import SimWorld
+
+SETTLED_TICKS = 8  # control ticks of holding after which a thing counts as settled in a hand; fingers close until then
+
+
+class HeldThings:
+    """Measures how far things move in hands, and turn, while they are held.
+
+    Attributes:
+        slip: largest distance that a settled thing moved in a hand, m.
+        tilt: largest angle between a held thing's vertical axis when it was taken and later, rad.
+
+    Args:
+        world: whose `watch` is called before this one's.
+    """
+
+    def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
+        self._scene, self._world = scene, world
+        self._ticks: dict[tuple[str, int], int] = {}
+        self._in_hand: dict[tuple[str, int], Array] = {}
+        self._taken: dict[str, Array] = {}
+        self.slip = self.tilt = 0.0
+
+    def watch(self) -> None:
+        """Take in the state after a control tick."""
+        for name, holders in self._world.holding().items():
+            if name in self._scene.cloths:
+                continue
+            for k, side in enumerate(self._world.sides):
+                if side in holders:
+                    self._held(name, k)
+                else:
+                    self._ticks.pop((name, k), None)
+            if not holders:
+                self._taken.pop(name, None)
+
+    def _held(self, name: str, arm: int) -> None:
+        key = (name, arm)
+        ticks = self._ticks[key] = self._ticks.get(key, 0) + 1
+        T = self._world.pose(name)
+        self.tilt = max(self.tilt, tilt(self._taken.setdefault(name, T)[:3, :3].T @ T[:3, :3]))
+        flange = self._world.data.body(self._scene.arms[arm].flange)
+        position = (inverse(pose(flange.xpos, flange.xmat.reshape(3, 3))) @ T)[:3, 3]
+        if ticks <= SETTLED_TICKS:
+            self._in_hand[key] = position
+        self.slip = max(self.slip, float(np.linalg.norm(position - self._in_hand[key])))

@@ -1,0 +1,87 @@
+"""Observes an episode at every physics step: joint limits, forbidden contacts, and physics that breaks down."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..geometry.se3 import Array
+from ..scene.breakdown import breakdown
+from ..scene.compiled import CompiledScene
+from ..types import Margins, Motion
+
+CONTACT_STEPS = 8  # physics steps after which contacts are looked at although their number has not changed
+
+
+class Monitor:
+    """Observes how near the arms come to their limits, and keeps the first fault of each kind.
+
+    Attributes:
+        collision: what touched something that it must not touch, and when; None if nothing did.
+        breakdown: what went wrong in physics itself, and when; None if nothing did.
+
+    Args:
+        steps: physics steps in a control tick.
+    """
+
+    def __init__(self, scene: CompiledScene, steps: int) -> None:
+        self._scene, self._model = scene, scene.model
+        self._qpos = np.concatenate([arm.joint_qpos for arm in scene.arms])
+        self._dof = np.concatenate([arm.joint_dof for arm in scene.arms])
+        self._ctrl = np.concatenate([arm.arm_ctrl for arm in scene.arms])
+        self._range = np.concatenate([arm.joint_range for arm in scene.arms])
+        self._motor_speed = np.concatenate([arm.motor_speed for arm in scene.arms])
+        self._most_torque = np.concatenate([arm.most_torque for arm in scene.arms])
+        # One row for every physics step of the present control tick.
+        self._positions = np.empty((steps, scene.model.nq))
+        self._velocities = np.empty((steps, scene.model.nv))
+        self._forces = np.empty((steps, scene.model.nu))
+        self._step, self._steps = 0, 0
+        self._contacts = -1
+        self._velocity = self._torque = 0.0
+        self._joint = np.inf
+        self.collision: str | None = None
+        self.breakdown: str | None = None
+
+    def step(self, data: mujoco.MjData) -> None:
+        """Observe the state after a physics step."""
+        k = self._step
+        self._positions[k], self._velocities[k], self._forces[k] = data.qpos, data.qvel, data.actuator_force
+        self._step, self._steps = k + 1, self._steps + 1
+        if self.collision is None and (data.ncon != self._contacts or self._steps % CONTACT_STEPS == 0):
+            self._contacts = data.ncon
+            self._look_at_contacts(data)
+
+    def end_tick(self, data: mujoco.MjData) -> None:
+        """Observe the state after a control tick's last physics step."""
+        velocities = np.abs(self._velocities[: self._step, self._dof]).max(axis=0)
+        forces = np.abs(self._forces[: self._step, self._ctrl]).max(axis=0)
+        positions = self._positions[: self._step, self._qpos]
+        room = np.minimum(positions - self._range[:, 0], self._range[:, 1] - positions)
+        self._velocity = max(self._velocity, float((velocities / self._motor_speed).max()))
+        self._torque = max(self._torque, float((forces / self._most_torque).max()))
+        self._joint = min(self._joint, float(room.min()))
+        self._step = 0
+        if self.breakdown is None and (text := breakdown(data)):
+            # The time is counted in steps, since MuJoCo has reset its own clock.
+            seconds = self._steps * float(self._model.opt.timestep)
+            self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
+
+    def margins(self, slip: float | None = None, tilt: float | None = None) -> Margins:
+        """Return how near the arms came to their limits so far.
+
+        Args:
+            slip, tilt: see `Margins`.
+        """
+        return Margins(self._velocity, self._torque, float(self._joint), slip, tilt)
+
+    def motion(self) -> Motion:
+        """Return all that was observed so far."""
+        return Motion(self.margins(), None, self.collision, self.breakdown)
+
+    def _look_at_contacts(self, data: mujoco.MjData) -> None:
+        geoms: Array = data.contact.geom
+        forbidden = self._scene.forbidden(geoms)
+        if forbidden.any():
+            names = " and ".join(self._model.geom(int(geom)).name for geom in geoms[forbidden][0])
+            self.collision = f"{names} touch after {data.time:.2f} s"
