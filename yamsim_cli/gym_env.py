@@ -24,16 +24,17 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     The action is that of `yamsim eval` and of the LeRobot export: of a YAM (8,), seven drives (rad, m), and the weld,
     which holds above 0.5. On a rig with two arms it is (16,): the left arm's drives, the right one's, the left weld and
     the right one. `joints` (14,) and `ee_pose_world` (2, 4, 4) also have the left arm first.
-    The reward is 1 on success, which ends the episode, else 0. Success is judged as by `yamsim pickplace batch`, once
-    the object is let go; of a task that is data, once its goal has held for as long as it has to.
+    The reward is 1 on success, which ends the episode, else 0. An episode succeeds at the first tick at which its goal
+    has held for its hold time, as in `yamsim eval`. With `end="actor"` it goes on until it is truncated, and `info`
+    has `success` for the present tick.
 
-    A task that is data has a pose for each thing, `<thing>_pose_world` (4, 4), and `<thing>_joints` where it has some.
-    Things are called by their roles, so the keys are the same whichever objects a trial draws; joints that an object
-    lacks are 0. Nothing has a weld there, and what an action says of it is not looked at. `info` has `prompt`, and of
-    such tasks `goal`: what the goal asks for -> its margin now, which is zero or more where it holds.
+    Each thing has a pose, `<role>_pose_world` (4, 4), and `<role>_joints` where it has some. Things are called by their
+    roles, so the keys are the same whichever objects a trial draws; joints that an object lacks are 0. Where no weld
+    holds things, an action's welds have no effect. `info` has `prompt` and `goal`: what the goal asks for -> its
+    margin now, which is zero or more where it holds.
 
     `reset(seed=S)` starts from trial 0 of seed S, `reset(seed=S, options={"trial": k})` from trial k, the layout that
-    `pickplace batch --seed S` has there, and every further `reset()` from the next one.
+    `yamsim trials --seed S` has there, and every further `reset()` from the next one.
 
     Environments that render in processes of their own (`AsyncVectorEnv`) need `context="forkserver"` or `"spawn"`.
     Linux's default up to Python 3.13 is to fork, and a process forked from one that has rendered cannot: rendering
@@ -43,8 +44,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         observation: "state" holds the objects' poses, and renders nothing; "images" holds pictures instead.
         size: width and height of images, px.
         render_mode: None or "rgb_array", the scene camera's image.
-        max_ticks: ticks after which the episode is truncated; by default, twice as many as the plan takes, or as many
-            as a task that is data may take.
+        max_ticks: ticks after which the episode is truncated; by default as many as the task may take.
+        end: "success" or "actor", who ends an episode that is not truncated.
         rig, task, arm, config, quality: as the flags of `yamsim record`.
     """
 
@@ -66,6 +67,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         arm: str | None = None,
         config: str = "default",
         quality: str = "fast",
+        end: Literal["success", "actor"] = "success",
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode {render_mode!r} is not valid: give None or 'rgb_array'")
@@ -81,13 +83,13 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             where = PROGRAM.locations()
             session = Session(PROGRAM.config(config, where, **given), where)
 
+        from .core.episode.rules import EndRule
         from .core.evaluate.observation import policy_cameras
-        from .core.evaluate.stepped import SteppedTask, most_ticks
+        from .core.evaluate.stepped import SteppedTask
         from .core.policies.base import SCENE, WRIST
 
-        self._task = SteppedTask(session)
+        self._task = SteppedTask(session, EndRule(end), max_ticks)
         self._config = session.config
-        self._max_ticks = max_ticks or most_ticks(self._config)
         self._cameras = policy_cameras(self._config, (SCENE, WRIST))
         self._begun = False
         scene = self._task.simulator.scene
@@ -111,20 +113,25 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return spaces.Dict(parts)
 
     def _poses(self) -> dict[str, str]:
-        """Key of an observation -> thing whose pose it is."""
-        config = self._config
-        if config.program is None:
-            return {"object_pose_world": config.pair.object.name, "target_pose_world": config.pair.target.name}
-        return {f"{name}_pose_world": name for name in config.program.typical_cast.kinds}
+        """Return key of an observation -> thing whose pose it is."""
+        return {f"{role}_pose_world": thing for role, thing in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Key of an observation -> thing whose joints it holds, and how many those are at most."""
-        program = self._config.program
-        if program is None:
-            return {}
-        cast = program.typical_cast
-        most = {role: max(len(item.links) for item in one.of) for role, one in program.things.items()}
-        return {f"{name}_joints": (name, most[role]) for role in most if most[role] for name in cast.of(role)}
+        """Return key of an observation -> thing whose joints it holds, and how many those are at most."""
+        task = self._config.task
+        cast = task.typical_cast
+        most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}
+        of_role = {thing: role for role in most for thing in cast.of(role)}
+        return {
+            f"{name}_joints": (thing, most[of_role[thing]])
+            for name, thing in self._roles().items()
+            if most[of_role[thing]]
+        }
+
+    def _roles(self) -> dict[str, str]:
+        """Return the name of each thing in observations -> thing: its role, if no other thing plays that."""
+        things = self._config.task.typical_cast.things
+        return {role if len(names) == 1 else name: name for role, names in things.items() for name in names}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -151,10 +158,10 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
             count = drives.size + len(drives)
             raise ValueError(f"an action is {count} finite numbers, not {values.shape} {values}")
-        self._task.step(values[: drives.size].reshape(drives.shape), values[drives.size :] > 0.5)
-        success = self._task.succeeded()
-        truncated = not success and self._task.loop.ticks >= self._max_ticks
-        return self._observe(), float(success), success, truncated, self._info(success)
+        self._task.episode.step(values[: drives.size].reshape(drives.shape), values[drives.size :] > 0.5)
+        success, end = self._task.succeeded, self._task.episode.end
+        terminated = end is not None and not self._task.out_of_time
+        return self._observe(), float(success), terminated, self._task.out_of_time, self._info(success)
 
     def render(self) -> Any:
         """The scene camera's image (height, width, 3) in the mode "rgb_array"."""
@@ -170,11 +177,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     def _observe(self) -> dict[str, NDArray[Any]]:
         from .core.policies.base import of_arms
 
-        simulator, loop = self._task.simulator, self._task.loop
+        simulator, episode = self._task.simulator, self._task.episode
         replica, T_base = simulator.replica, simulator.scene.T_base_in_world
-        replica.show(loop.data.qpos)
+        replica.show(episode.data.qpos)
         hands = of_arms(T_base @ replica.T_grasp_in_base())
-        seen: dict[str, Any] = {"joints": loop.readings(self._task.attempt.job).ravel(), "ee_pose_world": hands}
+        seen: dict[str, Any] = {"joints": episode.readings(self._task.attempt.job).ravel(), "ee_pose_world": hands}
         if not self._images:
             seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
             items = {item.name: item for item in simulator.config.task.objects}
@@ -188,16 +195,17 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return numbers | {key: images[camera] for key, camera in self._cameras.items()}
 
     def _info(self, success: bool = False) -> dict[str, Any]:
-        task, watch = self._task, self._task.watch
-        goal = {} if watch is None else {"goal": {one.what: one.margin for one in watch.verdict.measures}}
+        task, episode = self._task, self._task.episode
+        measures = episode.verdict.measures if episode.verdict else ()
         return {
             "seed": task.attempt.job.seed,
             "trial": task.attempt.job.attempt,
-            "time": task.loop.ticks * self._config.task.timing.tick,
+            "time": episode.seconds,
             "success": success,
-            "holds": task.loop.holds,
+            "end_rule": task.rules.end.value,
+            "holds": any(episode.held),
             "prompt": task.attempt.phrasing or self._config.task.language_prompt,
-            **goal,
+            "goal": {one.what: one.margin for one in measures},
         }
 
 

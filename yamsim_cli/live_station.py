@@ -36,7 +36,7 @@ class LiveStation(Closing):
     """
 
     def __init__(self, settings: StationSettings, *, by_clock: bool = True) -> None:
-        self._station = Station(settings)
+        self._station = Station(settings, end="actor")
         self.form: StationForm = self._station.form
         self.lost_s = 0.0
         self._lock, self._over = threading.Lock(), threading.Event()

@@ -14,7 +14,7 @@ Rows and cameras are called as `yamsim export lerobot` calls them, and have the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,14 +43,19 @@ class Station(Closing):
 
     Args:
         pictures: whether there are any; without, OpenGL is left as it is.
+        end: who ends a trial: "success" ends it once its goal has held for its hold time, "actor" leaves it to whoever
+            acts.
 
     Raises:
         ConfigError, UsageError: a setting is not valid.
         ResourceError: nothing can render here.
     """
 
-    def __init__(self, settings: StationSettings, *, pictures: bool = True) -> None:
+    def __init__(
+        self, settings: StationSettings, *, pictures: bool = True, end: Literal["success", "actor"] = "success"
+    ) -> None:
         from .core.dataset.rows import Rows
+        from .core.episode.rules import EndRule
         from .core.evaluate.stepped import SteppedTask
 
         opener = settings.opener
@@ -62,7 +67,7 @@ class Station(Closing):
         config = session.config
         self.form = StationForm.of_config(config)
         self._timing = config.task.timing
-        self._rows, self._task = Rows.of(config), SteppedTask(session)
+        self._rows, self._task = Rows.of(config), SteppedTask(session, EndRule(end))
         self._told: Row = np.zeros(len(self.form.action), np.float32)
 
     @property
@@ -73,7 +78,7 @@ class Station(Closing):
     @property
     def time(self) -> float:
         """Time since the trial's start, s."""
-        return self._task.loop.ticks * self._timing.tick
+        return self._task.episode.seconds
 
     @property
     def prompt(self) -> str:
@@ -119,7 +124,7 @@ class Station(Closing):
 
     def state(self) -> Row:
         """Joints and grippers now, (numbers of a state,)."""
-        return self._rows.state(self._task.loop.readings(self._task.attempt.job))
+        return self._rows.state(self._task.episode.readings(self._task.attempt.job))
 
     def environment(self) -> Row:
         """Where things are now, (numbers of `form.environment`,), in the base of the only arm, or of the left one.
@@ -133,8 +138,8 @@ class Station(Closing):
 
         simulator = self._task.simulator
         replica, config = simulator.replica, simulator.config
-        replica.show(self._task.loop.data.qpos)
-        moving = {item.name: item for item in config.program.objects if item.links} if config.program else {}
+        replica.show(self._task.episode.data.qpos)
+        moving = {item.name: item for item in config.task.objects if item.links}
         row = state_row(
             [
                 (replica.T_object_in_base(name), replica.object_joints(moving[name]) if name in moving else ())
@@ -163,22 +168,19 @@ class Station(Closing):
         """Let a frame's time pass, or what of it is left until the trial is a success, and say whether it is one."""
         for _ in range(self._timing.ticks_per_frame):
             self.tick()
-            if self._task.succeeded():
-                return True
-        return False
+        return self._task.succeeded
 
     def tick(self) -> None:
-        """Let one control tick pass; nothing is judged."""
-        self._task.step(*self._rows.command(self._told))
+        """Let one control tick pass; a trial that has ended stands still."""
+        self._task.episode.step(*self._rows.command(self._told))
 
     def judge(self) -> str:
-        """Why the trial is no success as it stands, in words; empty if it is one. It is simulated again for that."""
-        outcome = self._task.judge()
-        return "" if outcome.success else outcome.detail or f"{outcome.cause}"
+        """Return why the trial is no success as it stands, in words; empty if it is one."""
+        return self._task.why_not()
 
     def positions(self) -> Array:
         """MuJoCo's positions (nq,) now, a copy, from which pictures can be drawn later."""
-        positions: Array = self._task.loop.data.qpos.copy()
+        positions: Array = self._task.episode.data.qpos.copy()
         return positions
 
     def pictures(
@@ -201,5 +203,5 @@ class Station(Closing):
     def _hold(self) -> None:
         """Command what the arms do now: where their joints are, whatever encoders read."""
         replica = self._task.simulator.replica
-        replica.show(self._task.loop.data.qpos)
+        replica.show(self._task.episode.data.qpos)
         self._told = self._rows.action(replica.joints(), np.zeros(self._rows.arms, bool))

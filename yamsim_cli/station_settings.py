@@ -92,7 +92,6 @@ class StationForm:
     def of_config(cls, config: RecordConfig) -> StationForm:
         """That of a record config."""
         from .core.dataset.rows import Rows
-        from .core.evaluate.stepped import most_ticks
         from .core.policies.environment_state import state_names, things_told
 
         joints = {item.name: [link.name for link in item.links] for item in config.task.objects}
@@ -101,9 +100,9 @@ class StationForm:
         return cls(
             rows.drives,
             rows.actions,
-            state_names(tuple(things_told(config)), joints if config.program else {}),
+            state_names(tuple(things_told(config)), joints),
             dict.fromkeys(config.recorded_cameras, (height, width, 3)),
             round(1 / (timing.tick * timing.ticks_per_frame), 6),
-            most_ticks(config) // timing.ticks_per_frame,
+            config.task.most_ticks // timing.ticks_per_frame,
             config.task.language_prompt,
         )

@@ -64,73 +64,8 @@ class Stand:
 
 
 @dataclass(frozen=True)
-class Waypoint:
-    """One pose that a plan passes through.
-
-    Attributes:
-        name: for messages and figures.
-        T_object_in_world: pose (4, 4) of the object, as if it were in the hand all the time.
-        ticks: control ticks on the way to this waypoint.
-        stop: whether the motion comes to rest here.
-        gripper: opening of one finger there, m.
-        grip: how hard each finger presses there, N.
-        fingers_from: share (0..1) of the way after which the fingers begin to move.
-    """
-
-    name: str
-    T_object_in_world: Array
-    ticks: int
-    stop: bool
-    gripper: float
-    grip: float = 0.0
-    fingers_from: float = 0.0
-
-
-@dataclass(frozen=True)
-class Phases:
-    """When, in control ticks, an arm has the object in hand.
-
-    Attributes:
-        reached: the first tick by which the hand must not have moved the object.
-        held: the ticks during which the object is to move with the hand.
-        arm: number of the arm whose hand it is: 0 for a lone arm or the left one, 1 for the right one.
-    """
-
-    reached: int
-    held: range
-    arm: int = 0
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What the hand is to do, in terms of the object that it holds.
-
-    Every waypoint is a pose of the object in the hand, even before the grasp. So "over the plate's centre" is said of
-    the object and not of the gripper.
-
-    Attributes:
-        object: name of the object to carry.
-        T_object_in_pinch: the object's pose (4, 4) in the pinch frame between the fingers once it is held.
-        waypoints: in order.
-        grasp, release: indices of the waypoints at which the hand takes the object and lets go of it.
-        weld: whether a weld holds the object, or friction alone.
-        phases: when it is held.
-        settle_ticks: control ticks after the last waypoint, in which the arm goes back to where it started.
-    """
-
-    object: str
-    T_object_in_pinch: Array
-    waypoints: tuple[Waypoint, ...]
-    grasp: int
-    release: int
-    weld: bool
-    phases: Phases
-    settle_ticks: int
-
-
-@dataclass(frozen=True)
 class JointPath:
-    """A plan in joint space, for n control ticks.
+    """A path of one arm in joint space, for n control ticks.
 
     Attributes:
         joints: reference positions (n + 1, dof) at the ticks' boundaries, rad; the first row is where the arm starts.
@@ -139,8 +74,6 @@ class JointPath:
         grip: how hard each finger presses (n,), N.
         magnet: whether the weld holds during each tick, (n,) of bool.
         tick: length of a tick, s.
-        position_error: largest distance in metres between the planned and the reached object position at a waypoint.
-        tilt: largest angle in radians of the gripper from straight down at the grasp and the release.
     """
 
     joints: Array
@@ -149,8 +82,6 @@ class JointPath:
     grip: Array
     magnet: tuple[bool, ...]
     tick: float
-    position_error: float
-    tilt: float
 
     @property
     def velocities(self) -> Array:
@@ -230,23 +161,6 @@ class Margins:
 
 
 @dataclass(frozen=True)
-class Motion:
-    """What was observed of an attempt's motion.
-
-    Attributes:
-        margins: how near it came to what the arm can do.
-        lost: when one of the fingers first let go of the object that both were to hold, s; None if none did.
-        collision: what touched something that it must not touch, and when; None if nothing did.
-        breakdown: what went wrong in physics itself, and when; None if nothing did.
-    """
-
-    margins: Margins
-    lost: float | None
-    collision: str | None
-    breakdown: str | None = None
-
-
-@dataclass(frozen=True)
 class Recovery:
     """A skill that failed and was tried again.
 
@@ -274,7 +188,6 @@ class Outcome:
         dxy: horizontal distance of the object from the target's centre at the end, m; None if never simulated.
         dz: height of the object's origin above the target's, m; None if never simulated.
         speed: speed of the object at the end, m/s; None if never simulated.
-        position_error, tilt: of the plan's inverse kinematics, m and rad; None if there is no plan.
         margins: of the motion; None if never simulated.
         measures: of everything that a goal asks for; none where a task has no goal of its own.
         recoveries: of a program: what had to be tried again.
@@ -286,8 +199,6 @@ class Outcome:
     dxy: float | None = None
     dz: float | None = None
     speed: float | None = None
-    position_error: float | None = None
-    tilt: float | None = None
     margins: Margins | None = None
     measures: tuple[Measure, ...] = ()
     recoveries: tuple[Recovery, ...] = ()

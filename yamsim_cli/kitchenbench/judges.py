@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 from kitchenbench.sim import make_success_checker
 
+from ..core.episode.rules import EndRule
 from .motion import Motion
 from .own import OwnRealization
 from .scene import Realization
@@ -49,15 +50,14 @@ class KitchenJudge:
 
 
 class OwnJudge:
-    """A task's goal, looked at after every control tick: it has to hold for as long as the task asks. See `Judge`."""
+    """A task's goal, which the episode itself judges after every control tick. See `Judge`."""
 
     def __init__(self, realized: OwnRealization, motion: Motion) -> None:
         self.instruction = realized.instruction
         self.unrealized: tuple[str, ...] = ()
-        self.noted: dict[str, Any] = {}
-        self._watch = realized.watch(motion)
-        motion.on_tick = self._watch.tick
+        self.noted: dict[str, Any] = {"end_rule": EndRule.SUCCESS.value}
+        self._episode = motion.episode
 
     def look(self) -> tuple[bool, str]:
         """How the goal stands."""
-        return self._watch.reached, self._watch.told
+        return self._episode.succeeds, self._episode.status

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
-import mujoco
 import numpy as np
 
 from ..core.attempt.simulator import Simulator
+from ..core.episode.episode import Episode
+from ..core.episode.rules import EndReason
 from ..core.geometry.se3 import Array
-from ..core.scene.breakdown import breakdown
 from ..core.scene.compiled import SceneArm, SceneFingers
-from ..core.sim.closed_loop import ClosedLoop
 
 #: Joints of a YAM arm. In actions and states they come first, then its gripper; the left arm before the right one.
 ARM_JOINTS = 6
@@ -34,9 +33,8 @@ class Realized(Protocol):
     def simulator(self) -> Simulator:
         """With the compiled scene."""
 
-    @property
-    def start(self) -> Array:
-        """MuJoCo's positions (nq,)."""
+    def episode(self) -> Episode:
+        """Return a new episode, at its start."""
 
 
 class Motion:
@@ -46,8 +44,8 @@ class Motion:
     action left it to the new target, or as far towards it as its motor's speed allows; fingers likewise.
 
     Attributes:
+        episode: which it lets act.
         data: MuJoCo's present state, poses and contacts up to date.
-        on_tick: called after every control tick; set it to look at what happens within an action.
 
     Args:
         ticks: control ticks an action.
@@ -55,11 +53,9 @@ class Motion:
 
     def __init__(self, realization: Realized, ticks: int) -> None:
         simulator = realization.simulator
-        timing = simulator.config.task.timing
-        self._scene, self._ticks, self._tick = simulator.scene, ticks, timing.tick
-        self._loop = ClosedLoop(self._scene, realization.start, None, timing)
-        self.data = self._loop.data
-        self.on_tick: Callable[[], None] = _nothing
+        self._scene, self._ticks, self._tick = simulator.scene, ticks, simulator.config.task.timing.tick
+        self.episode = realization.episode()
+        self.data = self.episode.data
         # Cloth sways for long, and its own speed says little of it.
         cloth = [one.dof.ravel() for one in self._scene.cloths.values()]
         self._stiff = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
@@ -67,7 +63,6 @@ class Motion:
         self._reach = np.concatenate(
             [[*(arm.motor_speed * self._tick), self._tick / CLOSING] for arm in self._scene.arms]
         )
-        self.refresh()
 
     def state(self) -> Array:
         """Joints (14,) in rad, and how far each gripper is open: 0 closed .. 1 open; the left arm's first."""
@@ -94,14 +89,13 @@ class Motion:
         goal = start + np.clip(np.asarray(action, dtype=float) - start, -most, most)
         for tick in range(self._ticks):
             before, after = (start + (goal - start) * (tick + k) / self._ticks for k in (0, 1))
-            self._loop.step(self._told(before, after), (False,) * len(scene.arms))
-            self.on_tick()
+            self.episode.step(self._told(before, after), (False,) * len(scene.arms))
         self._reference = goal
-        self.refresh()
 
     def broken(self) -> str | None:
-        """What went wrong in physics itself, if anything did."""
-        return breakdown(self.data) or None
+        """Return what went wrong in physics itself, if anything did."""
+        end = self.episode.end
+        return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None
 
     def _told(self, before: Array, after: Array) -> Array:
         """What the drives (arms, joints and gripper) are told on a tick, in which the references (14,) go so far."""
@@ -113,14 +107,6 @@ class Motion:
             # A drive damps all motion: this makes up for it.
             rows.append([*(middle + arm.kv / arm.kp * speed), told_opening(fingers, float(after[gripper]))])
         return np.array(rows)
-
-    def refresh(self) -> None:
-        """Bring poses and contacts up to date with the positions: after a step, they are those of the step before."""
-        mujoco.mj_kinematics(self._scene.model, self.data)
-        mujoco.mj_comPos(self._scene.model, self.data)
-        if self._scene.cloths:
-            mujoco.mj_flex(self._scene.model, self.data)
-        mujoco.mj_collision(self._scene.model, self.data)
 
 
 def told_opening(fingers: SceneFingers, share: float) -> float:
@@ -144,7 +130,3 @@ def hands(arms: Sequence[SceneArm]) -> list[SceneFingers]:
     found = [arm.fingers for arm in arms if arm.fingers is not None]
     assert len(found) == len(arms), "the station's arms have fingers"
     return found
-
-
-def _nothing() -> None:
-    return

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..core.attempt.expert import sides
-from ..core.attempt.programs import no_start
-from ..core.attempt.sampling import sample
+from ..core.attempt.episodes import open_episode
+from ..core.attempt.sampling import no_start, sample
 from ..core.attempt.simulator import Simulator
 from ..core.attempt.simulators import cast_for, simulator_for
 from ..core.config.program_task import ProgramTask
+from ..core.episode.episode import Episode
+from ..core.episode.rules import EndRule, EpisodeRules
 from ..core.errors import SimulationError
-from ..core.geometry.se3 import Array
 from ..core.session import Session
-from ..core.sim.goal_watch import GoalWatch
-from ..core.sim.world import SimWorld, world_of
 from ..core.skills.base import Skill
-from ..core.skills.program import read_program
-from ..core.types import EpisodeJob
-from .motion import Motion
+from ..core.skills.program import program_of
+from ..core.types import Attempt, EpisodeJob
 from .scene import TICK_HZ
 
 #: The benchmark that scenes say they are of, and the kind of their goals.
@@ -32,13 +29,16 @@ class OwnRealization:
 
     Attributes:
         simulator: with the compiled scene and the cast.
-        start: MuJoCo's positions (nq,) with everything at rest.
-        instruction: what is said.
+        attempt: with everything at rest.
     """
 
     simulator: Simulator
-    start: Array
-    instruction: str
+    attempt: Attempt
+
+    @property
+    def instruction(self) -> str:
+        """What is said."""
+        return self.attempt.phrasing or self.task.language_prompt
 
     @property
     def scene_id(self) -> str:
@@ -48,38 +48,27 @@ class OwnRealization:
     @property
     def task(self) -> ProgramTask:
         """The task."""
-        found = self.simulator.config.program
-        assert found is not None, "of tasks that are data alone"
-        return found
+        return self.simulator.config.task
 
-    def world(self, motion: Motion) -> SimWorld:
-        """Its state in motion, as goals and skills ask it."""
-        return world_of(self.simulator.scene, motion.data, sides(self.simulator.config))
-
-    def watch(self, motion: Motion) -> GoalWatch:
-        """What looks at the goal; its `tick` is to be called after every control tick."""
-        cast = self.simulator.cast
-        assert cast is not None, "of tasks that are data alone"
-        return GoalWatch(self.simulator.scene, motion.data, self.task, cast, sides(self.simulator.config))
+    def episode(self) -> Episode:
+        """Return a new episode, which ends once the goal has held for its hold time."""
+        return open_episode(self.simulator, self.attempt, EpisodeRules(EndRule.SUCCESS))
 
     def program(self) -> list[Skill]:
         """The skills that are to bring it to its goal, in order."""
-        cast = self.simulator.cast
-        assert cast is not None, "of tasks that are data alone"
-        return read_program(self.task.expert, cast)
+        return program_of(self.task, self.simulator.cast)
 
 
 def realize_own(session: Session, seed: int) -> OwnRealization:
-    """The first trial of a seed, as `yamsim pickplace batch --seed SEED --n 1` has it, by the station's control ticks.
+    """The first trial of a seed, as `yamsim trials --seed SEED --n 1` has it, by the station's control ticks.
 
     Args:
-        session: of the station and a task that is data.
+        session: of the station and the task.
 
     Raises:
         SimulationError: the scene cannot be compiled, or there is no room for its things.
     """
-    task = session.config.program
-    assert task is not None, "of tasks that are data alone"
+    task = session.config.task
     steps = task.timing.physics_steps_per_tick
     timing = task.timing.model_copy(update={"timestep": 1 / (TICK_HZ * steps)})
     session = session.with_values(task=task.model_copy(update={"timing": timing}))
@@ -89,4 +78,4 @@ def realize_own(session: Session, seed: int) -> OwnRealization:
     if attempt.start is None:
         simulator.close()
         raise SimulationError(f"task {task.name!r}, seed {seed}: {no_start(simulator, attempt)}")
-    return OwnRealization(simulator, attempt.start, attempt.phrasing or task.language_prompt)
+    return OwnRealization(simulator, attempt)

@@ -20,11 +20,11 @@ from kitchenbench.sim import build_blueprint
 
 from ..core.geometry.se3 import Array
 from ..core.goals.cast import Cast
-from ..core.planning.demonstration import start_stands
+from ..core.planning.arm_tools import start_stands
 from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
-from ..core.skills.program import Diary, run_program
+from ..core.skills.program import RecoveryLog, run_program
 from ..core.tasks.randomness import Stream, generator
 from ..core.types import EpisodeJob
 from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_of
@@ -33,7 +33,6 @@ from .opening import open_base
 from .own import BENCHMARK, OwnRealization, realize_own
 from .programs import program_of
 from .scene import TICK_HZ, Realization, realize
-from .world import KitchenWorld
 
 # Nothing but what follows from rounding may differ between the twin and what is observed, rad and shares.
 _SAME = 1e-6
@@ -122,26 +121,20 @@ class Twin:
         self._ticks = ticks
         self._simulator = simulator = realized.simulator
         self._scene = simulator.scene
-        assert simulator.cast is not None  # realizations have one
         self.motion = Motion(realized, ticks)
         if isinstance(realized, OwnRealization):
             self._scene_id, program = realized.scene_id, realized.program()
-            world = realized.world(self.motion)
-            # What a task asks of the way there is noted as it happens.
-            self.motion.on_tick = self._watch
         else:
             self._scene_id = realized.blueprint.scene_id
             program = program_of(realized.blueprint, realized.items, realized.bases)
-            world = KitchenWorld(realized, self.motion).scene
-        self._world = world
-        world.begin()
+        world = self.motion.episode.world
         rng = generator(EpisodeJob(seed, 0), Stream.SEARCH)
         self.bench: Bench = simulator.expert_tools.bench(world, list(start_stands(simulator.config)), rng)
         self.do(program, simulator.cast)
 
     def do(self, program: Sequence[Skill], cast: Cast) -> None:
         """Begin a program: the next actions are those of its motions."""
-        self._segments = run_program(program, self.bench, cast, Diary())
+        self._segments = run_program(program, self.bench, cast, RecoveryLog())
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""
@@ -168,10 +161,6 @@ class Twin:
     def close(self) -> None:
         """Free the scene."""
         self._simulator.close()
-
-    def _watch(self) -> None:
-        self.motion.refresh()
-        self._world.watch()
 
 
 def is_still(segment: Segment) -> bool:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
 
@@ -15,13 +16,14 @@ from ..core.config.program_task import PROGRAM, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
 from ..core.config.things.thing import ObjectConfig
+from ..core.episode.episode import Episode
 from ..core.geometry.se3 import Array, pose, rotation_z
 from ..core.goals.cast import Cast
-from ..core.planning.demonstration import start_stands
+from ..core.planning.arm_tools import start_stands
 from ..core.scene.compiled import CompiledScene
 from ..core.session import Session
-from ..core.sim.watched import settle
-from ..core.sim.world import Region
+from ..core.sim.settle import settle
+from ..core.sim.world import Region, SimWorld
 from ..core.types import Layout
 from .catalog import COMPARTMENT, thing_of
 from .linen import CRUMPLED, FOLD, SHEETS, crumpled_start, laid, sheet_of
@@ -86,6 +88,17 @@ class Realization:
     def sides(self) -> tuple[str, ...]:
         """Of the scene's arms."""
         return sides(self.simulator.config)
+
+    def episode(self) -> Episode:
+        """Return a new episode, which the benchmark's checker judges."""
+        scene, timing = self.simulator.scene, self.simulator.config.task.timing
+
+        def world(data: mujoco.MjData) -> SimWorld:
+            return SimWorld(
+                scene.model, data, scene.arms, self.sides, scene.things, regions=self.regions, cloths=scene.cloths
+            )
+
+        return Episode(scene, self.start, timing, self.sides, None, world=world)
 
 
 def realize(blueprint: SceneBlueprint, base: Session) -> Realization:

@@ -30,15 +30,7 @@ class KitchenWorld:
         self._model, self._data = compiled.model, motion.data
         names = list(compiled.things)
         self._masses = {item.name: 1000 * item.inertia.mass for item in simulator.config.task.objects}
-        self.scene = SimWorld(
-            compiled.model,
-            motion.data,
-            compiled.arms,
-            realization.sides,
-            names,
-            regions=realization.regions,
-            cloths=compiled.cloths,
-        )
+        self.scene: SimWorld = motion.episode.world
         self._names = {*names, *realization.regions}
         fingers = np.isin(compiled.geom_kind, (Kind.LEFT_FINGER, Kind.RIGHT_FINGER)) & (
             compiled.model.geom_contype != 0

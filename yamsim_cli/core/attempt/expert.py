@@ -1,12 +1,15 @@
-"""The expert of a task that is data: its skills, run on a simulated scene."""
+"""What the expert of a task plans with: its skills run on a simulated scene."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from ..config.recording import RecordConfig
-from ..geometry.se3 import Array
-from ..planning.demonstration import ArmTools, start_stands
+from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from ..planning.arm_tools import ArmTools, start_stands
 from ..planning.obstacles import Obstacles
 from ..planning.quick_reach import QuickReach
 from ..scene.compiled import CompiledScene, Kind
@@ -15,6 +18,13 @@ from ..sim.world import SimWorld
 from ..skills.bench import Bench
 from ..skills.hand import Hand
 from ..types import Stand
+
+
+# Poses of a hand that are tried at a place: leaning by these angles from straight down, towards these sides, and turned
+# about its own axis by these angles, rad.
+LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))
+TOWARDS = tuple(math.radians(angle) for angle in range(0, 360, 60))
+TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))
 
 
 class ExpertTools:
@@ -29,11 +39,13 @@ class ExpertTools:
         self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms)
         self._quick = [QuickReach(bare_arm(config.rig.arms[arm.number]), arm.T_base_in_world) for arm in scene.arms]
 
-    def reaches(self, T_pinch_in_world: Array) -> bool:
-        """Whether some hand comes to a pose (4, 4) of its pinch frame, whatever it would touch there."""
+    def reaches_place(self, place: Array) -> bool:
+        """Return whether some hand gets to a place (3,) in `world`, whatever it would touch there, m."""
+        stands = start_stands(self._config)
         return any(
-            quick.solve(T_pinch_in_world, np.array(stand.joints)) is not None
-            for quick, stand in zip(self._quick, start_stands(self._config), strict=True)
+            quick.solve(T, np.array(stand.joints)) is not None
+            for T in _hand_poses(place)
+            for quick, stand in zip(self._quick, stands, strict=True)
         )
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
@@ -56,3 +68,13 @@ class ExpertTools:
 def sides(config: RecordConfig) -> tuple[str, ...]:
     """The sides of the scene's arms, in its order."""
     return tuple(config.rig.arms[number].side for number in config.rig.recorded)
+
+
+def _hand_poses(place: Array) -> Iterator[Array]:
+    """Yield poses (4, 4) of a hand at a place (3,), from above first."""
+    down = rotation_from_vector([math.pi, 0.0, 0.0])
+    for lean in LEANS:
+        for towards in TOWARDS if lean else TOWARDS[:1]:
+            tilted = rotation_from_vector([lean * math.cos(towards), lean * math.sin(towards), 0.0])
+            for turn in TURNS:
+                yield pose(place, tilted @ rotation_z(turn) @ down)

@@ -6,8 +6,7 @@ from ..documents.base import ConflictError
 from ..goals.world import TABLE
 from ..session import Session
 from ..types import EpisodeJob
-from .programs import HOLDS_ALREADY, no_start
-from .sampling import sample
+from .sampling import HOLDS_ALREADY, no_start, sample
 from .simulators import Simulators
 
 # So many attempts without a start are taken for a task that has none; mostly, the first one has one.
@@ -21,9 +20,7 @@ def check_starts(session: Session) -> None:
         ConflictError: none has: its goal holds already, or its things have no room; the path is where, from the config.
         SimulationError: its scene cannot be compiled.
     """
-    task = session.config.program
-    if task is None:
-        return
+    task = session.config.task
     with Simulators(session.without_meshes()) as simulators:
         for number in range(_FIRST):
             job = EpisodeJob(session.config.seed, number)

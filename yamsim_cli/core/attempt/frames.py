@@ -20,10 +20,8 @@ def frames(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) 
 
 
 def _joints(simulator: Simulator) -> dict[str, Array]:
-    """Thing -> positions of its joints, of tasks that are data; others never held any."""
-    program = simulator.config.program
-    things = program.objects if program else ()
-    return {item.name: simulator.replica.object_joints(item) for item in things if item.links}
+    """Return thing -> positions of its joints, of things that have some."""
+    return {item.name: simulator.replica.object_joints(item) for item in simulator.config.task.objects if item.links}
 
 
 def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) -> dict[str, Any]:

@@ -9,9 +9,9 @@ from ... import __version__
 from ..dataset.layout import lowdim_name
 from ..dataset.lowdim import content_hash, dump_frame
 from ..types import EpisodePayload
+from .engine import Simulated
 from .frames import frames
 from .pictures import image_files
-from .simulated import Simulated
 from .simulator import Simulator
 
 # Revision of how scenes are drawn, raised when the same config gives other pictures: 2 since the table and the posts

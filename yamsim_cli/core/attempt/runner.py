@@ -11,7 +11,7 @@ from ..session import Session
 from ..shown_meshes import differences
 from ..types import EpisodeJob, EpisodePayload
 from .payload import payload, result
-from .planned import demonstrate
+from .engine import demonstrate
 from .sampling import sample
 from .simulators import Simulators
 

@@ -2,28 +2,63 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from ..config.recording import RecordConfig
-from ..planning.demonstration import start_stands
-from ..tasks.kinds import sample_layout
+from ..geometry.se3 import Array, pose
+from ..episode.rules import EpisodeRules
+from ..planning.arm_tools import start_stands
+from ..sim.crumple import crumpled
+from ..sim.settle import settle
+from ..sim.world import world_of
+from ..tasks.casting import Placed, draw_phrasing, draw_places
+from ..tasks.randomness import Stream, generator
 from ..tasks.sampled_variation import sample_variation
-from ..types import Attempt, EpisodeJob, Stand
+from ..types import Attempt, EpisodeJob, Layout
 from ..variation import Variation
-from .programs import sample_program
+from .episodes import open_episode
+from .expert import sides
 from .simulator import Simulator
+
+MAX_DRAWS = 20  # draws of the start in which the goal holds already, after which an attempt has no start
+HOLDS_ALREADY = "the goal holds already at the start"
+
+DROP_HEIGHT = 0.5  # m over the table, from which the resting height of each thing is searched
+SPARE_HEIGHT = 2.0  # m between things that wait above the table until it is their turn to be placed
+SPAWN_GAP = 2e-4  # m between a placed thing and what it lies on, so that no contact exists before the first step
 
 
 def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
-    """The attempt of a seed and a number; its distractors come later, see `distractors`."""
-    config, scene = simulator.config, simulator.scene
-    variation = _variation(config, job)
-    if config.program:
-        return sample_program(simulator, job, variation)
-    layout = sample_layout(config, job)
-    if layout is None:
-        return Attempt(job, None, variation)
-    return Attempt(job, layout, variation, scene.start_qpos(layout, _start_stands(simulator)))
+    """Return the attempt of a seed and a number, everything at rest; its distractors come later.
+
+    The attempt has no start if there is no room for its things, or if its goal always holds already, see `no_start`.
+    """
+    config, task, cast = simulator.config, simulator.config.task, simulator.cast
+    attempt = Attempt(job, None, _variation(config, job), cast=cast, phrasing=draw_phrasing(task, config, cast, job))
+    scene = simulator.varied(attempt)
+    for number in range(MAX_DRAWS):
+        places = draw_places(task, config, cast, _blocks(simulator), job, number)
+        if isinstance(places, str):
+            break
+        start = settle(scene, _placed(simulator, places), task.timing.timestep)
+        start = _crumpled(simulator, start, generator(job, Stream.CRUMPLES, number))
+        episode = open_episode(simulator, replace(attempt, start=start), EpisodeRules())
+        if episode.verdict is not None and not episode.verdict.reached:
+            poses = {name: episode.world.pose(name) for name in scene.things}
+            return replace(attempt, layout=Layout(poses, upright=False), start=start)
+    return attempt
+
+
+def no_start(simulator: Simulator, attempt: Attempt) -> str:
+    """Return why an attempt has no start."""
+    config, cast = simulator.config, simulator.cast
+    places = draw_places(config.task, config, cast, _blocks(simulator), attempt.job)
+    if isinstance(places, str):
+        return f"no free place for the {places} where it is to start"
+    return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} draws"
 
 
 def _variation(config: RecordConfig, job: EpisodeJob) -> Variation:
@@ -33,16 +68,38 @@ def _variation(config: RecordConfig, job: EpisodeJob) -> Variation:
     return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
 
 
-def _start_stands(simulator: Simulator) -> list[Stand]:
-    """Where the scene's arms stand at the start.
+def _blocks(simulator: Simulator) -> dict[str, Array]:
+    scene = simulator.scene
+    world = world_of(scene, simulator.replica.data, sides(simulator.config))
+    return {name: world.block(name) for name in scene.things}
 
-    The fingers of the arms that act are as wide open as a plan has them, if it takes the object where that is best
-    held.
-    """
-    config, scene = simulator.config, simulator.scene
-    stands, opening = list(start_stands(config)), simulator.kind.start_opening(config)
-    for number in config.acting_scene_arms:
-        fingers = scene.arms[number].fingers
-        assert fingers is not None  # checked when the config was loaded
-        stands[number] = replace(stands[number], opening=min(opening, fingers.stops[1]))
-    return stands
+
+def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
+    """Return MuJoCo's positions (nq,) with each thing placed on what it starts on, one after the other."""
+    scene, top = simulator.scene, simulator.config.table.top
+    waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
+    qpos = scene.start_qpos(Layout(waiting), start_stands(simulator.config))
+    for name, placed in places.items():
+        for part, share in placed.open.items():
+            joint = scene.model.joint(f"{name}_{part}")
+            low, high = joint.range
+            qpos[joint.qposadr[0]] = low + share * (high - low)
+        T = placed.T.copy()
+        if name in scene.cloths:
+            T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP
+        else:
+            T[2, 3] = top + DROP_HEIGHT
+            T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - DROP_HEIGHT) + SPAWN_GAP
+        scene.put(qpos, name, T)
+    return qpos
+
+
+def _crumpled(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
+    """Return MuJoCo's positions (nq,) with the cloths crumpled that start so; at `start` they lie flat."""
+    task, scene = simulator.config.task, simulator.scene
+    for role, how in task.starts.items():
+        for name in simulator.cast.of(role):
+            if how.crumpled is not None and name in scene.cloths:
+                share = float(rng.uniform(*how.crumpled))
+                start = crumpled(scene, start, name, rng, share, task.timing.timestep)
+    return start

@@ -6,14 +6,12 @@ import functools
 
 from ..closing import Closing
 from ..goals.cast import Cast
-from ..planning.demonstration import Planner, arm_tools
-from ..planning.planners import make_planner
+from ..planning.arm_tools import arm_tools
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene
 from ..session import Session
 from ..sim.placement import DistractorPlacer
 from ..sim.replica import Replica
-from ..tasks.kinds import TaskKind, kind_of
 from ..types import Attempt
 from ..vision.labels import SceneLabels, scene_labels
 from ..vision.renderer import SceneRenderer
@@ -22,7 +20,7 @@ from .varied_scene import VariedScene
 
 
 class Simulator(Closing):
-    """A session's compiled scene, and what is made of it when it is first needed: replica, planner and renderer.
+    """A session's compiled scene, and what is made of it when it is first needed: replica, expert's tools and renderer.
 
     It remembers no attempt: what happens in one is told by functions of this and of the attempt. Close it, or use it as
     a context manager, since it may own a renderer.
@@ -30,14 +28,14 @@ class Simulator(Closing):
     Attributes:
         session: of which it was made.
         config: the session's.
-        cast: who plays the roles, of a task that has some; its config has the things of this cast alone.
+        cast: who plays the roles; the config has the things of this cast alone.
         scene: compiled. Its model is varied as the attempt that was last asked for, see `varied`.
 
     Raises:
         SimulationError: the scene cannot be compiled.
     """
 
-    def __init__(self, session: Session, cast: Cast | None = None) -> None:
+    def __init__(self, session: Session, cast: Cast) -> None:
         self.session = session
         self.config = config = session.config
         self.cast = cast
@@ -57,24 +55,14 @@ class Simulator(Closing):
         """A copy of the scene that takes on recorded states."""
         return Replica(self.scene)
 
-    @property
-    def kind(self) -> TaskKind:
-        """The kind of a task with an object and a target."""
-        return kind_of(self.config.pair)
-
     @functools.cached_property
     def expert_tools(self) -> ExpertTools:
-        """What the expert of a task that is data plans with; it reads files, as `planner` does."""
+        """What the task's expert plans with; making it reads files."""
         return ExpertTools(self.config, self.scene, arm_tools(self.config, self.scene))
 
     def prepare(self) -> None:
         """Make now what reads files, which need not be there any more when the first attempt comes."""
-        _ = self.expert_tools if self.config.program else self.planner
-
-    @functools.cached_property
-    def planner(self) -> Planner:
-        """What plans the task; it reads files of the session's locations when it is made."""
-        return make_planner(self.config, self.scene)
+        _ = self.expert_tools
 
     @property
     def renderer(self) -> SceneRenderer:

@@ -18,21 +18,18 @@ _KEPT = 4
 _Key = tuple[tuple[str, str, float], ...]
 
 
-def cast_for(session: Session, job: EpisodeJob) -> Cast | None:
-    """Who plays which role in an attempt; None in tasks that have no roles."""
-    task = session.config.program
-    return None if task is None else draw_cast(task, job)
+def cast_for(session: Session, job: EpisodeJob) -> Cast:
+    """Return who plays which role in an attempt."""
+    return draw_cast(session.config.task, job)
 
 
-def simulator_for(session: Session, cast: Cast | None) -> Simulator:
-    """A simulator of the things of a cast.
+def simulator_for(session: Session, cast: Cast) -> Simulator:
+    """Return a simulator of the things of a cast.
 
     Raises:
         SimulationError: its scene cannot be compiled, or a thing not be made in its size.
     """
-    task = session.config.program
-    if task is None or cast is None:
-        return Simulator(session)
+    task = session.config.task
     try:
         played = task.played_by(cast)
     except ValueError as error:
@@ -55,7 +52,7 @@ class Simulators(Closing):
             SimulationError: its scene cannot be compiled.
         """
         cast = cast_for(self.session, job)
-        key = () if cast is None else tuple((name, cast.kinds[name], cast.sizes.get(name, 1.0)) for name in cast.kinds)
+        key = tuple((name, cast.kinds[name], cast.sizes.get(name, 1.0)) for name in cast.kinds)
         if key in self._made:
             self._made.move_to_end(key)
             return self._made[key]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -86,6 +87,11 @@ class MeasureRecord(Record):
     unit: str
     detail: str = ""
 
+    @property
+    def is_distance(self) -> bool:
+        """Whether it measures how far a thing lies from the centre of what it lies on, see `goals.predicates.on`."""
+        return self.unit == "m" and self.what.startswith("on(")
+
 
 class RecoveryRecord(Record):
     """A skill that failed and was tried again, see `types.Recovery`."""
@@ -122,19 +128,26 @@ class OutcomeRecord(Record):
             dxy_m=outcome.dxy,
             dz_m=outcome.dz,
             speed_mps=outcome.speed,
-            plan_error_m=outcome.position_error,
-            tilt_rad=outcome.tilt,
+            plan_error_m=None,
+            tilt_rad=None,
             margins=MarginsRecord.of(outcome.margins) if outcome.margins else None,
             measures=tuple(MeasureRecord(**asdict(measure)) for measure in outcome.measures),
             recoveries=tuple(RecoveryRecord(**asdict(recovery)) for recovery in outcome.recoveries),
         )
 
-    def within(self, threshold: float, max_height: float) -> bool:
-        """Whether the object lay within `threshold` metres of the target's centre, and on it, at the end."""
+    def within(self, threshold: float, max_height: float = math.inf) -> bool:
+        """Return whether the thing lay within `threshold` metres of its target's centre, and on it, at the end.
+
+        Args:
+            max_height: largest height of its origin over the target's in format version 1, m. Later versions measure
+                what the thing touches.
+        """
         # With any other cause distance does not count: the object may have been thrown there.
         if self.dxy_m is None or self.dz_m is None or self.cause not in (None, Cause.OFF_TARGET):
             return False
-        return self.dxy_m <= threshold and 0.0 <= self.dz_m <= max_height
+        on_it = self.measures or 0.0 <= self.dz_m <= max_height
+        others = all(one.margin >= 0 for one in self.measures if not one.is_distance)
+        return bool(on_it) and others and self.dxy_m <= threshold
 
 
 # Where a thing starts: format version 1 has `[x, y, z, yaw]`, 2 has `[x, y, z, qw, qx, qy, qz]`, m and rad.

@@ -8,7 +8,7 @@ import numpy as np
 from ..geometry.se3 import Array
 from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene
-from ..types import Margins, Motion
+from ..types import Margins
 
 CONTACT_STEPS = 8  # physics steps after which contacts are looked at although their number has not changed
 
@@ -74,10 +74,6 @@ class Monitor:
             slip, tilt: see `Margins`.
         """
         return Margins(self._velocity, self._torque, float(self._joint), slip, tilt)
-
-    def motion(self) -> Motion:
-        """Return all that was observed so far."""
-        return Motion(self.margins(), None, self.collision, self.breakdown)
 
     def _look_at_contacts(self, data: mujoco.MjData) -> None:
         geoms: Array = data.contact.geom

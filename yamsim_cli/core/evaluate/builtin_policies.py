@@ -9,8 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..attempt.planned import demonstrate
-from ..attempt.simulated import Simulated
+from ..attempt.engine import Simulated, demonstrate
 from ..attempt.simulator import Simulator
 from ..dataset.actions import recorded_actions
 from ..dataset.layout import episode_directories

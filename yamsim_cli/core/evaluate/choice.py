@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ..episode.rules import EndRule
 from ..policies.chunks import Chunking
 from ..policies.loading import is_elsewhere, takes_keywords
 
@@ -17,7 +18,8 @@ class PolicyChoice:
     Attributes:
         name, folder: see `make_policy`.
         call_seconds: for one answer, or a reset, of real time.
-        time_limit: for a trial, of simulated time, s; None for twice what a plan takes.
+        time_limit: for a trial, of simulated time, s; None for the task's own.
+        end: who ends a trial.
         arguments: keywords that the user's own policy is made with.
         mapping: name or file of a config of `policies`, for a policy from elsewhere; None for its protocol's own.
         chunking: how chunks of actions are used.
@@ -28,6 +30,7 @@ class PolicyChoice:
     folder: Path
     call_seconds: float = 30.0
     time_limit: float | None = None
+    end: EndRule = EndRule.SUCCESS
     arguments: Mapping[str, int | float | str] = field(default_factory=dict)
     mapping: str | None = None
     chunking: Chunking = field(default_factory=Chunking)

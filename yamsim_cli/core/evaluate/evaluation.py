@@ -9,11 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..attempt.physics import repeat
+from ..attempt.engine import repeat
 from ..attempt.simulators import cast_for
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord, plain
 from ..dataset.statistics import spread, wilson95
+from ..episode.rules import REPEATED_RULES
 from ..errors import PartialJobError
 from ..progress import Progress
 from ..session import Session
@@ -67,9 +68,6 @@ def evaluate(
 def instance_of(session: Session, job: EpisodeJob) -> str:
     """Which things a trial is with, in a few words."""
     cast = cast_for(session, job)
-    if cast is None:
-        pair = session.config.pair
-        return f"{pair.object.name} to {pair.target.name}"
     return ", ".join(f"{role} {kind}" for role, kind in sorted(cast.kinds.items())) or session.config.task.name
 
 
@@ -121,7 +119,7 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
     stats = {
         **tally(
             [result.outcome for result in results],
-            None if config.program else config.pair.success,
+            config.task,
             thresholds,
             [not result.error for result in results],
         ),
@@ -135,6 +133,7 @@ def summary(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[f
         "policy": evaluation.choice.name,
         "stats": stats,
         **what_ran(config),
+        "end_rule": evaluation.choice.end.value,
         "tick_s": tick,
         "seconds": evaluation.seconds,
         "ticks_per_second": sum(result.ticks for result in results) / evaluation.seconds,
@@ -187,7 +186,7 @@ class PolicyFilmer(TrialFilmer):
     def run(self, film: _FilmJob) -> list[bytes]:
         """The trial's frames as JPEGs."""
         simulator = self._simulators.of(film.attempt.job)
-        return self._film(simulator, repeat(simulator, film.attempt, film.actions, planned=False))
+        return self._film(simulator, repeat(simulator, film.attempt, film.actions, REPEATED_RULES))
 
 
 def shown(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:

@@ -9,12 +9,12 @@ from typing import Any
 from ..attempt.simulator import Simulator
 from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..config.things.thing import ObjectConfig
+from ..episode.episode import Episode
 from ..errors import UsageError, suggest
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..policies.base import OBJECTS, SCENE, VELOCITIES, WRIST, of_arms
 from ..policies.environment_state import joints_key, things_told
-from ..sim.closed_loop import ClosedLoop
 from ..types import Attempt
 
 # Renders what a camera sees at MuJoCo's positions (nq,).
@@ -147,17 +147,17 @@ class Observer:
         arms, drives = self._simulator.scene.drives.shape
         return arms, drives
 
-    def joints(self, loop: ClosedLoop, attempt: Attempt) -> Array:
+    def joints(self, episode: Episode, attempt: Attempt) -> Array:
         """What is read of each arm's joints in rad and its finger's opening in m now, (arms, drives)."""
-        return loop.readings(attempt.job)
+        return episode.readings(attempt.job)
 
-    def observe(self, loop: ClosedLoop, attempt: Attempt, pictures: Pictures) -> LazyObservation:
+    def observe(self, episode: Episode, attempt: Attempt, pictures: Pictures) -> LazyObservation:
         """What the policy is told of a scene's state now."""
         config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.replica
         task = config.task
-        replica.show(loop.data.qpos)
+        replica.show(episode.data.qpos)
         T_base = scene.T_base_in_world
-        joints = loop.readings(attempt.job)
+        joints = episode.readings(attempt.job)
         openings = joints[:, -1] if scene.arm.fingers is not None else replica.openings()
         told: dict[str, Any] = {
             "joints": joints.ravel(),
@@ -165,17 +165,16 @@ class Observer:
             "ee_pose_world": of_arms(T_base @ replica.T_grasp_in_base()),
             "K_scene": replica.intrinsics(SCENE_CAMERA, config.image.size_px).K,
             "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
-            "time": loop.ticks * task.timing.tick,
+            "time": episode.seconds,
             "prompt": attempt.phrasing or task.language_prompt,
         }
         if OBJECTS in self._wants:
             told |= {key: T_base @ replica.T_object_in_base(name) for name, key in things_told(config).items()}
             told |= {joints_key(item.name): replica.object_joints(item) for item in self._moving()}
         if VELOCITIES in self._wants:
-            told["joint_velocities"] = loop.joint_velocities.ravel()
-        return LazyObservation(told, loop.data.qpos.copy(), self._cameras, pictures)
+            told["joint_velocities"] = episode.joint_velocities.ravel()
+        return LazyObservation(told, episode.data.qpos.copy(), self._cameras, pictures)
 
     def _moving(self) -> list[ObjectConfig]:
-        """The things whose parts move, of a task that is data."""
-        program = self._simulator.config.program
-        return [item for item in program.objects if item.links] if program else []
+        """Return the things whose parts move."""
+        return [item for item in self._simulator.config.task.objects if item.links]

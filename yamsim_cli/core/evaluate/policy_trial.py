@@ -1,4 +1,4 @@
-"""One trial of a policy: from the start that `pickplace batch` makes of the same numbers, and judged as there."""
+"""One trial of a policy: from the start that `yamsim trials` makes of the same numbers, and judged as there."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import contextlib
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from ..attempt.physics import repeat
+from ..attempt.engine import outcome_of
+from ..attempt.episodes import open_episode
 from ..attempt.pictures import render
 from ..attempt.sampling import sample
 from ..attempt.simulator import Simulator
@@ -14,6 +15,8 @@ from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..config.recording import RecordConfig
 from ..dataset.records import OutcomeRecord
+from ..episode.episode import Episode
+from ..episode.rules import EpisodeRules
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..policies.base import InvalidActionError, Observation, read_chunk
@@ -21,22 +24,25 @@ from ..policies.chunks import ChunkCount, ChunkPlayer
 from ..policies.loading import reset_policy, wanted_images, wanted_state
 from ..policies.policy_faults import Fault
 from ..session import Session
-from ..sim.closed_loop import ClosedLoop
 from ..stray_forks import forks_end_here
 from ..types import Actions, Attempt, EpisodeJob, Outcome
 from .asking import Asker, PolicyFailedError, TooSlowError, talking_on_stderr
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
 from .choice import PolicyChoice
 from .observation import Observer, Pictures, policy_cameras
-from .stepped import most_ticks
 
 
 class Ended(StrEnum):
-    """What ended a trial. From `RAISED` on it is the policy's fault, and no success whatever the object does."""
+    """What ended a trial. From `RAISED` on it is the policy's fault, and no success whatever the object does.
+
+    `SUCCESS`: the goal had held for its hold time, under the rule that ends a trial then. `DONE`: the policy said so.
+    """
 
     NOT_STARTED = "not_started"
+    SUCCESS = "success"
     DONE = "done"
     TIME_LIMIT = "time_limit"
+    UNSTABLE = "unstable"
     RAISED = "policy_raised"
     INVALID = "policy_invalid"
     SLOW = "policy_slow"
@@ -45,7 +51,7 @@ class Ended(StrEnum):
 
 FAULTS = (Ended.RAISED, Ended.INVALID, Ended.SLOW, Ended.LOST)
 # The policy had its say to the end.
-MEASURED = (Ended.DONE, Ended.TIME_LIMIT)
+MEASURED = (Ended.SUCCESS, Ended.DONE, Ended.TIME_LIMIT, Ended.UNSTABLE)
 
 _NO_FAULT = Fault("")
 
@@ -76,12 +82,11 @@ class TrialResult:
     count: ChunkCount = field(default_factory=ChunkCount)
 
 
-def trial_ticks(config: RecordConfig, choice: PolicyChoice) -> int:
-    """How many control ticks a trial may take."""
-    timing = config.task.timing
-    if choice.time_limit is not None:
-        return max(1, round(choice.time_limit / timing.tick))
-    return most_ticks(config)
+def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
+    """Return the rules of a policy's trials: who ends them, and how many control ticks they may take."""
+    task = config.task
+    ticks = task.most_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
+    return EpisodeRules(choice.end, max_ticks=ticks)
 
 
 class TrialRunner(Closing):
@@ -115,69 +120,63 @@ class TrialRunner(Closing):
         if start is not None:
             attempt = replace(attempt, start=start)
         seconds: list[float] = []
-        loop, ended, fault, count = self._drive(simulator, attempt, seconds)
-        outcome, actions = Outcome(False), loop.actions if loop.ticks else None
-        if actions is not None:
-            outcome = repeat(simulator, attempt, actions, planned=scripted).outcome
-        if actions is not None and scripted:
-            planned = trial.demonstrated.outcome
-            outcome = replace(
-                outcome, position_error=planned.position_error, tilt=planned.tilt, recoveries=planned.recoveries
-            )
+        episode, ended, fault, count = self._drive(simulator, attempt, seconds)
+        played = episode.finish()
+        outcome = outcome_of(simulator, played)
+        if scripted:
+            outcome = replace(outcome, recoveries=trial.demonstrated.outcome.recoveries)
         record = OutcomeRecord.of(outcome)
         if ended in FAULTS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
-        told = (fault.text, fault.traceback, loop.ticks, tuple(seconds))
-        return TrialResult(attempt, record, ended, *told, actions, count)
+        told = (fault.text, fault.traceback, episode.ticks, tuple(seconds))
+        return TrialResult(attempt, record, ended, *told, episode.actions if episode.ticks else None, count)
 
     def _drive(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
-    ) -> tuple[ClosedLoop, Ended, Fault, ChunkCount]:
-        """Let the policy act until it is done, fails or has no time left."""
+    ) -> tuple[Episode, Ended, Fault, ChunkCount]:
+        """Let the policy act until the trial ends, or the policy says that it is done, or fails."""
         config = self._config
-        assert attempt.start is not None  # it has a layout
-        carried = None if config.program else config.pair.object.name
-        loop = ClosedLoop(simulator.varied(attempt), attempt.start, carried, config.task.timing)
+        episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
         pictures = Pictures(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = Observer(simulator, *self._wanted)
         hold = int(getattr(self._policy, "ticks", 1))
-        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, observer.joints(loop, attempt))
+        player = ChunkPlayer(self._chunking, config.task.timing.tick, hold, observer.joints(episode, attempt))
         try:
-            ended, fault = self._play(player, loop, observer, attempt, pictures, seconds)
+            ended, fault = self._play(player, episode, observer, attempt, pictures, seconds)
         finally:
             pictures.end()
-        return loop, ended, fault, player.count
+        return episode, ended, fault, player.count
 
     def _play(
         self,
         player: ChunkPlayer,
-        loop: ClosedLoop,
+        episode: Episode,
         observer: Observer,
         attempt: Attempt,
         pictures: Pictures,
         seconds: list[float],
     ) -> tuple[Ended, Fault]:
-        limit = trial_ticks(self._config, self._choice)
         try:
             self._asker.ask(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
-            while loop.ticks < limit and not player.is_over(loop.ticks):
-                if player.is_due(loop.ticks):
-                    answer = self._ask(observer.observe(loop, attempt, pictures), pictures)
+            while episode.end is None and not player.is_over(episode.ticks):
+                if player.is_due(episode.ticks):
+                    answer = self._ask(observer.observe(episode, attempt, pictures), pictures)
                     seconds.append(self._asker.seconds)
-                    player.take(read_chunk(answer, *observer.drives), loop.ticks, self._asker.seconds)
-                ctrl, magnet = player.act(loop.ticks)
-                loop.step(ctrl, magnet)
+                    player.take(read_chunk(answer, *observer.drives), episode.ticks, self._asker.seconds)
+                ctrl, magnet = player.act(episode.ticks)
+                episode.step(ctrl, magnet)
         except InvalidActionError as error:
             return Ended.INVALID, Fault(str(error))
         except TooSlowError:
-            return Ended.SLOW, Fault(f"no answer within {self._choice.call_seconds:g} s, after {loop.ticks} ticks")
+            return Ended.SLOW, Fault(f"no answer within {self._choice.call_seconds:g} s, after {episode.ticks} ticks")
         except PolicyFailedError as error:
-            return Ended.RAISED, Fault(f"{error}, after {loop.ticks} ticks", error.fault.traceback)
-        if loop.holds:
-            # What is still held was not put down: it is let go, and has the time to fall that a plan's object has.
-            for _ in range(self._config.task.timing.settle_ticks):
-                loop.step(ctrl, [False] * len(ctrl))
-        return Ended.DONE if player.has_ended else Ended.TIME_LIMIT, _NO_FAULT
+            return Ended.RAISED, Fault(f"{error}, after {episode.ticks} ticks", error.fault.traceback)
+        if episode.end is None:
+            # The policy is done: everything stands still, for as long as the goal would have to hold.
+            for _ in range(self._config.task.timing.settle_ticks + self._config.task.hold_ticks):
+                if not episode.succeeds:
+                    episode.step(ctrl, magnet)
+        return Ended.DONE if episode.end is None else Ended(episode.end.reason.value), _NO_FAULT
 
     def _ask(self, observation: Observation, pictures: Pictures) -> object:
         """The policy's answer to an observation."""

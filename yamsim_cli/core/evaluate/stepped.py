@@ -3,58 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ..attempt.expert import sides
-from ..attempt.physics import repeat
+from ..attempt.engine import demonstrate, with_room
+from ..attempt.episodes import open_episode
 from ..attempt.pictures import render
-from ..attempt.planned import demonstrate, with_room
 from ..attempt.sampling import sample
 from ..attempt.simulator import Simulator
 from ..attempt.simulators import Simulators
 from ..closing import Closing
-from ..config.recording import RecordConfig
+from ..episode.episode import Episode
+from ..episode.rules import EndReason, EndRule, EpisodeRules
 from ..errors import SimulationError
 from ..geometry.se3 import Array
 from ..images.image import Image
 from ..session import Session
-from ..sim.closed_loop import ClosedLoop
-from ..sim.goal_watch import GoalWatch
-from ..tasks.kinds import kind_of
-from ..types import Actions, Attempt, EpisodeJob, Holds, Outcome
+from ..types import Actions, Attempt, EpisodeJob
 
-# An object is slow just after it was let go, too. It counts as at rest after so many ticks, a quarter of a second.
-_REST_TICKS = 8
-
-# Trials that cannot begin are left out; after so many in a row, there is none.
-STARTS = 20
-
-
-def most_ticks(config: RecordConfig) -> int:
-    """How many control ticks a trial may take: twice as many as its plan does, or as a task that is data says."""
-    return config.program.most_ticks if config.program else 2 * kind_of(config.pair).ticks(config)
+MAX_STARTS = 20  # trials in a row without a start after which a task is taken to have none
 
 
 class SteppedTask(Closing):
-    """The trials that `pickplace batch` has of the same numbers, one after the other. Close it, since it may render.
+    """The trials that `yamsim trials` has of the same numbers, one after the other. Close it, since it may render.
 
     Attributes:
         config: of the task.
-        simulator: of the trial that was begun last, and of some cast's before that: casts differ in things alone.
+        rules: of its episodes.
+        simulator: of the trial that was begun last.
         attempt: the trial, as it was sampled.
-        loop: the trial's scene in motion.
-        watch: what looks at the goal of a task that is data; None for others.
+        episode: the trial in motion.
+
+    Args:
+        end: who ends a trial, see `EndRule`.
+        max_ticks: control ticks after which a trial ends; by default as many as the task allows.
     """
 
     attempt: Attempt
-    loop: ClosedLoop
-    watch: GoalWatch | None
-    _denied: bool
-    _rested: int
+    episode: Episode
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, end: EndRule = EndRule.SUCCESS, max_ticks: int | None = None) -> None:
         self.config = session.config
+        self.rules = EpisodeRules(end, max_ticks=max_ticks or session.config.task.most_ticks)
         self._simulators = Simulators(session)
         self.simulator: Simulator = self._simulators.of(EpisodeJob(self.config.seed, 0))
 
@@ -65,7 +56,7 @@ class SteppedTask(Closing):
             SimulationError: none of many has one.
         """
         for attempt in self._sampled(job):
-            if attempt.layout is not None:
+            if attempt.start is not None:
                 self._set_up(with_room(self.simulator, attempt))
                 return
         raise self._none(job, "has a start")
@@ -88,63 +79,47 @@ class SteppedTask(Closing):
                 return Actions(np.concatenate(ctrl), np.concatenate(magnet), np.concatenate(joints))
         raise self._none(job, "can be demonstrated")
 
-    def step(self, ctrl: Array, holds: Sequence[bool] | Holds) -> None:
-        """Let a command act for a control tick, see `ClosedLoop.step`."""
-        self.loop.step(ctrl, holds)
-        if self.watch is not None:
-            self.watch.tick()
-
+    @property
     def succeeded(self) -> bool:
-        """Whether the trial is a success by now, judged as by the batch; ask after every tick until it is."""
-        if not self._looks_done() or self._denied:
-            return False
-        success = self.judge().success
-        # What the batch does not count as success, such as an object pushed onto the target, stays a failure.
-        self._denied = not success
-        return success
+        """Whether the trial has ended as a success, or would if its actor ended it now."""
+        end = self.episode.end
+        return self.episode.succeeds if end is None else end.cause is None
 
-    def judge(self) -> Outcome:
-        """How the trial would be judged if it ended now."""
-        return repeat(self.simulator, self.attempt, self.loop.actions, planned=False).outcome
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the trial has ended for want of time."""
+        end = self.episode.end
+        return end is not None and end.reason is EndReason.TIME_LIMIT
+
+    def why_not(self) -> str:
+        """Return why the trial is no success as it stands, in words; empty if it is one."""
+        if self.succeeded:
+            return ""
+        end = self.episode.end
+        return self.episode.status if end is None or not end.detail else end.detail
 
     def render(self, cameras: Sequence[str], qpos: Array | None = None) -> dict[str, Image]:
         """Camera -> image (height, width, 3) of the state now, or at MuJoCo's positions (nq,)."""
-        return render(self.simulator, self.attempt, self.loop.data.qpos if qpos is None else qpos, cameras)
+        return render(self.simulator, self.attempt, self.episode.data.qpos if qpos is None else qpos, cameras)
 
     def close(self) -> None:
         """Free the renderers."""
         self._simulators.close()
 
     def _sampled(self, job: EpisodeJob) -> Iterator[Attempt]:
-        """The attempts from a job on, so many; each one's simulator is the one that is used from then on."""
-        for number in range(job.attempt, job.attempt + STARTS):
-            one = EpisodeJob(job.seed, number)
+        """Yield the attempts from a job on; each one's simulator is used from then on."""
+        for number in range(job.attempt, job.attempt + MAX_STARTS):
+            one = replace(job, attempt=number)
             self.simulator = self._simulators.of(one)
             yield sample(self.simulator, one)
 
     def _set_up(self, attempt: Attempt) -> None:
-        assert attempt.start is not None, "it has a layout"
         self.attempt = attempt
-        self._denied, self._rested = False, 0
-        scene, config = self.simulator.varied(attempt), self.config
-        carried = None if config.program else config.pair.object.name
-        self.loop = ClosedLoop(scene, attempt.start, carried, config.task.timing)
-        cast = self.simulator.cast
-        self.watch = (
-            GoalWatch(scene, self.loop.data, config.program, cast, sides(config)) if config.program and cast else None
-        )
-
-    def _looks_done(self) -> bool:
-        """Whether it looks like a success, so that it is worth to be judged."""
-        if self.watch is not None:
-            return self.watch.reached
-        loop, task = self.loop, self.config.pair
-        rests = not loop.holds and loop.rests_on(task.target.name, task.success)
-        self._rested = self._rested + 1 if rests else 0
-        return self._rested >= _REST_TICKS
+        self.episode = open_episode(self.simulator, attempt, self.rules)
 
     def _none(self, job: EpisodeJob, does: str) -> SimulationError:
+        name = self.config.task.name
         return SimulationError(
-            f"task {self.config.task.name!r}: none of {STARTS} trials from {job.attempt} of seed {job.seed} on {does}; "
-            f"`yamsim pickplace batch --seed {job.seed}` tells why"
+            f"task {name!r}: none of {MAX_STARTS} trials from {job.attempt} of seed {job.seed} on {does}; "
+            f"`yamsim trials --task {name} --seed {job.seed}` says why"
         )

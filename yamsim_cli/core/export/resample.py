@@ -11,11 +11,12 @@ import numpy as np
 
 from ..attempt.frames import frames
 from ..attempt.payload import versions
-from ..attempt.physics import repeat
+from ..attempt.engine import repeat
 from ..attempt.simulator import Simulator
 from ..dataset.actions import asked_joints, recorded_actions
 from ..dataset.reader import StoredEpisode
 from ..dataset.records import recorded_attempt
+from ..episode.rules import REPEATED_RULES
 from ..errors import DatasetError
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
@@ -94,7 +95,7 @@ def resample(simulator: Simulator, episode: StoredEpisode, fps: float) -> Resamp
     )
     see = Moments(scene.model, moments)
     attempt = recorded_attempt(record, start)
-    repeat(simulator, attempt, actions, planned=record.source == "record", see=see)
+    repeat(simulator, attempt, actions, REPEATED_RULES, on_step=see)
     here, ahead, then, commanded = np.split(see.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
     _require_same(episode, recorded, then)
     asked = np.array([asked_joints(frame, len(scene.arms)) for frame in recorded])

@@ -20,9 +20,9 @@ _POSE_NAMES = tuple(f"{part}{axis}" for part in ("", "x_axis_", "y_axis_") for a
 
 def things_told(config: RecordConfig) -> dict[str, str]:
     """Thing -> key of its pose in an observation, of all things of a task, in their order in a row."""
-    if config.program:
-        return {name: f"T_{name}_in_world" for name in config.program.typical_cast.kinds}
-    return {config.pair.object.name: "T_object_in_world", config.pair.target.name: "T_target_in_world"}
+    cast = config.task.typical_cast
+    names = {thing: role if len(things) == 1 else thing for role, things in cast.things.items() for thing in things}
+    return {thing: f"T_{names[thing]}_in_world" for thing in cast.kinds}
 
 
 def joints_key(thing: str) -> str:

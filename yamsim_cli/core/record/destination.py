@@ -19,7 +19,6 @@ from ..errors import InterruptedJobError
 from ..files import nearest_directory
 from ..mounts import Mount, network_mount, read_mounts
 from ..skills.durations import typical_ticks
-from ..tasks.kinds import kind_of
 from ..workers.stop import Stop
 from .collect import Notifier, Sink
 
@@ -164,12 +163,9 @@ def _check_space(
 
 
 def _frames(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
-    """Frames of an episode, at least and typically; those of a program are typically the mean of `entries`."""
+    """Return the frames of an episode, at least and typically: the mean of `entries`, or else an estimate."""
     every = config.task.timing.ticks_per_frame
-    if config.program is None:
-        frames = math.ceil(kind_of(config.pair).ticks(config) / every)
-        return frames, frames
-    frames = math.ceil(typical_ticks(config.program) / every)
+    frames = math.ceil(typical_ticks(config.task) / every)
     if entries:
         frames = round(statistics.fmean(entry.frames for entry in entries.values()))
     return math.ceil(_LEAST_DURATION * frames), frames

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
-from ..dataset.layout import FORMAT_VERSION, PROGRAM_FORMAT_VERSION
+from ..dataset.layout import PROGRAM_FORMAT_VERSION
 from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file_hashes
 from ..types import EpisodePayload
 
@@ -13,33 +13,33 @@ def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) 
     """The `episode.json` of a successful attempt, published as number `episode`."""
     cameras = (name.split("/")[1] for name in payload.files if name.startswith("rgb/"))
     attempt = attempt_record(payload, episode)
-    program = config.program
+    task = config.task
     return EpisodeRecord(
-        format_version=PROGRAM_FORMAT_VERSION if program else FORMAT_VERSION,
+        format_version=PROGRAM_FORMAT_VERSION,
         episode=episode,
         attempt=attempt.attempt,
         seed=attempt.seed,
         source="record",
         rig=config.rig.name,
         scene=config.scene.name,
-        task=config.task.name,
+        task=task.name,
         grasp=config.grasp,
         frames=payload.frames,
-        frame_period_s=config.task.timing.tick * config.task.timing.ticks_per_frame,
+        frame_period_s=task.timing.tick * task.timing.ticks_per_frame,
         cameras=dict.fromkeys(cameras, config.image.size_px),
         truth=config.truth,
         arms=len(config.rig.arms),
         drives=config.rig.drives,
         joint_actions=config.action == "joints",
-        objects=list(attempt.layout) if program else [item.name for item in config.task.objects],
+        objects=list(attempt.layout),
         outcome=attempt.outcome,
-        max_height_m=None if program else config.pair.success.max_height,
+        max_height_m=None,
         layout=attempt.layout,
         randomized=attempt.randomized,
         cast=attempt.cast,
         phrasing=attempt.phrasing,
-        joints=_joints(program, attempt) if program else {},
-        cloths=_cloths(program, attempt) if program else {},
+        joints=_joints(task, attempt),
+        cloths=_cloths(task, attempt),
         versions=dict(payload.versions),
         renderer=payload.renderer,
         meshes=None if config.meshes is None else dict(config.meshes),

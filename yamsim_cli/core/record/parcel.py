@@ -57,14 +57,11 @@ def unpack(parcel: Parcel, place: Path) -> Session:
 
 @contextlib.contextmanager
 def unpacked_runner(parcel: Parcel) -> Iterator[EpisodeRunner]:
-    """An `EpisodeRunner` from a parcel; its files are gone again once it needs no more of them."""
+    """An `EpisodeRunner` from a parcel, whose files are removed at the end."""
     with contextlib.ExitStack() as files:
         place = files.enter_context(tempfile.TemporaryDirectory(prefix="yamsim-"))
-        runner = EpisodeRunner(unpack(parcel, Path(place)), render=True)
-        # Every cast of things has a scene of its own, made when it is first needed.
-        if parcel.config.program is None:
-            files.close()
-        with runner:
+        # Every cast of things has a scene of its own, made when it is first needed, so the files stay.
+        with EpisodeRunner(unpack(parcel, Path(place)), render=True) as runner:
             yield runner
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..config.program_task import names_of
 from ..config.recording import RecordConfig
 from ..dataset.statistics import coverage, histogram
 from ..dataset.summary import CELL_M
@@ -21,15 +20,9 @@ Box = tuple[Point, Point]
 
 def start_boxes(config: RecordConfig) -> dict[str, Box]:
     """Thing -> the box in `world` in which it starts, as x and y ranges, m; none of what starts on another thing."""
-    if config.program is None:
-        box = config.sampled.x, config.sampled.y
-        return {item.name: box for item in config.task.objects}
-    return {
-        name: (start.x, start.y)
-        for role, start in config.program.starts.items()
-        if start.on == TABLE
-        for name in names_of(role, config.program.things[role].count)
-    }
+    task, cast = config.task, config.task.typical_cast
+    boxes = {role: config.start_box(start) for role, start in task.starts.items() if start.on == TABLE}
+    return {name: box for role, box in boxes.items() for name in cast.of(role)}
 
 
 def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) -> str:

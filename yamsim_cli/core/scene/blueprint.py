@@ -39,7 +39,8 @@ class TaskPhysics:
         timestep: of physics, s.
         impratio: how much stiffer contacts are along a surface, where friction alone has to hold things; None where a
             weld does.
-        carried: name of the object that a weld to each hand can hold; None where there are no welds.
+        carried: name of the thing that welds are compiled for; None where there are none. At run time a weld holds
+            whatever the hand takes.
     """
 
     timestep: float
@@ -109,10 +110,12 @@ def recording_blueprint(config: RecordConfig) -> Blueprint:
 
 
 def _carried(config: RecordConfig) -> str | None:
-    return None if config.program else config.pair.object.name
+    """Return the thing that welds name until they hold one: any stiff thing; None if nothing is welded."""
+    stiff = (item.name for item in config.task.objects if item.cloth is None)
+    return next(stiff, None) if config.grasp == "weld" else None
 
 
 def _impratio(config: RecordConfig) -> float | None:
     if config.grasp == "weld":
         return None
-    return _IMPRATIO if config.program or config.pair.exchange is None else _IMPRATIO_AT_THE_END
+    return _IMPRATIO_AT_THE_END if config.task.held_at_the_end else _IMPRATIO

@@ -36,10 +36,8 @@ def build_scene(session: Session) -> CompiledScene:
     model = compile_spec(compose(blueprint, locations))
     objects = [item.name for item in config.task.objects if item.cloth is None]
     geom_kind, geom_arm = _geoms(model, config.rig)
-    for kind, item in () if config.program else ((Kind.OBJECT, config.pair.object), (Kind.TARGET, config.pair.target)):
-        geom_kind[model.body_rootid[model.geom_bodyid] == model.body(item.name).id] = kind
     geom_kind[model.geom("table").id] = Kind.TABLE
-    welds = not config.program
+    welds = config.grasp == "weld"
     return CompiledScene(
         model=model,
         arms=tuple(_arm_addresses(model, config.rig, number, welds=welds) for number in config.rig.recorded),

@@ -25,15 +25,12 @@ class Kind(IntEnum):
     LEFT_FINGER = 2
     RIGHT_FINGER = 3
     TABLE = 4
-    OBJECT = 5
-    TARGET = 6
 
 
-# Which kinds of geoms must not touch: an arm, fingers included, and what the object lies on or is to lie on.
+# Which kinds of geoms must not touch: an arm, fingers included, and the table.
 FORBIDDEN = np.zeros((len(Kind), len(Kind)), dtype=bool)
 for _part in (Kind.ARM, Kind.LEFT_FINGER, Kind.RIGHT_FINGER):
-    for _thing in (Kind.TABLE, Kind.TARGET):
-        FORBIDDEN[_part, _thing] = FORBIDDEN[_thing, _part] = True
+    FORBIDDEN[_part, Kind.TABLE] = FORBIDDEN[Kind.TABLE, _part] = True
 
 
 @dataclass(frozen=True)

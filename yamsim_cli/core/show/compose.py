@@ -9,8 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from ..attempt.programs import no_start
-from ..attempt.sampling import sample
+from ..attempt.sampling import no_start, sample
 from ..attempt.simulators import Simulators
 from ..config.recording import RecordConfig
 from ..errors import ResourceError, SimulationError, UsageError
@@ -21,7 +20,6 @@ from ..scene.blueprint import Blueprint
 from ..scene.compose import add_home_key, compose
 from ..scene.scene_files import Reader, scene_files, zip_bytes
 from ..session import Session
-from ..tasks.kinds import sample_layout
 from ..types import EpisodeJob
 
 
@@ -58,8 +56,6 @@ def task_start(session: Session) -> tuple[RecordConfig, Home]:
     Raises:
         SimulationError: its things have no room, or its scene cannot be compiled.
     """
-    if not session.config.program:
-        return session.config, task_home(session.config)
     job = EpisodeJob(session.config.seed, 0)
     with Simulators(session.without_meshes()) as simulators:
         simulator = simulators.of(job)
@@ -69,24 +65,12 @@ def task_start(session: Session) -> tuple[RecordConfig, Home]:
             raise SimulationError(f"task {config.task.name!r}: {no_start(simulator, attempt)}")
         parts = [f"{item.name}_{link.name}" for item in config.task.objects for link in item.links]
         opened = {name: float(attempt.start[simulator.scene.model.joint(name).qposadr[0]]) for name in parts}
-    return config, Home(attempt.layout.T_in_world, [config.start_joints] * len(config.rig.arms), opened)
-
-
-def task_home(config: RecordConfig) -> Home:
-    """How a task with an object and a target begins: both where the seed's first attempt has them.
-
-    Raises:
-        SimulationError: the sampling box has no room for both objects.
-    """
-    layout = sample_layout(config, EpisodeJob(config.seed, 0))
-    if layout is None:
-        raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for both objects")
     # An arm that has no part in it is where tasks of its own begin.
     joints = [
         config.start_joints if number in config.acting else arm.robot.start
         for number, arm in enumerate(config.rig.arms)
     ]
-    return Home(layout.T_in_world, joints)
+    return config, Home(attempt.layout.T_in_world, joints, opened)
 
 
 def at_home(

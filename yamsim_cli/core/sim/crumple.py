@@ -10,7 +10,7 @@ from ..geometry.tangles import crossings
 from ..scene.cloth import edges, triangles
 from ..scene.compiled import CompiledScene, SceneCloth
 from .led import led
-from .watched import settle
+from .settle import settle
 
 # What lifts a point of cloth moves so fast, m/s, and so high at least: by the smaller one of so many m, and so much of
 # the cloth's half diagonal. It misses the way to the middle by so much at most, rad.

@@ -280,10 +280,8 @@ class Bench:
                     torques=self._torques(hand, joints, opening),
                     gripper=opening,
                     grip=grip,
-                    magnet=(False,) * ticks,
+                    magnet=(hand.magnet,) * ticks,
                     tick=self.tick,
-                    position_error=0.0,
-                    tilt=0.0,
                 )
             )
             hand.joints, hand.opening, hand.grip = joints[-1].copy(), to.opening, to.grip

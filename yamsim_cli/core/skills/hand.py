@@ -53,6 +53,7 @@ class Hand:
         joints: what it was told to reach last (dof,), rad.
         opening: of one finger, as told last, m.
         grip: how hard each finger is to press, N.
+        magnet: whether its magnet is commanded on; without effect on a hand that has none.
         held: what it holds.
         in_vain: how it held things that it then could not put where they were to go.
     """
@@ -72,6 +73,7 @@ class Hand:
         self._ik, self._quick, self.dynamics = ik, quick, dynamics
         self.ready = ready
         self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
+        self.magnet = False
         self.held: Held | None = None
         self.in_vain: list[Held] = []
 
@@ -91,6 +93,11 @@ class Hand:
         """How far one finger can be told to open, m."""
         assert self.arm.fingers is not None, "skills are for hands with fingers"
         return float(self.arm.fingers.ctrl_range[1])
+
+    @property
+    def welds(self) -> bool:
+        """Whether a weld holds what is in the hand, and not the friction of its fingers."""
+        return self.arm.weld is not None
 
     @property
     def ik(self) -> IkSolver:

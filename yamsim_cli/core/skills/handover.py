@@ -20,7 +20,7 @@ from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip, points_well
 from .hand import PASSING, Hand, Held
-from .moves import GRIP_TICKS, let_go, rest
+from .moves import let_go, rest, take_hold
 
 # From so far the taking hand comes straight, m.
 _APPROACH = 0.08
@@ -81,9 +81,7 @@ class Handover(Skill):
         yield bench.segment({taker: path}, {taker: Fingers(meeting.wide)})
         T_grip = bench.world.pose(thing) @ meeting.grip.T_pinch_in_thing
         yield bench.segment({taker: bench.line(taker, T_grip)})
-        closing = Fingers(meeting.grip.opening, meeting.grip.force)
-        yield bench.segment({taker: bench.still(taker, GRIP_TICKS)}, {taker: closing})
-        yield rest(bench)
+        yield from take_hold(bench, taker, meeting.grip)
         if taker.side not in bench.world.holders(thing):
             yield from let_go(bench, taker, meeting.grip.clearance)
             raise SkillFailedError(Cause.SLIPPED, f"the {thing} is not between the {taker.side} hand's fingers")

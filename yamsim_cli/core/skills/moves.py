@@ -8,6 +8,7 @@ from ..geometry.se3 import Array, inverse, pose
 from ..planning.joint_motion import clear
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
+from .grips import Grip
 from .hand import Hand
 
 # Control ticks in which fingers close on something, or open; and in which what was let go comes to rest.
@@ -19,9 +20,22 @@ _REST_TICKS = 4
 _BACK = 0.07
 
 
+def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
+    """Close the fingers on a thing between them, and let everything come to rest.
+
+    Fingers close to a force; a hand with a weld closes them only as far as the thing is wide, and switches its magnet
+    on.
+    """
+    closing = Fingers(grip.opening, 0.0 if hand.welds else grip.force)
+    yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
+    hand.magnet = hand.welds
+    yield rest(bench)
+
+
 def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
     """Open the fingers by so much a finger, and draw the hand back the way it points, or up."""
     wide = min(hand.opening + clearance, hand.widest)
+    hand.magnet = False
     yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(wide)}, arrives=False)
     thing, hand.held = None if hand.held is None else hand.held.thing, None
     T = hand.pinch_at(hand.joints)

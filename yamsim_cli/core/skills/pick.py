@@ -19,7 +19,7 @@ from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip, points_well
 from .hand import PASSING, Hand, Held
-from .moves import GRIP_TICKS, let_go, park_others, rest
+from .moves import let_go, park_others, take_hold
 
 # From so far the hand comes straight: from less where there is no room for more, m.
 _APPROACHES = (0.09, 0.05)
@@ -92,9 +92,7 @@ class Pick(Skill):
         yield bench.segment({hand: path}, {hand: Fingers(found.wide)}, arrives=self.WAITS)
         path = bench.line(hand, bench.world.pose(thing) @ grip.T_pinch_in_thing)
         yield bench.segment({hand: path}, arrives=self.WAITS)
-        closing = Fingers(grip.opening, grip.force)
-        yield bench.segment({hand: bench.still(hand, GRIP_TICKS)}, {hand: closing})
-        yield rest(bench)
+        yield from take_hold(bench, hand, grip)
         if hand.side not in bench.world.holders(thing):
             yield from let_go(bench, hand, grip.clearance)
             raise SkillFailedError(Cause.SLIPPED, f"the {thing} is not between the {hand.side} hand's fingers")

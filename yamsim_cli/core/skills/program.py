@@ -76,8 +76,8 @@ class Recovery:
 
 
 @dataclass
-class Diary:
-    """What happened while a program ran."""
+class RecoveryLog:
+    """The skills that had to be tried again while a program ran."""
 
     recoveries: list[Recovery] = field(default_factory=list)
 
@@ -182,7 +182,7 @@ def _read_skill(key: str, given: Any, cast: Cast, path: tuple[str | int, ...], n
     return skill
 
 
-def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, diary: Diary) -> Iterator[Segment]:
+def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: RecoveryLog) -> Iterator[Segment]:
     """Run skills one after the other; one that fails is tried again, from the state that it left.
 
     Raises:
@@ -198,7 +198,7 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, diary: Diary
             tries[number] = tries.get(number, 0) + 1
             if tries[number] >= _TRIES:
                 raise
-            diary.recoveries.append(Recovery(number, _name(skill), str(error)))
+            log.recoveries.append(Recovery(number, _name(skill), str(error)))
             # Arms that find no way out of the way stay where they are.
             with suppress(SkillFailedError):
                 yield from recover(bench)

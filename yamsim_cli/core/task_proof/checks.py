@@ -10,18 +10,18 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from ..attempt.expert import sides
-from ..attempt.programs import demonstrate_program
+from ..attempt.engine import Simulated, demonstrate
+from ..attempt.episodes import open_episode
 from ..attempt.sampling import sample
-from ..attempt.simulated import Simulated
 from ..attempt.simulator import Simulator
 from ..attempt.simulators import Simulators
 from ..config.program_task import NearMiss, ProgramTask, Start
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector, rotation_z
+from ..episode.rules import REPEATED_RULES
 from ..goals.cast import Cast
+from ..goals.goal import judge
 from ..goals.world import TABLE
 from ..scene.compiled import CompiledScene, Ids
-from ..sim.watched import WatchedLoop
 from ..skills.contradictions import program_contradiction
 from ..skills.program import read_program
 from ..types import Actions, Attempt, EpisodeJob
@@ -31,11 +31,6 @@ _GRID = 8
 
 # The least share of a region that hands have to reach.
 LEAST_REACH = 0.9
-
-# How a hand may come to a place: leaning so far from straight down, towards so many sides, and turned, rad.
-_LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))
-_TOWARDS = tuple(math.radians(angle) for angle in range(0, 360, 60))
-_TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))
 
 # Hands get to things so high over what they start on, m.
 _HEIGHT = 0.03
@@ -81,21 +76,7 @@ def check_reach(simulator: Simulator, task: ProgramTask) -> Check:
 def _reached(simulator: Simulator, start: Start) -> float:
     height = simulator.config.table.top + _HEIGHT
     places = list(itertools.product(np.linspace(*start.x, _GRID), np.linspace(*start.y, _GRID)))
-    return sum(_gets_to(simulator, np.array((x, y, height))) for x, y in places) / len(places)
-
-
-def _gets_to(simulator: Simulator, place: Array) -> bool:
-    return any(simulator.expert_tools.reaches(T) for T in _hands(place))
-
-
-def _hands(place: Array) -> Iterator[Array]:
-    """Poses (4, 4) of a hand at a place, from above first."""
-    down = rotation_from_vector([math.pi, 0.0, 0.0])
-    for lean in _LEANS:
-        for towards in _TOWARDS if lean else _TOWARDS[:1]:
-            tilted = rotation_from_vector([lean * math.cos(towards), lean * math.sin(towards), 0.0])
-            for turn in _TURNS:
-                yield pose(place, tilted @ rotation_z(turn) @ down)
+    return sum(simulator.expert_tools.reaches_place(np.array((x, y, height))) for x, y in places) / len(places)
 
 
 def check_still(simulators: Simulators, seed: int, n: int) -> Check:
@@ -106,17 +87,17 @@ def check_still(simulators: Simulators, seed: int, n: int) -> Check:
         attempt = sample(simulator, job)
         if attempt.start is None:
             continue
-        loop = _loop(simulator, attempt)
-        ticks = math.ceil(_STILL_S / simulator.config.task.timing.tick) + loop.hold_ticks
-        loop.act(_nothing(simulator.scene, attempt.start, ticks), last=True)
-        reached.append(loop.result().verdict.reached)
+        episode = open_episode(simulator, attempt, REPEATED_RULES)
+        task = simulator.config.task
+        ticks = math.ceil(_STILL_S / task.timing.tick) + task.hold_ticks
+        episode.act(_nothing(simulator.scene, attempt.start, ticks))
+        reached.append(episode.succeeds)
     return _never("hold_still", reached, "attempts in which nothing is done")
 
 
 def check_open_fingers(simulators: Simulators, seed: int, n: int) -> Check:
     """Whether the goal is never reached by an expert whose fingers do not close."""
-    task = simulators.session.config.program
-    assert task is not None, "of tasks that are data alone"
+    task = simulators.session.config.task
     if all(skill.NEEDS is not False for skill in read_program(task.expert, task.typical_cast)):
         return Check("open_fingers", None, None, "nothing is taken into a hand")
     reached = []
@@ -124,7 +105,7 @@ def check_open_fingers(simulators: Simulators, seed: int, n: int) -> Check:
         simulator = simulators.of(job)
         attempt = sample(simulator, job)
         if attempt.start is not None:
-            reached.append(demonstrate_program(simulator, attempt, grips=False).outcome.success)
+            reached.append(demonstrate(simulator, attempt, grips=False).outcome.success)
     return _never("open_fingers", reached, "attempts in which no finger closes")
 
 
@@ -132,25 +113,17 @@ def check_near_misses(simulator: Simulator, done: Simulated) -> Check:
     """Whether the goal fails where things are put off from how a success ended: back to where they started, one at a
     time, and as the task's own near misses say.
     """
-    loop = _loop(simulator, done.attempt)
-    states = done.states
-    loop.act(
-        Actions(
-            np.concatenate([state.actions.ctrl for state in states]),
-            np.concatenate([state.actions.magnet for state in states]),
-            np.concatenate([state.actions.joints for state in states]),
-        ),
-        last=True,
-    )
-    task, cast = simulator.config.program, simulator.cast
-    assert task is not None and cast is not None and done.attempt.layout is not None, "of tasks that are data alone"
-    ended = loop.data.qpos.copy()
+    episode = open_episode(simulator, done.attempt, REPEATED_RULES)
+    for state in done.states:
+        episode.act(state.actions)
+    task, cast = simulator.config.task, simulator.cast
+    ended = episode.data.qpos.copy()
     passed, looked = [], 0
     for what, qpos in _misses(simulator.scene, task, cast, done.attempt, ended):
-        loop.data.qpos[:] = qpos
-        mujoco.mj_forward(simulator.scene.model, loop.data)
+        episode.data.qpos[:] = qpos
+        mujoco.mj_forward(simulator.scene.model, episode.data)
         looked += 1
-        if loop.judged().reached:
+        if judge(task.goal, episode.world, cast).reached:
             passed.append(what)
     detail = f"{looked} near misses" + (f", of which these count: {'; '.join(passed)}" if passed else ", none counts")
     return Check("near_misses", not passed if looked else None, float(len(passed)), detail)
@@ -211,12 +184,6 @@ def _never(name: str, reached: Sequence[bool], what: str) -> Check:
         return Check(name, False, None, "no attempt had a start")
     count = sum(reached)
     return Check(name, not count, count / len(reached), f"{count} of {len(reached)} {what} reach the goal")
-
-
-def _loop(simulator: Simulator, attempt: Attempt) -> WatchedLoop:
-    task, cast = simulator.config.program, simulator.cast
-    assert task is not None and cast is not None and attempt.start is not None, "of tasks that are data alone"
-    return WatchedLoop(simulator.varied(attempt), attempt.start, task, cast, sides(simulator.config))
 
 
 def _nothing(scene: CompiledScene, start: Array, ticks: int) -> Actions:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from ..attempt.programs import demonstrate_program
+from ..attempt.engine import demonstrate
 from ..attempt.sampling import sample
 from ..attempt.simulators import Simulators
 from ..errors import SimulationError
@@ -34,16 +34,15 @@ def prove(session: Session, least: float, progress: Progress) -> dict[str, Any]:
         InterruptedJobError: stopped by the user.
     """
     config = session.config
-    assert config.program is not None, "of tasks that are data alone"
     report = run_batch(session, (), progress)
     rate = report["success_rate"]
     low, high = report["wilson95"]
     counted = f"{report['n_success']} of {report['n']} succeed, 95 % interval {low:.1%} to {high:.1%}"
     told = f"{counted}; at least {least:.0%} is needed"
-    checks = [check_program_fits(config.program), Check("expert", rate >= least, rate, told)]
+    checks = [check_program_fits(config.task), Check("expert", rate >= least, rate, told)]
     few = min(_FEW, config.episodes)
     with Simulators(session.without_meshes()) as simulators:
-        checks.append(check_reach(simulators.of(EpisodeJob(config.seed, 0)), config.program))
+        checks.append(check_reach(simulators.of(EpisodeJob(config.seed, 0)), config.task))
         checks.append(check_still(simulators, config.seed, few))
         checks.append(check_open_fingers(simulators, config.seed, few))
         checks.append(_near_misses(simulators, report))
@@ -67,7 +66,7 @@ def _near_misses(simulators: Simulators, report: Mapping[str, Any]) -> Check:
         return Check("near_misses", None, None, "no attempt succeeded that things could be put off from")
     job = EpisodeJob(won["seed"], won["trial"])
     simulator = simulators.of(job)
-    return check_near_misses(simulator, demonstrate_program(simulator, sample(simulator, job)))
+    return check_near_misses(simulator, demonstrate(simulator, sample(simulator, job)))
 
 
 def require_proof(report: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What a person or a leader arm did, judged and rendered by a worker, and put into the dataset in order."""
+"""What a person or a leader arm did, rendered by a worker, and put into the dataset in order."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
-from ..attempt.distractors import with_distractors
+from ..attempt.engine import Simulated, with_distractors
 from ..attempt.payload import payload, result
-from ..attempt.physics import repeat
 from ..attempt.runner import require_meshes
 from ..attempt.simulators import Simulators
 from ..closing import Closing
@@ -21,7 +20,7 @@ from ..dataset.records import AttemptRecord, attempt_record
 from ..record.collect import Sink
 from ..record.episode_record import episode_record
 from ..session import Session
-from ..types import Actions, Attempt, EpisodeJob, EpisodePayload
+from ..types import EpisodeJob, EpisodePayload
 from ..workers.executor import Executor
 from ..workers.processes import WorkerPool
 
@@ -31,16 +30,8 @@ SOURCE = "teleop"
 _POLL_SECONDS = 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class DrivenAttempt:
-    """An attempt that was driven from outside, and what acted in it since its start."""
-
-    attempt: Attempt
-    actions: Actions
-
-
 class DrivenRunner(Closing):
-    """Judges driven attempts by their actions, as `verify` will, and renders those that succeeded.
+    """Renders driven attempts that succeeded; they were judged while they were driven.
 
     Args:
         render: whether successes become files.
@@ -54,10 +45,9 @@ class DrivenRunner(Closing):
         # Now, since the files that it is made from need not be there any more when the first attempt comes.
         self._simulators.of(EpisodeJob(session.config.seed, 0))
 
-    def run(self, driven: DrivenAttempt) -> EpisodePayload:
-        """What became of an attempt; there was no plan whose errors could be told."""
-        simulator = self._simulators.of(driven.attempt.job)
-        done = repeat(simulator, driven.attempt, driven.actions, planned=False)
+    def run(self, driven: Simulated) -> EpisodePayload:
+        """What is recorded of an attempt."""
+        simulator, done = self._simulators.of(driven.attempt.job), driven
         if done.outcome.success:
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
         return payload(simulator, done) if self._render else result(done)
@@ -67,11 +57,11 @@ class DrivenRunner(Closing):
         self._simulators.close()
 
 
-DrivenExecutor = Executor[DrivenAttempt, EpisodePayload]
+DrivenExecutor = Executor[Simulated, EpisodePayload]
 
 
-def open_worker(session: Session) -> WorkerPool[DrivenAttempt, EpisodePayload]:
-    """A process beside this one, so that neither judging nor rendering holds the arm up."""
+def open_worker(session: Session) -> WorkerPool[Simulated, EpisodePayload]:
+    """A process beside this one, so that rendering does not hold the arm up."""
     return WorkerPool(functools.partial(DrivenRunner, session), 1)
 
 
@@ -83,7 +73,7 @@ class Inbox(Protocol):
         """The number of the attempt that comes next."""
         ...
 
-    def hand_in(self, driven: DrivenAttempt) -> None:
+    def hand_in(self, driven: Simulated) -> None:
         """Take one, to be judged."""
         ...
 
@@ -124,7 +114,7 @@ class Desk(Closing):
         """The number of the attempt that comes next."""
         return self._first + self._handed_in
 
-    def hand_in(self, driven: DrivenAttempt) -> None:
+    def hand_in(self, driven: Simulated) -> None:
         """Take one, to be judged."""
         self._handed_in += 1
         self._futures.append(self._thread.submit(self._judge, driven))
@@ -148,7 +138,7 @@ class Desk(Closing):
         self.episodes += attempt.episode is not None
         return attempt
 
-    def _judge(self, driven: DrivenAttempt) -> AttemptRecord | None:
+    def _judge(self, driven: Simulated) -> AttemptRecord | None:
         try:
             if self._ended.is_set():
                 return None

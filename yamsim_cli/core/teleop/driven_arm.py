@@ -45,7 +45,7 @@ class DrivenArm:
         self.side = arm.side
         self._names = arm.robot.joint_names
         self.widest = self._arm.fingers.stroke if self._arm.fingers else 0.0
-        self._closed = 0.0 if config.program else min(_opening_around_the_object(config), self.widest)
+        self._closed = min(_opening_around_a_thing(config), self.widest)
         self._ik = IkSolver(bare_arm(arm), self._arm.T_base_in_world)
         self._ik.hold(np.eye(4))
         self._pursuit = Pursuit(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
@@ -132,7 +132,7 @@ class DrivenArm:
         """
         before = self._pursuit.joints
         velocity = self._step_reference(qpos)
-        # As `rollout.drive_command`, without what makes up for inertia: where a person goes next is not known.
+        # As `episode.commands.drive_command`, without what makes up for inertia: where a person goes next is not known.
         command = (before + self._pursuit.joints) / 2 + self._arm.kv * velocity / self._arm.kp
         return self._with_opening(command)
 
@@ -173,10 +173,14 @@ class DrivenArm:
         return lifted
 
 
-def _opening_around_the_object(config: RecordConfig) -> float:
-    grasp = config.pair.object.grasp
-    assert grasp is not None  # checked when the config was loaded
-    return grasp.opening
+def _opening_around_a_thing(config: RecordConfig) -> float:
+    """Return the opening of one finger around what is taken first, m: fingers that only seem to hold it close so far.
+
+    Fingers that hold by friction close wholly, until the thing stops them.
+    """
+    grasps = (item.grasp for item in config.task.objects)
+    first = next((grasp for grasp in grasps if grasp is not None), None)
+    return first.opening if config.grasp == "weld" and first is not None else 0.0
 
 
 def _fixed_pose(model: mujoco.MjModel, site: str, reference: str) -> Array:

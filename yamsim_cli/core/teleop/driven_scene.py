@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
+from ..episode.rules import EndRule, EpisodeRules
 from ..geometry.se3 import Array
 from ..session import Session
 from ..types import Attempt, EpisodeJob
 from ..viewers.driven import DriveStatus
 from ..viewers.watched_state import WatchedState
-from .desk import DrivenAttempt, Inbox
+from .desk import Inbox
 from .driven_arm import DrivenArm
 from .journal import Journal, Tick, Unfinished
 from .stage import Stage
@@ -27,13 +27,17 @@ class DrivenScene(WatchedState):
     Of two arms one is driven at a time, and the other holds its place or goes on to where it was last told to go. What
     is said of the arm, its hand, gripper and magnet is of the driven one. It follows a target, a pose of the hand or
     joints, see `DrivenArm`; after a stop, it takes none until all is at rest. A recording begins from rest at its
-    attempt's layout, as every attempt of the task does, but with open fingers. In a task that is data, attempts have
-    casts of their own, so that the scene, and with it the model, changes between attempts; and a stop lets nothing go,
-    since what the hands hold may be the goal.
+    attempt's layout, as every attempt of the task does. Attempts have casts of their own, so that the scene, and with it
+    the model, changes between attempts. A stop lets go what magnets hold; what fingers hold stays held, since that may
+    be the goal.
 
     Attributes:
         sides: of its arms, in the order of recordings.
         driven: number of the driven one in that order.
+
+    Args:
+        time_limit: longest recording, s.
+        end: who ends a recording: the person, or the first moment at which the goal has held for its hold time.
 
     Raises:
         SimulationError: the task's things have no room.
@@ -45,11 +49,14 @@ class DrivenScene(WatchedState):
         inbox: Inbox,
         journal: Journal | None = None,
         time_limit: float = TIME_LIMIT,
+        end: EndRule = EndRule.ACTOR,
     ) -> None:
         super().__init__()
         self._config = config = session.config
         self._inbox, self._journal = inbox, journal
         self._longest = max(1, round(time_limit / config.task.timing.tick))
+        self._rules = EpisodeRules(end)
+        self._magnets = config.grasp == "weld"
         self.title = f"{config.task.name} teleop"
         self._stage = Stage(session)
         self.sides = self._stage.sides
@@ -96,7 +103,7 @@ class DrivenScene(WatchedState):
             return DriveStatus(
                 arm=arm.side if len(self.sides) > 1 else "",
                 recording=self._recording,
-                seconds=self._loop.ticks * self.tick_seconds,
+                seconds=self._episode.seconds,
                 episodes=self.episodes,
                 failures=self.failures,
                 waiting=self.waiting,
@@ -104,11 +111,11 @@ class DrivenScene(WatchedState):
                 at_limit=arm.at_limit,
                 blocked=arm.blocked,
                 gripper_open=arm.is_open,
-                magnet=None if self._config.program else arm.magnet,
-                holds=self._loop.held[self.driven],
+                magnet=arm.magnet if self._magnets else None,
+                holds=self._episode.held[self.driven],
                 message=self.message,
                 prompt=self._attempt.phrasing,
-                goal=self._watch.told if self._watch else "",
+                goal=self._episode.status,
             )
 
     def switch_arm(self) -> None:
@@ -171,8 +178,8 @@ class DrivenScene(WatchedState):
             self.message = "recording"
 
     def stop(self) -> None:
-        """End the recording: once everything has had the time to rest, it is handed in. With an object and a target,
-        what is held is let go first; a task that is data also waits for as long as its goal has to hold.
+        """End the recording: once everything has had the time to rest, and the goal the time to hold, it is handed in.
+        What magnets hold is let go first.
         """
         with self.lock:
             if not self._recording or self._settling:
@@ -185,22 +192,22 @@ class DrivenScene(WatchedState):
         if self._journal:
             self._journal.stop()
         self._settling = self._rest_ticks
-        self.message = f"{'' if self._config.program else 'letting go, and '}waiting until all is at rest"
+        self.message = f"{'letting go, and ' if self._magnets else ''}waiting until all is at rest"
         if not self._settling:
             self._hand_in()
 
     def _leave_off(self) -> None:
         for arm in self._arms:
-            if self._config.program:
-                arm.halt()
-            else:
+            if self._magnets:
                 arm.release()
+            else:
+                arm.halt()
 
     @property
     def _rest_ticks(self) -> int:
         """How many ticks follow a stop."""
-        task, program = self._config.task, self._config.program
-        return task.timing.settle_ticks + (program.hold_ticks if program else 0)
+        task = self._config.task
+        return task.timing.settle_ticks + task.hold_ticks
 
     def leave(self) -> None:
         """Nobody watches any more: a recording stands still until somebody plays on."""
@@ -214,10 +221,9 @@ class DrivenScene(WatchedState):
         with self.lock:
             self._put(self._stage.again(left.job, left.start))
             for tick in left.ticks:
-                self._loop.step(tick.ctrl, tick.magnet)
-                self._asked.append(tick.asked)
+                self._episode.step(tick.ctrl, tick.magnet, tick.asked)
             for k, arm in enumerate(self._arms):
-                asked = np.array([rows[k] for rows in self._asked])
+                asked = np.array([tick.asked[k] for tick in left.ticks])
                 if len(asked) and (asked != asked[0]).any():
                     last = arm.stand(asked[-1])
                     arm.reset(last)
@@ -240,9 +246,8 @@ class DrivenScene(WatchedState):
         self._deliver()
 
     def _deliver(self) -> None:
-        actions = replace(self._loop.actions, joints=np.array(self._asked))
-        self._inbox.hand_in(DrivenAttempt(self._attempt, actions))
-        self.message = f"attempt {self._attempt.job.attempt} is being judged and rendered"
+        self._inbox.hand_in(self._stage.result(self._attempt, self._episode))
+        self.message = f"attempt {self._attempt.job.attempt} is being rendered"
         self._begin()
 
     def discard(self) -> None:
@@ -282,10 +287,9 @@ class DrivenScene(WatchedState):
     def _put(self, attempt: Attempt) -> None:
         """Put the scene to an attempt's start, at rest."""
         self._attempt = attempt
-        self._loop, self._watch = self._stage.set_up(attempt)
-        self.model, self.data = self._stage.scene.model, self._loop.data
+        self._episode = self._stage.set_up(attempt, self._rules)
+        self.model, self.data = self._stage.scene.model, self._episode.data
         self._recording, self._settling = False, 0
-        self._asked: list[Array] = []
 
     @property
     def _arms(self) -> tuple[DrivenArm, ...]:
@@ -300,25 +304,24 @@ class DrivenScene(WatchedState):
         ctrl = np.array([arm.step(self.data.qpos) for arm in self._arms])
         magnet = tuple(arm.magnet for arm in self._arms)
         asked = np.array([arm.asked for arm in self._arms])
-        self._loop.step(ctrl, magnet)
-        self._asked.append(asked)
+        self._episode.step(ctrl, magnet, asked)
         if self._recording and self._journal:
             self._journal.add(Tick(ctrl, magnet, asked))
 
     def _tick(self) -> None:
         self._act()
-        if self._watch is not None:
-            self._watch.tick()
-        for arm, holds in zip(self._arms, self._loop.held, strict=True):
+        for arm, holds in zip(self._arms, self._episode.held, strict=True):
             if arm.magnet and not holds:
                 arm.magnet = False
-                if self._config.program is None:
-                    self.message = f"the magnet found no {self._config.pair.object.name} within its reach"
+                if self._magnets:
+                    self.message = "the magnet found nothing within its reach"
         self._ticks += 1
         if self._settling:
             self._settling -= 1
             if not self._settling:
                 self._hand_in()
-        elif self._recording and self._loop.ticks >= self._longest:
+        elif self._recording and self._episode.end is not None:
+            self._hand_in()
+        elif self._recording and self._episode.ticks >= self._longest:
             self._end()
             self.message = f"stopped after {self._longest * self.tick_seconds:.0f} s, the longest that is recorded"

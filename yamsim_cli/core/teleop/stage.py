@@ -4,24 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ..attempt.engine import Simulated, outcome_of
+from ..attempt.episodes import open_episode
 from ..attempt.expert import sides
-from ..attempt.programs import no_start
-from ..attempt.sampling import sample
+from ..attempt.sampling import no_start, sample
 from ..attempt.simulator import Simulator
 from ..attempt.simulators import Simulators
+from ..episode.episode import Episode
+from ..episode.rules import EpisodeRules
 from ..errors import SimulationError
 from ..geometry.se3 import Array
-from ..planning.demonstration import start_stands
+from ..planning.arm_tools import start_stands
 from ..scene.compiled import CompiledScene
 from ..session import Session
-from ..sim.closed_loop import ClosedLoop
-from ..sim.goal_watch import GoalWatch
 from ..types import Attempt, EpisodeJob
 from .driven_arm import DrivenArm
 
 
 class Stage:
-    """The scene of the attempt that was set up last. In a task that is data, casts have scenes of their own.
+    """The scene of the attempt that was set up last. Every cast of things has a scene of its own.
 
     Attributes:
         sides: of the arms, in the order of recordings.
@@ -46,18 +47,11 @@ class Stage:
         Raises:
             SimulationError: its things have no room.
         """
-        attempt, task = self.again(job), self._config.task
-        if attempt.layout is None:
+        attempt = self.again(job)
+        if attempt.start is None:
             assert self._simulator is not None, "it was entered"
-            why = (
-                no_start(self._simulator, attempt)
-                if self._config.program
-                else "the sampling box has no room for both objects"
-            )
-            raise SimulationError(f"task {task.name!r}: {why}")
-        if self._config.program:
-            return attempt
-        return replace(attempt, start=self.scene.start_qpos(attempt.layout, self.stands))
+            raise SimulationError(f"task {self._config.task.name!r}: {no_start(self._simulator, attempt)}")
+        return attempt
 
     def again(self, job: EpisodeJob, start: Array | None = None) -> Attempt:
         """The attempt of two numbers as it was sampled, or from another start: MuJoCo's positions (nq,)."""
@@ -68,18 +62,18 @@ class Stage:
         attempt = sample(simulator, job)
         return attempt if start is None else replace(attempt, start=start)
 
-    def set_up(self, attempt: Attempt) -> tuple[ClosedLoop, GoalWatch | None]:
-        """The scene at the start of the attempt that was begun last, at rest, and what looks at its goal if it has one.
+    def set_up(self, attempt: Attempt, rules: EpisodeRules) -> Episode:
+        """Return the episode of the attempt that was begun last, at its start.
 
         Distractors are placed where nothing came near once the attempt is over.
         """
-        config, simulator = self._config, self._simulator
-        assert attempt.start is not None and simulator is not None, "it has a layout, in this scene"
-        scene = simulator.varied(attempt)
+        assert self._simulator is not None, "it was entered"
         for arm, stand in zip(self.arms, self.stands, strict=True):
             arm.reset(stand)
-        carried = None if config.program else config.pair.object.name
-        loop = ClosedLoop(scene, attempt.start, carried, config.task.timing)
-        if config.program is None or simulator.cast is None:
-            return loop, None
-        return loop, GoalWatch(scene, loop.data, config.program, simulator.cast, self.sides)
+        return open_episode(self._simulator, attempt, rules)
+
+    def result(self, attempt: Attempt, episode: Episode) -> Simulated:
+        """End an attempt's episode, and return what became of it."""
+        assert self._simulator is not None, "it was entered"
+        played = episode.finish()
+        return Simulated(attempt, outcome_of(self._simulator, played), played)

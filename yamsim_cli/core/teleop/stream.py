@@ -127,16 +127,16 @@ class _Arms:
         self._arms = {rig.arms[k].side: rig.arms[k] for k in rig.recorded}
         self._all = len(rig.arms) * rig.drives
         self._driven: Side = config.acting_arms[0].side
-        self._program = config.program
+        self._task, self._grasp = config.task.name, config.grasp
 
     def check(self, command: Command, where: str) -> None:
         """Raises:
         ConfigError: there is no such arm or no magnet, or its joints cannot be so.
         """
-        if self._program is not None and command.magnet is not None:
+        if self._grasp != "weld" and command.magnet is not None:
             raise ConfigError(
-                f"{where}: magnet: task {self._program.name!r} has none: things are held by friction; leave it out, "
-                "and close the `gripper`"
+                f"{where}: magnet: task {self._task!r} with grasp {self._grasp!r} has none: things are held by "
+                "friction; leave it out, and close the `gripper`"
             )
         if command.arm is not None and command.arm not in self._arms:
             raise ConfigError(f"{where}: arm: there is only a {next(iter(self._arms))} one; leave it out")

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..attempt.runner import EpisodeRunner
 from ..dataset.records import MarginsRecord, attempt_record, plain
+from ..episode.rules import EXPERT_RULES
 from ..progress import Progress
 from ..session import Session
 from ..types import EpisodeJob, EpisodePayload
@@ -48,12 +49,13 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
     return {
         **tally(
             [record.outcome for record in records],
-            None if config.program else config.pair.success,
+            config.task,
             thresholds,
             [True] * n,
         ),
         "margins": _worst([record.outcome.margins for record in records if record.outcome.margins]),
         **what_ran(config),
+        "end_rule": EXPERT_RULES.end.value,
         "seconds": seconds,
         "core_seconds_per_trial": seconds * workers / n,
         "trials": trials,

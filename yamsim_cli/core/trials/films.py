@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..attempt.engine import Simulated, demonstrate
 from ..attempt.pictures import render
-from ..attempt.planned import demonstrate
 from ..attempt.sampling import sample
-from ..attempt.simulated import Simulated
 from ..attempt.simulator import Simulator
 from ..attempt.simulators import Simulators
 from ..closing import Closing

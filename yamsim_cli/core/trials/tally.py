@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
+from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
-from ..config.task import Success
 from ..dataset.records import OutcomeRecord
 from ..dataset.statistics import spread, wilson95
 from ..errors import InterruptedJobError, SimulationError
@@ -67,13 +67,13 @@ def what_ran(config: RecordConfig) -> dict[str, Any]:
 
 
 def tally(
-    outcomes: Sequence[OutcomeRecord], success: Success | None, thresholds: Sequence[float], valid: Sequence[bool]
+    outcomes: Sequence[OutcomeRecord], task: ProgramTask, thresholds: Sequence[float], valid: Sequence[bool]
 ) -> dict[str, Any]:
     """Counts and rates of outcomes, JSON-ready.
 
     Args:
-        success: the task's own limits; None of a task that a goal judges, which knows no thresholds.
-        thresholds: in metres, by which the outcomes are scored beside the task's own.
+        task: whose goal judged them.
+        thresholds: in metres, by which the outcomes are scored beside the task's own, if its goal measures a distance.
         valid: whether an outcome may count as a success at any of them.
 
     Returns:
@@ -81,9 +81,10 @@ def tally(
         the successes needed a second try somewhere).
     """
     n, succeeded = len(outcomes), sum(outcome.success for outcome in outcomes)
+    target = task.target_predicate
 
-    def rate(threshold: float, max_height: float) -> float:
-        within = (outcome.within(threshold, max_height) for outcome in outcomes)
+    def rate(threshold: float) -> float:
+        within = (outcome.within(threshold) for outcome in outcomes)
         return sum(near and counts for near, counts in zip(within, valid, strict=True)) / n
 
     return {
@@ -91,8 +92,8 @@ def tally(
         "n_success": succeeded,
         "success_rate": succeeded / n,
         "wilson95": wilson95(succeeded, n),
-        "threshold_m": success and success.threshold,
-        "rates": {f"{threshold:g}": rate(threshold, success.max_height) for threshold in thresholds} if success else {},
+        "threshold_m": target and target.radius,
+        "rates": {f"{threshold:g}": rate(threshold) for threshold in thresholds} if target else {},
         "dxy_m": spread([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
         "causes": dict(Counter(outcome.cause for outcome in outcomes if outcome.cause)),
         "recovered": sum(bool(outcome.recoveries) for outcome in outcomes if outcome.success),

@@ -1,0 +1,157 @@
+"""Attempts in motion: by a task's expert, or by actions that are known already."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..episode.commands import path_actions
+from ..episode.episode import OnStep, Played
+from ..episode.rules import EXPERT_RULES, EndReason, EpisodeRules
+from ..planning.arm_tools import start_stands
+from ..scene.compiled import CompiledScene
+from ..skills.errors import SkillFailedError
+from ..skills.program import RecoveryLog, program_of, run_program
+from ..tasks.randomness import Stream, generator
+from ..types import Actions, Attempt, Cause, Outcome, Recovery, StepState
+from .episodes import open_episode
+from .sampling import no_start
+from .simulator import Simulator
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """An attempt, and what became of it.
+
+    Attributes:
+        attempt: as it began, with its distractors where they were placed.
+        outcome: how it ended.
+        played: what happened; None if nothing moved.
+    """
+
+    attempt: Attempt
+    outcome: Outcome
+    played: Played | None
+
+    @property
+    def states(self) -> tuple[StepState, ...]:
+        """The state of every recorded frame; none if nothing moved."""
+        return self.played.states if self.played else ()
+
+
+def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> Simulated:
+    """Let a task's expert act in an attempt, without any rendering, and place the distractors of a success.
+
+    Args:
+        grips: whether the fingers close; without, every task that needs a hand fails.
+    """
+    if attempt.start is None:
+        return Simulated(attempt, Outcome(False, Cause.NO_LAYOUT, no_start(simulator, attempt)), None)
+    task, cast = simulator.config.task, simulator.cast
+    episode = open_episode(simulator, attempt, EXPERT_RULES)
+    rng = generator(attempt.job, Stream.SEARCH)
+    bench = simulator.expert_tools.bench(episode.world, list(start_stands(simulator.config)), rng)
+    log, noted = RecoveryLog(), list[Recovery]()
+
+    def note() -> None:
+        new = log.recoveries[len(noted) :]
+        noted.extend(Recovery(one.step, one.skill, one.detail, episode.frames) for one in new)
+
+    failure: tuple[Cause, str] | None = None
+    # After the program, the arms wait until the goal has held.
+    most = task.most_ticks - task.timing.settle_ticks - task.hold_ticks
+    try:
+        for segment in run_program(program_of(task, cast), bench, cast, log):
+            note()
+            if episode.ticks + segment.ticks > most:
+                failure = Cause.TIME, f"not done after {episode.seconds:.0f} s"
+                break
+            episode.act(_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
+            if episode.end is not None:
+                break
+    except SkillFailedError as error:
+        failure = error.cause, str(error)
+    note()
+    last = path_actions(episode.scene, bench.wait(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
+    episode.act(_fingers(episode.scene, last, grips), until_success=True)
+    played = episode.finish()
+    outcome = replace(outcome_of(simulator, played, failure), recoveries=tuple(noted))
+    done = Simulated(attempt, outcome, played)
+    return replace(done, attempt=with_distractors(simulator, attempt, done.states)) if outcome.success else done
+
+
+def repeat(
+    simulator: Simulator, attempt: Attempt, actions: Actions, rules: EpisodeRules, on_step: OnStep | None = None
+) -> Simulated:
+    """Let known actions act in an attempt, and judge them as everything else is judged.
+
+    Args:
+        rules: of the episode in which they acted first; the same actions then get the same verdict.
+        on_step: see `Episode`.
+    """
+    episode = open_episode(simulator, attempt, rules, on_step)
+    episode.act(actions)
+    played = episode.finish()
+    return Simulated(attempt, outcome_of(simulator, played), played)
+
+
+def outcome_of(simulator: Simulator, played: Played, failure: tuple[Cause, str] | None = None) -> Outcome:
+    """Return how an episode ended, in numbers.
+
+    Args:
+        failure: why its expert gave up, and the figures behind that; None if it did not.
+    """
+    end = played.end
+    cause, detail = end.cause, end.detail
+    if failure is not None and end.reason not in (EndReason.UNSTABLE, EndReason.FORBIDDEN):
+        cause, detail = failure
+    dxy, dz, speed = _distances(simulator, played)
+    measures = played.verdict.measures if played.verdict else ()
+    return Outcome(cause is None, cause, detail, dxy, dz, speed, margins=played.margins, measures=measures)
+
+
+def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> Attempt:
+    """Return the same attempt with distractors where nothing comes near them; unchanged if the config has none.
+
+    Args:
+        states: of the whole attempt.
+    """
+    if simulator.placer is None:
+        return attempt
+    places = simulator.placer.places(attempt.job, [state.qpos for state in states])
+    return replace(attempt, variation=replace(attempt.variation, distractors=places))
+
+
+def with_room(simulator: Simulator, attempt: Attempt) -> Attempt:
+    """Return the attempt with distractors that leave room for its demonstration, for whoever else acts in it.
+
+    Nothing is simulated if the config has no distractors. If the demonstration fails, there are none either.
+    """
+    return attempt if simulator.placer is None else demonstrate(simulator, attempt).attempt
+
+
+def _distances(simulator: Simulator, played: Played) -> tuple[float | None, float | None, float | None]:
+    """Return how far a thing ended from what it was to be put on: horizontally and in height, m; and its speed, m/s.
+
+    All are None for a goal without such a measure.
+    """
+    task, cast = simulator.config.task, simulator.cast
+    target = task.target_predicate
+    if target is None:
+        return None, None, None
+    thing, surface = cast.one(target.thing), cast.one(target.surface)
+    apart = played.T_at_end[thing][:3, 3] - played.T_at_end[surface][:3, 3]
+    return float(np.hypot(apart[0], apart[1])), float(apart[2]), played.speeds[thing]
+
+
+def _fingers(scene: CompiledScene, actions: Actions, grips: bool) -> Actions:
+    """Return the same actions; without grips, with fingers that stay open and magnets that stay off."""
+    if grips:
+        return actions
+    ctrl = actions.ctrl.copy()
+    for arm in scene.arms:
+        if arm.fingers is not None:
+            ctrl[:, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
+    return replace(actions, ctrl=ctrl, magnet=np.zeros_like(actions.magnet))
