@@ -99,7 +99,7 @@ def test_a_ring_thinner_than_the_pads_reach_down_fails_when_imported_and_when_ce
     ring.export(tmp_path / "ring.stl")
     env = {"YAMSIM_DATA_DIR": str(tmp_path / "mine"), "YAMSIM_ASSETS": str(tmp_path / "assets")}
     for run in (
-        yamsim("assets", "import", "ring.stl", cwd=tmp_path, env=env),
+        yamsim("assets", "import", "ring.stl", "--density", "1000", cwd=tmp_path, env=env),
         yamsim("assets", "certify", "ring", cwd=tmp_path, env=env),
     ):
         assert run.code == 4, run.err

@@ -277,14 +277,14 @@ def test_a_ball_dropped_into_a_mug_of_any_format_stays_in(tmp_path: Path) -> Non
 
 
 @needs_extra
-def test_a_hull_keeps_the_ball_out(tmp_path: Path) -> None:
+def test_a_hull_keeps_the_ball_out(tmp_path: Path, locations: Locations) -> None:
     """What the test above tells apart."""
     from tests.bench.things import ball_stays_in
 
     made: ImportedFile
     file = tmp_path / "mug.obj"
     mug(24).export(file)
-    where = Locations((tmp_path,), tmp_path / "assets")
+    where = Locations(locations.data, tmp_path / "assets")
     made = import_file(file, Told("m", "z"), Wishes("mug", collision="hull"), where, tmp_path / "m.yaml")
     meshes = {made.config.mesh.set: resolve_own(AssetStore(where.assets), made.config.mesh.set)}
     assert not ball_stays_in(made.config, meshes)[0]
