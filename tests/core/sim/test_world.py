@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -12,11 +11,14 @@ import pytest
 
 from tests.programs import STATION, changed, session_of
 from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
-from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector, rotation_z
-from yamsim_cli.core.scene.compiled import CompiledScene
+from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
+from yamsim_cli.core.goals.cast import Cast
+from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.sim.world import SimWorld, world_of
+from yamsim_cli.core.skills.bench import Bench
+from yamsim_cli.core.skills.insert import Insert
 from yamsim_cli.core.types import EpisodeJob
 
 INERTIA = {"mass_g": 5, "diagonal": [1e-6, 1e-6, 1e-6], "quat": [1, 0, 0, 0]}
@@ -69,8 +71,13 @@ THINGS: dict[str, Any] = {
 class Placed:
     """A scene in which things are put where a test wants them."""
 
-    def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
-        self.scene, self.world = scene, world
+    def __init__(self, simulator: Simulator, world: SimWorld) -> None:
+        self.scene, self.world, self._simulator = simulator.scene, world, simulator
+
+    def bench(self) -> Bench:
+        """What skills find."""
+        stands = list(start_stands(self._simulator.config))
+        return self._simulator.expert_tools.bench(self.world, stands, np.random.default_rng(0))
 
     def put(self, name: str, at: tuple[float, float, float], R: Array | None = None) -> None:
         """Put a thing's origin so in `world`."""
@@ -94,7 +101,7 @@ def placed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Placed]:
     with Simulators(session_of(tmp_path_factory.mktemp("task"), task)) as simulators:
         simulator = simulators.of(EpisodeJob(0, 0))
         data = mujoco.MjData(simulator.scene.model)
-        yield Placed(simulator.scene, world_of(simulator.scene, data, sides(simulator.config)))
+        yield Placed(simulator, world_of(simulator.scene, data, sides(simulator.config)))
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])
@@ -161,6 +168,15 @@ def test_a_lid_is_part_of_the_block_wherever_it_is(placed: Placed) -> None:
     placed.put("ball", (0.4, 0.0, 0.2))
     assert placed.world.share_inside("ball", "box") == 0
     placed.open("box", "lid", 0.0)
+
+
+def test_things_are_put_within_the_walls_of_a_round_container(placed: Placed) -> None:
+    """The corners of the block around a bowl lie outside of it, where the table is lower than its floor."""
+    placed.put("bowl", (0.4, 0.0, 0.0))
+    bench = placed.bench()
+    goals = Insert(thing="ball", into="bowl").goals(bench, Cast({"ball": ("ball",), "bowl": ("bowl",)}, {}), "ball")
+    assert goals
+    assert max(float(np.hypot(*(T[:2, 3] - (0.4, 0.0)))) for T in goals) < 0.08
 
 
 def test_the_volume_of_a_thing_moves_with_its_parts(placed: Placed) -> None:

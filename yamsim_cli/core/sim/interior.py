@@ -14,12 +14,14 @@ from ..geometry.se3 import Array, rotation_from_vector, rotation_z
 _CELLS = 64  # rays along the longer side of a view: 2 mm apart for a mug, 4 mm for a bin
 _AROUND = 8  # horizontal directions; four would call what lies beside a slanted handle enclosed
 
+_SIDEWAYS = rotation_from_vector([0.0, -math.pi / 2, 0.0])
+
 # Rotations (views, 3, 3) from a body's frame to frames that have z along the rays: down, up, and all round.
 _VIEWS = np.array(
     [
         rotation_from_vector([math.pi, 0.0, 0.0]),
         np.eye(3),
-        *(rotation_from_vector([0.0, -math.pi / 2, 0.0]) @ rotation_z(2 * math.pi * k / _AROUND) for k in range(_AROUND)),
+        *(_SIDEWAYS @ rotation_z(2 * math.pi * k / _AROUND) for k in range(_AROUND)),
     ]
 )
 

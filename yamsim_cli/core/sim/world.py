@@ -191,27 +191,15 @@ class SimWorld:
 
     def share_inside(self, thing: str, container: str) -> float:
         """See `World`: of points spread evenly over a thing's primitives, those in the interior."""
-        return self.share_at(thing, self.pose(thing), container)
-
-    def share_at(self, thing: str, T: Array, container: str) -> float:
-        """The share, 0..1, of a thing's volume that would lie in a container's interior if the thing were elsewhere.
-
-        Args:
-            T: the thing's pose (4, 4) in `world` there.
-        """
-        return self._share(thing, T, lambda points: self._in_interior(container, points))
+        return self._share(thing, lambda points: self.inside(container, points))
 
     def share_in_block(self, thing: str, container: str) -> float:
         """The share, 0..1, of a thing's volume that lies in the block around a container, see `block`."""
-        return self._share(thing, self.pose(thing), lambda points: self._in_block(container, points))
+        return self._share(thing, lambda points: self._in_block(container, points))
 
-    def _share(self, thing: str, T: Array, held: Callable[[Array], NDArray[np.bool_]]) -> float:
-        """The share of a thing's volume at a pose (4, 4) of whose points (n, 3) in `world` something holds (n,)."""
-        T_there = T @ inverse(self.pose(thing))
-        shares, volumes = [], []
-        for points, volume in self._filled(thing):
-            shares.append(held(points @ T_there[:3, :3].T + T_there[:3, 3]).mean())
-            volumes.append(volume)
+    def _share(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
+        """The share of a thing's volume of whose points (n, 3) in `world` `held` is true (n,)."""
+        shares, volumes = zip(*((held(points).mean(), volume) for points, volume in self._filled(thing)), strict=True)
         return float(np.average(shares, weights=volumes))
 
     def _in_block(self, container: str, points: Array) -> NDArray[np.bool_]:
@@ -220,7 +208,7 @@ class SimWorld:
         held: NDArray[np.bool_] = ((points >= low) & (points <= high)).all(axis=1)
         return held
 
-    def _in_interior(self, container: str, points: Array) -> NDArray[np.bool_]:
+    def inside(self, container: str, points: Array) -> NDArray[np.bool_]:
         """Whether points (n, 3) in `world` lie in a container's interior (n,): of a region, in its block."""
         if container in self._regions:
             return self._in_block(container, points)

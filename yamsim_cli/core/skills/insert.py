@@ -43,6 +43,8 @@ class Insert(Placing):
         """See `Placing`."""
         container = cast.one(self.into)
         T, (low, high) = bench.world.pose(container), bench.world.block(container)
+        bottom, top = bench.world.block(thing)
+        foot = np.array([*(bottom + top)[:2] / 2, bottom[2], 1.0])
         found = []
         for turn in _TURNS:
             heading = yaw(T) + turn
@@ -58,7 +60,7 @@ class Insert(Placing):
                     T_goal = pose((*place, height), rotation_z(heading))
                     off = float(np.hypot(x - middles[0], y - middles[1]))
                     # The block around a container has room outside of its walls as well.
-                    if bench.world.share_at(thing, T_goal, container):
+                    if bench.world.inside(container, (T_goal @ foot)[None, :3])[0]:
                         found.append((round(height / _LOWER), off, T_goal))
         return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
 
