@@ -54,7 +54,7 @@ class Interior:
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
         """Whether points (n, 3) lie inside (n,)."""
-        held = ((points >= self._low) & (points <= self._high)).all(axis=1)
+        held: NDArray[np.bool_] = ((points >= self._low) & (points <= self._high)).all(axis=1)
         if held.any():
             down, up, *around = self._hits(points[held])
             half = len(around) // 2
@@ -69,5 +69,5 @@ class Interior:
         i = np.clip(np.rint((x - self._first[:, 0]) / self._cell), 0, nx - 1)
         j = np.clip(np.rint((y - self._first[:, 1]) / self._cell), 0, ny - 1)
         ray = ((np.arange(len(_VIEWS)) * nx + i) * ny + j).astype(np.intp)
-        met: NDArray[np.bool_] = self._reach.ravel()[ray] > z
-        return met.T
+        met: NDArray[np.bool_] = (self._reach.ravel()[ray] > z).T
+        return met
