@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ from ..sim.watched import See, Watched, WatchedLoop, settle
 from ..sim.world import world_of
 from ..skills.errors import SkillFailedError
 from ..skills.program import Diary, program_of, run_program
-from ..tasks.casting import Placed, draw_phrasing, draw_places
+from ..tasks.casting import BlockOf, Placed, draw_phrasing, draw_places
 from ..tasks.pickplace import SPAWN_GAP, on_the_way
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Attempt, Cause, EpisodeJob, Layout, Outcome, Recovery
@@ -42,7 +43,7 @@ def sample_program(simulator: Simulator, job: EpisodeJob, variation: Variation) 
     attempt = Attempt(job, None, variation, cast=cast, phrasing=draw_phrasing(task, job))
     scene, config = simulator.varied(attempt), simulator.config
     for number in range(_DRAWS):
-        places = draw_places(task, cast, _blocks(simulator), config.table, job, number)
+        places = draw_places(task, cast, _block_of(simulator), config.table, job, number)
         if isinstance(places, str):
             break
         start = settle(scene, _let_down(simulator, places), task.timing.timestep)
@@ -57,7 +58,7 @@ def sample_program(simulator: Simulator, job: EpisodeJob, variation: Variation) 
 def no_start(simulator: Simulator, attempt: Attempt) -> str:
     """Why an attempt has no layout."""
     task, cast = _played(simulator)
-    places = draw_places(task, cast, _blocks(simulator), simulator.config.table, attempt.job)
+    places = draw_places(task, cast, _block_of(simulator), simulator.config.table, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} where it is to start"
     return f"{HOLDS_ALREADY}, in each of {_DRAWS} draws"
@@ -136,10 +137,27 @@ def _played(simulator: Simulator) -> tuple[ProgramTask, Cast]:
     return task, cast
 
 
-def _blocks(simulator: Simulator) -> dict[str, Array]:
+def _block_of(simulator: Simulator) -> BlockOf:
+    """See `draw_places`."""
     scene, replica = simulator.scene, simulator.replica
     world = world_of(scene, replica.data, sides(simulator.config))
-    return {name: world.block(name) for name in scene.things}
+
+    @functools.cache
+    def block(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
+        qpos = scene.model.qpos0.copy()
+        _open(scene, qpos, name, dict(opened))
+        replica.show(qpos)
+        return world.block(name)
+
+    return lambda name, opened: block(name, tuple(opened.items()))
+
+
+def _open(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
+    """Put into MuJoCo's positions (nq,) how far a thing's parts are open."""
+    for part, share in opened.items():
+        joint = scene.model.joint(f"{name}_{part}")
+        low, high = joint.range
+        qpos[joint.qposadr[0]] = low + share * (high - low)
 
 
 def _let_down(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
@@ -149,10 +167,7 @@ def _let_down(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
     away = {name: pose((0.0, 0.0, top + _AWAY * (k + 1))) for k, name in enumerate(places)}
     qpos = scene.start_qpos(Layout(away), start_stands(simulator.config))
     for name, placed in places.items():
-        for part, share in placed.open.items():
-            joint = scene.model.joint(f"{name}_{part}")
-            low, high = joint.range
-            qpos[joint.qposadr[0]] = low + share * (high - low)
+        _open(scene, qpos, name, placed.open)
         T = placed.T.copy()
         if name in scene.cloths:
             T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP
