@@ -8,9 +8,11 @@ python -m tests.bench.things reading
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,7 @@ def imported(file: Path, folder: Path, **wishes: Any) -> Any:
     from yamsim_cli.core.thing_files.read import Told
     from yamsim_cli.core.things.wishes import Wishes
 
-    where = Locations((folder, folder), folder / "assets")
+    where = replace(Locations.find(os.environ), assets=folder / "assets")
     plain = file.suffix in (".obj", ".ply", ".stl")
     told = Told("m", "z") if plain else Told()
     made = import_file(file, told, Wishes(**{"name": "mug", **wishes}), where, folder / f"{time.monotonic_ns()}.yaml")

@@ -8,7 +8,10 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.meshes import box
+from tests.mugs import has_import_extra, write_mugs
 from yamsim_cli.core.geometry.stl import stl_bytes
+
+needs_extra = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -76,6 +79,32 @@ def test_an_import_whose_certificate_fails_exits_as_certify_does(tmp_path: Path,
     else:
         assert "lump: 5000 g" in run.out
     assert yamsim("assets", "certify", "lump", env=env).code == 4
+
+
+@needs_extra
+@pytest.mark.slow
+def test_a_faceted_mug_passes_with_the_grasp_that_import_proposes(tmp_path: Path) -> None:
+    file = write_mugs(tmp_path, 24)["glb"].rename(tmp_path / "my_mug.glb")
+    env = {"YAMSIM_DATA_DIR": str(tmp_path / "mine"), "YAMSIM_ASSETS": str(tmp_path / "assets")}
+    run = yamsim("assets", "import", file.name, "--json", cwd=tmp_path, env=env)
+    assert (run.code, run.json["items"][0]["certificate"]) == (0, {"ok": True, "failed": []}), run.err
+
+
+@needs_extra
+@pytest.mark.slow
+def test_a_ring_thinner_than_the_pads_reach_down_fails_when_imported_and_when_certified(tmp_path: Path) -> None:
+    import trimesh
+
+    ring = trimesh.creation.torus(0.03, 0.004, major_sections=48, minor_sections=24)
+    ring.export(tmp_path / "ring.stl")
+    env = {"YAMSIM_DATA_DIR": str(tmp_path / "mine"), "YAMSIM_ASSETS": str(tmp_path / "assets")}
+    for run in (
+        yamsim("assets", "import", "ring.stl", "--density", "1000", cwd=tmp_path, env=env),
+        yamsim("assets", "certify", "ring", cwd=tmp_path, env=env),
+    ):
+        assert run.code == 4, run.err
+        assert "ring: a hand does not take it from a table and hold it: the skill `pick` fails: no way" in run.message
+        assert "table and left_finger_collide_pad" in run.message
 
 
 def test_an_unknown_thing_is_one_line(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ class Lay(Placing):
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""
         world, into = bench.world, cast.one(self.into)
-        T, (low, high), block = world.pose(into), world.interior(into), world.block(thing)
+        T, (low, high), block = world.pose(into), world.block(into), world.block(thing)
         others = [outline(world.block(name), world.pose(name)) for name in cast.of(self.beside) if name != thing]
         free, taken = list[tuple[float, Array]](), list[tuple[float, Array]]()
         for R in _along(world, thing, T):

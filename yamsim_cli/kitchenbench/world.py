@@ -49,7 +49,7 @@ class KitchenWorld:
 
     def contained_fraction(self, item: str, container: str) -> float:
         """The share, 0..1, of an item's volume that lies in the block around a container, or in a compartment."""
-        return self.scene.share_inside(self._known(item), self._known(container))
+        return self.scene.share_in_block(self._known(item), self._known(container))
 
     def contained_mass_g(self, substance: str, container: str) -> float:
         """How much of a thing, g, lies in a container. Nothing here is poured, so a substance is a thing."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
+from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
@@ -183,3 +183,21 @@ def _height(simulator: Simulator, attempt: Attempt) -> tuple[float, float]:
     world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, ("right",), ["cube"])
     low, high = world.bounds("cube")
     return float(low[2]), float(high[2])
+
+
+def test_a_thing_starts_with_the_middle_of_what_it_is_when_open(tmp_path: Path) -> None:
+    """An open drawer and its knob reach 260 mm ahead of a cabinet's origin, and its back 100 mm behind it."""
+    cabinet = {"x": [0.48, 0.48], "y": [0, 0], "yaw_deg": [0, 0], "open": {"drawer": [1, 1]}}
+    task = changed(
+        {
+            ("rig",): STATION,
+            ("things",): {"cabinet": {"of": "drawer_cabinet"}, "cube": {"of": "cube_red"}},
+            ("starts",): {"cabinet": cabinet, "cube": {"x": [0.25, 0.35], "y": [0.25, 0.35]}},
+            ("goal",): {"on": {"thing": "cube", "surface": "cabinet"}},
+            ("expert",): [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "cabinet"}}],
+        }
+    )
+    with Simulators(session_of(tmp_path, task)) as simulators:
+        _, attempt = first_attempt(simulators)
+    assert attempt.layout is not None
+    assert attempt.layout.T_in_world["cabinet"][0, 3] == pytest.approx(0.48 + 0.08, abs=2e-3)

@@ -16,7 +16,7 @@ from yamsim_cli.core.resources import Locations
 pytestmark = pytest.mark.slow
 
 WHERE = Locations.find(os.environ)
-# Lying on a table, they are lower than the pads reach below the pinch point: `pickplace batch` fails on them, too.
+# Lying on a table, they are lower than the pads reach below the pinch point: the skill `pick` drops them.
 TOO_LOW = ("kitchen_dry_pasta", "kitchen_penne")
 CLOTH = ("soft_cloth", "soft_dish_towel", "soft_napkin")
 

@@ -27,12 +27,12 @@ PLACES = [(0.25, 0.15), (0.75, 0.9), (0.6, 0.5), (0.1, 0.8)]
 
 
 @pytest.fixture(scope="module")
-def printed(tmp_path_factory: pytest.TempPathFactory) -> tuple[ImportedFile, Locations]:
+def printed(tmp_path_factory: pytest.TempPathFactory, locations: Locations) -> tuple[ImportedFile, Locations]:
     folder = tmp_path_factory.mktemp("printed")
     made = mug(24)
     made.apply_transform([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # y up
     made.export(folder / "mug.glb")
-    where = Locations((folder, folder), folder / "assets")
+    where = Locations((folder, *locations.data), folder / "assets")
     wishes = Wishes("mug", mass=0.3, collision="hull")
     return import_file(folder / "mug.glb", Told(), wishes, where, folder / "mug.yaml"), where
 

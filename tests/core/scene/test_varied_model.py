@@ -1,22 +1,27 @@
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 import mujoco
 import numpy as np
 import pytest
 
+from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
+from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.textures import pattern
-from yamsim_cli.core.scene.varied_model import VariedModel, scale_mass
+from yamsim_cli.core.scene.varied_model import VariedModel, scale_masses
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.tasks.sampled_variation import sample_variation
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.variation import SurfaceVariation, Variation
 
+THINGS = {"drawer": "cabinet", "onto_napkin": "piece", "lift_tray": "tray"}
+STATISTICS = ("extent", "center", "meaninertia", "meanmass", "meansize")
 GREY, RED = (0.5, 0.5, 0.5), (0.8, 0.1, 0.1)
 
 
@@ -43,9 +48,10 @@ def varied(only: VariedModel) -> VariedModel:
 
 
 def numbers(model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    """Every array of a model but its textures' pixels."""
+    """Every array of a model but its textures' pixels, and its statistics."""
     names = [name for name in dir(model) if isinstance(getattr(model, name), np.ndarray) and name != "tex_data"]
     arrays = {name: getattr(model, name).copy() for name in names}
+    arrays |= {name: np.array(getattr(model.stat, name)) for name in STATISTICS}
     return arrays | {name: getattr(model.vis.headlight, name).copy() for name in ("ambient", "diffuse", "specular")}
 
 
@@ -73,18 +79,58 @@ def test_only_mass_and_friction_touch_physics(model: mujoco.MjModel, varied: Var
     assert all(name.startswith(looks) for name in changed(before, numbers(model)))
 
 
+@pytest.fixture(scope="module")
+def drawers() -> mujoco.MjModel:
+    """A scene with a cabinet that has a drawer, and a cube."""
+    return scene_of("drawer")
+
+
+def scene_of(task: str) -> mujoco.MjModel:
+    opener = Opener(os.environ, lambda text: None, lambda setting: f"--{setting}")
+    where = opener.locations()
+    session = Session(opener.config("default", where, task=task, quality="fast"), where).without_meshes()
+    with Simulators(session) as simulators:
+        return simulators.of(EpisodeJob(0, 0)).scene.model
+
+
+@pytest.mark.parametrize("task", THINGS)
+def test_factor_1_changes_no_number_of_a_model(task: str) -> None:
+    model = scene_of(task)
+    before = numbers(model)
+    scale_masses(model, {THINGS[task]: 1.0})
+    assert changed(before, numbers(model)) == set()
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.7])
-def test_a_mass_is_scaled_as_mujoco_would(model: mujoco.MjModel, varied: VariedModel, factor: float) -> None:
-    body = model.body("banana").id
-    scale_mass(model, body, factor)
-    mine = numbers(model)
-    stat = model.stat.extent, model.stat.center.copy(), model.stat.meaninertia
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    theirs = numbers(model)
-    model.stat.extent, model.stat.center[:], model.stat.meaninertia = stat
-    for name in ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0"):
-        np.testing.assert_allclose(mine[name], theirs[name], rtol=1e-9, err_msg=name)
+def test_all_bodies_of_a_thing_get_heavier_alike(drawers: mujoco.MjModel, factor: float) -> None:
+    before = numbers(drawers)
+    own = np.array([drawers.body(int(root)).name == "cabinet" for root in drawers.body_rootid])
+    assert own.sum() == 2, "the cabinet and its drawer"
+    scale_masses(drawers, {"cabinet": factor})
+    after = numbers(drawers)
+    factors = np.where(own, factor, 1.0)
+    np.testing.assert_allclose(after["body_mass"], before["body_mass"] * factors)
+    np.testing.assert_allclose(after["body_inertia"], before["body_inertia"] * factors[:, None])
+    np.testing.assert_allclose(after["body_subtreemass"][own], before["body_subtreemass"][own] * factor)
+    assert after["body_subtreemass"][0] == pytest.approx(after["body_mass"].sum())
+    joint = drawers.joint("cabinet_drawer").dofadr[0]
+    # What the joint moves: the drawer's mass, and its own armature.
+    armature = drawers.dof_armature[joint]
+    moved = factor * (before["dof_M0"][joint] - armature) + armature
+    np.testing.assert_allclose(after["dof_M0"][joint], moved)
+    # A fixed base is very heavy, but does give way.
+    np.testing.assert_allclose(1 / after["dof_invweight0"][joint], moved, rtol=1e-4)
+    masses = {"body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0"}
+    assert changed(before, after) == masses | {"cam_poscom0", "light_poscom0"}
+    scale_masses(drawers, {"cabinet": 1 / factor})
+
+
+def test_nothing_stays_of_a_mass(model: mujoco.MjModel, varied: VariedModel) -> None:
+    before = numbers(model)
+    varied.apply(Variation(mass={"banana": 1.7}))
+    assert {"body_mass", "dof_M0"} <= changed(before, numbers(model))
     varied.apply(Variation())
+    assert changed(before, numbers(model)) == set()
 
 
 def test_friction_is_that_of_all_of_an_objects_surface(model: mujoco.MjModel, varied: VariedModel) -> None:

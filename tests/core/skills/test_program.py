@@ -13,6 +13,7 @@ from yamsim_cli.core.skills import program
 from yamsim_cli.core.skills.base import Skill
 from yamsim_cli.core.skills.bench import Bench, Segment
 from yamsim_cli.core.skills.errors import SkillFailedError
+from yamsim_cli.core.skills.operate import Operate
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
 from yamsim_cli.core.skills.program import Diary, Recovery, read_program, run_program
@@ -103,6 +104,58 @@ def _put_back(monkeypatch: pytest.MonkeyPatch, taken: str, times: int) -> list[s
     steps = [Taking(thing=taken), Stuck(thing="plate", on="table", at=(0.0, 0.0), number=times)]
     list(run_program(steps, cast(Bench, NoHands()), CAST, Diary()))
     return put
+
+
+class Closing(Operate):
+    """Fails once, as a drawer that a hand slips off."""
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        ran.append("operate")
+        if ran.count("operate") == 1:
+            raise SkillFailedError(Cause.SLIPPED, "the hand slipped off")
+        yield Segment(())
+
+
+class Noting(Taking):
+    """Notes what it takes."""
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        ran.append(f"pick {self.thing}")
+        yield Segment(())
+
+
+class Dropping(Place):
+    """Drops its thing the first time."""
+
+    def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
+        ran.append(f"place {self.thing}")
+        if ran.count(f"place {self.thing}") == 1 and self.thing == "cube_1":
+            raise SkillFailedError(Cause.DROPPED, "it fell")
+        yield Segment(())
+
+
+ran: list[str] = []
+
+
+def _ran(*steps: Skill) -> list[str]:
+    ran.clear()
+    list(run_program(steps, cast(Bench, NoHands()), CAST, Diary()))
+    return list(ran)
+
+
+def test_a_step_that_needs_nothing_in_a_hand_is_tried_again_by_itself() -> None:
+    steps = Noting(thing="cube_1"), Dropping(thing="cube_1", on="plate"), Closing(thing="plate", joint="lid", to=0)
+    assert _ran(*steps)[-2:] == ["operate", "operate"]
+    assert _ran(*steps).count("pick cube_1") == 2
+
+
+def test_what_was_dropped_is_taken_again_and_nothing_else_is() -> None:
+    steps = Noting(thing="cube_1"), Noting(thing="cube_2"), Dropping(thing="cube_1", on="plate")
+    again = ["pick cube_1", "pick cube_2", "place cube_1"]
+    assert _ran(*steps) == again + again
+    first = Noting(thing="cube_2"), Dropping(thing="cube_2", on="plate"), Noting(thing="cube_1")
+    last = ["pick cube_1", "place cube_1"]
+    assert _ran(*first, Dropping(thing="cube_1", on="cube_2")) == ["pick cube_2", "place cube_2", *last, *last]
 
 
 def test_what_cannot_be_put_down_twice_is_taken_another_way(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,6 +40,27 @@ def test_a_near_miss_that_counts_is_named(tmp_path: Path) -> None:
     assert check.ok is False and "of which these count: the cube 20 mm ahead" in check.detail
 
 
+def test_each_near_miss_starts_from_the_success(tmp_path: Path) -> None:
+    """The goal asks for one of two cubes alone: to put off the other one counts, whatever was tried before it."""
+    task = changed(
+        {
+            ("things", "cube", "count"): 2,
+            ("starts", "cube", "x"): [0.28, 0.42],
+            ("starts", "cube", "y"): [0.02, 0.16],
+            ("starts", "cube", "apart"): 0.03,
+            ("goal",): {"on": {"thing": "cube_1", "surface": "plate"}},
+            ("expert",): [{"pick": {"thing": "cube_1"}}, {"place": {"thing": "cube_1", "on": "plate"}}],
+            ("near_misses",): [{"thing": "cube", "what": "60 mm higher", "move": [0, 0, 0.06]}],
+        }
+    )
+    with Simulators(session_of(tmp_path, task)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        done = demonstrate_program(simulator, attempt)
+        assert done.outcome.success, done.outcome
+        check = check_near_misses(simulator, done)
+    assert check.detail == "3 near misses, of which these count: the cube_2 60 mm higher"
+
+
 def test_the_share_in_reach_is_measured(simulators: Simulators, tmp_path: Path) -> None:
     simulator, _ = first_attempt(simulators)
     task = simulator.config.program

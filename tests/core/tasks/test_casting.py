@@ -41,7 +41,7 @@ def _task(session: Session) -> ProgramTask:
 def _places(session: Session, job: EpisodeJob) -> dict[str, Placed]:
     task = _task(session)
     cast = draw_cast(task, job)
-    found = draw_places(task, cast, dict.fromkeys(cast.of("cube"), BLOCK), session.config.table, job)
+    found = draw_places(task, cast, lambda name, opened: BLOCK, session.config.table, job)
     assert isinstance(found, dict)
     return found
 
@@ -108,7 +108,7 @@ def test_what_has_no_room_is_named(tmp_path_factory: pytest.TempPathFactory) -> 
     session = session_of(tmp_path_factory.mktemp("task"), tight)
     task, job = _task(session), EpisodeJob(0, 0)
     cast = draw_cast(task, job)
-    found = draw_places(task, cast, dict.fromkeys(cast.of("cube"), BLOCK), session.config.table, job)
+    found = draw_places(task, cast, lambda name, opened: BLOCK, session.config.table, job)
     assert found in ("cube_2", "cube_3")
 
 
@@ -130,7 +130,7 @@ def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.Tem
     )
     task, job, table = _task(session), EpisodeJob(0, 3), session.config.table
     assert isinstance(table, Table)
-    placed = draw_places(task, draw_cast(task, job), dict.fromkeys(("plate", "cube"), BLOCK), table, job)
+    placed = draw_places(task, draw_cast(task, job), lambda name, opened: BLOCK, table, job)
     assert isinstance(placed, dict) and placed["cube"].on == "plate"
     apart = np.linalg.inv(placed["plate"].T) @ placed["cube"].T
     assert apart[:2, 3] == pytest.approx((0.05, 0.0), abs=1e-9)

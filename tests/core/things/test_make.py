@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ import pytest
 from tests.drawers import MJCF, URDF, cabinet_sdf
 from tests.mugs import HEIGHT, RADIUS, WALL, has_import_extra, mug, mug_mesh, write_mugs
 from yamsim_cli.core.assets import AssetStore, resolve_own
+from yamsim_cli.core.attempt.alone import reachable_places
+from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.closed import columns, enclosed, is_closed
@@ -95,6 +98,24 @@ def test_a_mug_stands_on_its_foot_and_holds_things() -> None:
     assert item.grasp is not None
     assert item.grasp.opening == pytest.approx(RADIUS, abs=1e-3)  # across it, beside its handle
     assert abs(item.grasp.axis_deg - 90) < 50
+
+
+@needs_extra
+@pytest.mark.slow
+def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_handle(
+    tmp_path: Path, locations: Locations
+) -> None:
+    where = Locations(locations.data, tmp_path / "assets")
+    file = write_mugs(tmp_path, 24)["glb"]
+    made = import_file(file, Told(), Wishes("mug", mass=0.3), where, tmp_path / "mug.yaml")
+    item = load_config(ObjectConfig, "objects", str(made.path), where)
+    assert item == made.config and item.grasp is not None and item.grasp.friction is not None
+    # Straight down across 19 degrees, where the body is narrowest, a finger would come down on the handle.
+    angles = [point.axis_deg for point in item.grasp.friction.points]
+    assert angles[-1] == 19 and item.grasp.axis_deg == angles[0]
+    assert min(abs(item.grasp.axis_deg), abs(item.grasp.axis_deg - 180)) > 45
+    meshed = replace(where, meshes={item.mesh.set: resolve_own(AssetStore(where.assets), item.mesh.set)})
+    assert reachable_places(item, meshed) == item.grasp.friction.points
 
 
 def test_what_is_a_block_becomes_one() -> None:
@@ -256,14 +277,14 @@ def test_a_ball_dropped_into_a_mug_of_any_format_stays_in(tmp_path: Path) -> Non
 
 
 @needs_extra
-def test_a_hull_keeps_the_ball_out(tmp_path: Path) -> None:
+def test_a_hull_keeps_the_ball_out(tmp_path: Path, locations: Locations) -> None:
     """What the test above tells apart."""
     from tests.bench.things import ball_stays_in
 
     made: ImportedFile
     file = tmp_path / "mug.obj"
     mug(24).export(file)
-    where = Locations((tmp_path,), tmp_path / "assets")
+    where = Locations(locations.data, tmp_path / "assets")
     made = import_file(file, Told("m", "z"), Wishes("mug", collision="hull"), where, tmp_path / "m.yaml")
     meshes = {made.config.mesh.set: resolve_own(AssetStore(where.assets), made.config.mesh.set)}
     assert not ball_stays_in(made.config, meshes)[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -11,10 +12,11 @@ from ..config.recording import RecordConfig
 from ..geometry.se3 import Array, pose
 from ..episode.rules import EpisodeRules
 from ..planning.arm_tools import start_stands
+from ..scene.compiled import CompiledScene
 from ..sim.crumple import crumpled
 from ..sim.settle import settle
 from ..sim.world import world_of
-from ..tasks.casting import Placed, draw_phrasing, draw_places
+from ..tasks.casting import BlockOf, Placed, draw_phrasing, draw_places
 from ..tasks.randomness import Stream, generator
 from ..tasks.sampled_variation import sample_variation
 from ..types import Attempt, EpisodeJob, Layout
@@ -37,10 +39,10 @@ def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
     The attempt has no start if there is no room for its things, or if its goal always holds already, see `no_start`.
     """
     config, task, cast = simulator.config, simulator.config.task, simulator.cast
-    attempt = Attempt(job, None, _variation(config, job), cast=cast, phrasing=draw_phrasing(task, config, cast, job))
+    attempt = Attempt(job, None, _variation(config, job), cast=cast, phrasing=draw_phrasing(task, job))
     scene = simulator.varied(attempt)
     for number in range(MAX_DRAWS):
-        places = draw_places(task, config, cast, _blocks(simulator), job, number)
+        places = draw_places(task, cast, _block_of(simulator), config.table, job, number)
         if isinstance(places, str):
             break
         start = settle(scene, _placed(simulator, places), task.timing.timestep)
@@ -55,7 +57,7 @@ def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
 def no_start(simulator: Simulator, attempt: Attempt) -> str:
     """Return why an attempt has no start."""
     config, cast = simulator.config, simulator.cast
-    places = draw_places(config.task, config, cast, _blocks(simulator), attempt.job)
+    places = draw_places(config.task, cast, _block_of(simulator), config.table, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} where it is to start"
     return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} draws"
@@ -68,10 +70,27 @@ def _variation(config: RecordConfig, job: EpisodeJob) -> Variation:
     return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
 
 
-def _blocks(simulator: Simulator) -> dict[str, Array]:
-    scene = simulator.scene
-    world = world_of(scene, simulator.replica.data, sides(simulator.config))
-    return {name: world.block(name) for name in scene.things}
+def _block_of(simulator: Simulator) -> BlockOf:
+    """See `draw_places`."""
+    scene, replica = simulator.scene, simulator.replica
+    world = world_of(scene, replica.data, sides(simulator.config))
+
+    @functools.cache
+    def block(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
+        qpos = scene.model.qpos0.copy()
+        _open(scene, qpos, name, dict(opened))
+        replica.show(qpos)
+        return world.block(name)
+
+    return lambda name, opened: block(name, tuple(opened.items()))
+
+
+def _open(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
+    """Write how far a thing's parts are open into MuJoCo's positions (nq,)."""
+    for part, share in opened.items():
+        joint = scene.model.joint(f"{name}_{part}")
+        low, high = joint.range
+        qpos[joint.qposadr[0]] = low + share * (high - low)
 
 
 def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
@@ -80,10 +99,7 @@ def _placed(simulator: Simulator, places: Mapping[str, Placed]) -> Array:
     waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
     qpos = scene.start_qpos(Layout(waiting), start_stands(simulator.config))
     for name, placed in places.items():
-        for part, share in placed.open.items():
-            joint = scene.model.joint(f"{name}_{part}")
-            low, high = joint.range
-            qpos[joint.qposadr[0]] = low + share * (high - low)
+        _open(scene, qpos, name, placed.open)
         T = placed.T.copy()
         if name in scene.cloths:
             T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP

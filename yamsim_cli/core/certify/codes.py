@@ -52,7 +52,7 @@ _ALL = (
           hollow.ball, (*_HEAVY, "mesh.open", "mesh.inverted")),
     Check("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
           joints.articulation, _HEAVY),
-    Check("grasp.slips", "a hand does not hold it where its config says", "mend `grasp`, or leave it out",
+    Check("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
           holding.grasp, _HEAVY),
 )  # fmt: skip
 

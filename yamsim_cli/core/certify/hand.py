@@ -1,4 +1,4 @@
-"""A hand without an arm: gripper linear_4310 on a base that is told where to go, and a thing on a table."""
+"""A hand without an arm: gripper linear_4310 on a base that is told where to go, and a thing in the air."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from ..attempt.alone import RIG
 from ..config.loader import load_config
 from ..config.rig import ArmConfig, RigConfig
 from ..geometry.se3 import Array, inverse, pose, pose_from_quat, quat_from_rotation, rotation_vector
@@ -15,10 +16,7 @@ from ..resources import Locations
 from ..robots.robot import Robot
 from ..scene.compose import hold_by_friction
 from ..scene.robot import arm_spec, finger_places
-from .subject import GROUND, Subject, compiled, grounded_spec, with_camera
-
-#: The rig whose gripper certificates are made with.
-RIG = "single_linear"
+from .subject import Subject, bare_spec, compiled, with_camera
 
 _PREFIX = "hand_"
 _BASE = "hand_base"
@@ -40,7 +38,7 @@ def full_opening(locations: Locations) -> float:
 
 @dataclass
 class Hand:
-    """A hand, and a thing on a table. The hand's base has the frame of its pinch.
+    """A hand, and a thing without ground. The hand's base has the frame of its pinch.
 
     Attributes:
         T_start: where the base's joints are all at 0 (4, 4).
@@ -65,9 +63,7 @@ class Hand:
         link.pos, link.quat = (0, 0, 0), (1, 0, 0, 0)
         T = inverse(pose_from_quat(pinch.pos, pinch.quat))
         size = float(np.linalg.norm(np.ptp(looked.touching, axis=0)))
-        spec = with_camera(grounded_spec(looked), (0, 0, 0.04), max(size, 0.22), steep=0.35)
-        # The thing's origin is the scene's, and it stands on the table.
-        spec.geom(GROUND).pos[2] -= looked.item.rest_height
+        spec = with_camera(bare_spec(looked.item, looked.meshes), (0, 0, 0.04), max(size, 0.22), steep=0.35)
         base = spec.worldbody.add_body(name=_BASE, mass=_MASS, inertia=[0.2, 0.2, 0.2], gravcomp=1)
         base.explicitinertial = True
         slide = (mujoco.mjtJoint.mjJNT_SLIDE, _STIFF, _DAMP)
@@ -95,8 +91,6 @@ class Hand:
         body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])
         self.T_start = T_pinch
         mujoco.mj_resetData(self.model, self.data)
-        table = self.model.geom(GROUND).id
-        self.model.geom_contype[table] = self.model.geom_conaffinity[table] = 1
         address, sign = finger_places(self.model, self.robot, _PREFIX)
         self.data.qpos[address] = opening * sign
         self.squeeze(opening)
@@ -129,21 +123,6 @@ class Hand:
         site, body = self.data.site(f"{_PREFIX}pinch_site"), self.data.body(self.looked.item.name)
         T: Array = inverse(pose(site.xpos, site.xmat.reshape(3, 3))) @ pose(body.xpos, body.xmat.reshape(3, 3))
         return T
-
-    def overlap(self, *, table: bool) -> float:
-        """How deep the hand is inside of the thing, or of the table, m; 0 where they are apart."""
-        hand, ground = self.model.body(_BASE).id, self.model.geom(GROUND).id
-        deep = 0.0
-        for contact in self.data.contact:
-            one, other = (self.model.body_rootid[self.model.geom_bodyid[geom]] for geom in contact.geom)
-            if (one == hand) != (other == hand) and (ground in contact.geom) == table:
-                deep = max(deep, -float(contact.dist))
-        return deep
-
-    def remove_table(self) -> None:
-        """Let the table collide with nothing, so that what was lifted can be turned over it."""
-        table = self.model.geom(GROUND).id
-        self.model.geom_contype[table] = self.model.geom_conaffinity[table] = 0
 
 
 def slip(before: Array, after: Array) -> tuple[float, float]:

@@ -1,16 +1,17 @@
-"""Whether a hand can take a thing from a table where its config says, and hold it: lift it, turn it, shake it."""
+"""Whether the skill `pick` takes a thing from a table, and whether the hand then holds it: turned and shaken."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from ..config.things.thing import FrictionGrasp, GraspPoint
-from ..geometry.se3 import Array, pose, rotation_from_vector
+from ..attempt.alone import Taken, take
+from ..geometry.se3 import Array, inverse, pose, rotation_from_vector
 from ..scene.breakdown import breakdown
+from ..skills.errors import SkillFailedError
 from .hand import Hand, full_opening, slip
 from .outcome import Outcome, View, short, unchecked
 from .subject import Subject
@@ -23,14 +24,10 @@ _STEP = 0.02
 _LIFT, _ANGLE, _AMPLITUDE, _RATE = 0.05, np.radians(45), 0.015, 3.0
 # How far it may move and turn between the pads in all, m, rad. A person would still call it held.
 _MOVED, _TURNED = 0.012, np.radians(20)
-# How deep an open hand may reach into what it comes to hold, m.
-_OVERLAP = 0.0015
-# Of all places that a config names, so many are tried, the best first.
-_PLACES = 2
 
 
 def grasp(looked: Subject) -> Outcome:
-    """Whether two pads hold it by friction: the best of its places, and how many others."""
+    """Whether the skill `pick` takes it from a table with its own choice of a grip, and two pads then hold it so."""
     item = looked.item
     if item.links or item.base == "fixed":
         return unchecked("it is opened rather than lifted: its handles are for that")
@@ -40,58 +37,31 @@ def grasp(looked: Subject) -> Outcome:
     if friction.hands > 1:
         return unchecked("it takes two hands, and one alone was to try")
     widest = full_opening(looked.locations)
-    fitting = [point for point in friction.points if point.opening < widest]
-    if not fitting:
+    if all(point.opening >= widest for point in friction.points):
         return unchecked(f"{2000 * item.grasp.opening:.4g} mm wide: more than the hand opens, {2000 * widest:.4g} mm")
-    hand = Hand.of(looked)
-    clearance = item.grasp.clearance
-    tried = [_try(hand, point, friction, clearance) for point in fitting[:_PLACES]]
-    first = tried[0]
-    figures = {
-        "places": len(tried),
-        "held": sum(trial.held for trial in tried),
-        "force_n": short(friction.force, 3),
-        "slip_mm": short(first.moved * 1000, 3),
-        "turn_deg": short(np.degrees(first.turned), 3),
-        "overlap_mm": short(first.overlap * 1000, 3),
-    }
-    note = "" if first.held else first.fault
-    return Outcome(first.held, figures, note, first.views)
+    try:
+        taken = take(item, replace(looked.locations, meshes=looked.meshes))
+    except SkillFailedError as error:
+        return Outcome(False, {"force_n": short(friction.force, 3)}, f"the skill `pick` fails: {error}")
+    return _held(Hand.of(looked), taken, item.grasp.clearance)
 
 
-@dataclass(frozen=True)
-class _Trial:
-    moved: float
-    turned: float
-    overlap: float
-    fault: str
-    views: tuple[View, ...]
-
-    @property
-    def held(self) -> bool:
-        return not self.fault
-
-
-def _try(hand: Hand, point: GraspPoint, friction: FrictionGrasp, clearance: float) -> _Trial:
-    T = point.T_pinch_in_object(flipped=False)
-    hand.reach(T, min(point.opening + clearance, full_opening(hand.looked.locations)))
-    overlap, in_table = hand.overlap(table=False), hand.overlap(table=True)
-    coming = (View(hand.model, hand.data.qpos.copy(), "the hand comes"),)
-    if overlap > _OVERLAP:
-        return _Trial(0, 0, overlap, f"the hand reaches {overlap * 1000:.3g} mm into it before it closes", coming)
-    if in_table > 0:
-        fault = f"the hand reaches {in_table * 1000:.3g} mm into the table that it stands on"
-        return _Trial(0, 0, overlap, fault, coming)
-    told = point.opening - 2 * friction.force / hand.drive_gain
+def _held(hand: Hand, taken: Taken, clearance: float) -> Outcome:
+    """Whether a thing stays in the pads that have taken it."""
+    T = inverse(taken.T_thing_in_pinch)
+    gravity = hand.model.opt.gravity.copy()
+    # Without weight nothing falls before the pads press.
+    hand.model.opt.gravity[:] = 0.0
+    hand.reach(T, min(taken.opening + clearance, full_opening(hand.looked.locations)))
     for share in np.linspace(0, 1, round(_CLOSE / 2 / _STEP)):
-        hand.squeeze(point.opening + clearance * (1 - share))
+        hand.squeeze(taken.opening + clearance * (1 - share))
         hand.run(_STEP)
-    hand.squeeze(told)
+    hand.squeeze(taken.opening - 2 * taken.force / hand.drive_gain)
     hand.run(_CLOSE / 2)
+    hand.model.opt.gravity[:] = gravity
     held = hand.T_thing_in_pinch
     far = [_go(hand, T, held, np.linspace(0, 1, round(_HOLD / _STEP)), _lifted)]
     views = [View(hand.model, hand.data.qpos.copy(), "lifted")]
-    hand.remove_table()
     there = np.sin(np.linspace(0, np.pi, round(_TURN / _STEP)))
     far += [_go(hand, T, held, there, functools.partial(_turned, axis=axis)) for axis in (0, 1)]
     times = np.linspace(0, _SHAKE, round(_SHAKE / _STEP))
@@ -108,7 +78,13 @@ def _try(hand: Hand, point: GraspPoint, friction: FrictionGrasp, clearance: floa
             if a > _MOVED or b > _TURNED
         )
         fault = f"when {when}, it slips {moved * 1000:.3g} mm and turns {np.degrees(turned):.3g} degrees in the pads"
-    return _Trial(moved, turned, overlap, fault, tuple(views))
+    figures = {
+        "force_n": short(taken.force, 3),
+        "lean_deg": short(np.degrees(np.arccos(np.clip(-T[2, 2], -1, 1))), 3),
+        "slip_mm": short(moved * 1000, 3),
+        "turn_deg": short(np.degrees(turned), 3),
+    }
+    return Outcome(not fault, figures, fault, tuple(views))
 
 
 def _go(hand: Hand, T: Array, held: Array, way: Array, at: Callable[[Array, float], Array]) -> tuple[float, float]:

@@ -25,8 +25,6 @@ _AROUND, _RISE = 24, 7
 # thick: what a light thing does to a thin table top is not the thing's fault.
 _GROUND_FRICTION = (1.0, 0.005, 0.0001)
 _GROUND_HALF = (1.0, 1.0, 0.05)
-#: Name of the slab's geom.
-GROUND = "ground"
 _TIMESTEP = 0.002
 # What is behind a thing in its pictures.
 _PAPER = (0.80, 0.81, 0.82)
@@ -103,7 +101,7 @@ def grounded_spec(looked: Subject) -> mujoco.MjSpec:
     """The thing and a slab under it, its top at z = 0."""
     spec = bare_spec(looked.item, looked.meshes)
     spec.worldbody.add_geom(
-        name=GROUND,
+        name="ground",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=_GROUND_HALF,
         pos=[0, 0, -_GROUND_HALF[2]],

@@ -56,7 +56,7 @@ class World(Protocol):
         ...
 
     def share_inside(self, thing: str, container: str) -> float:
-        """The share, 0..1, of a thing's volume that lies in a container's interior."""
+        """The share, 0..1, of a thing's volume that lies in a container's interior: the room that its walls enclose."""
         ...
 
     def points(self, thing: str) -> Array:

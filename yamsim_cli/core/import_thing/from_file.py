@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..assets import AssetStore, publish_own
+from ..attempt.alone import reachable_places
 from ..config.things.thing import ObjectConfig
 from ..documents.document import dump_yaml
 from ..errors import ResourceError
 from ..files import sha256_bytes, sha256_file
 from ..resources import Locations
+from ..skills.errors import SkillFailedError
 from ..thing_files.read import Told, read_thing
 from ..things.convex import KEPT, Share
 from ..things.make import Made, make
@@ -87,7 +90,8 @@ def _imported(file: Path, told: Told, wishes: Wishes, where: Locations, share: S
         "told": asdict(told),
         "wishes": asdict(wishes),
     }
-    set_name = publish_own(AssetStore(where.assets), wishes.name, made.files, about)
+    store = AssetStore(where.assets)
+    set_name = publish_own(store, wishes.name, made.files, about)
     data = made.with_set(set_name)
     try:
         config = ObjectConfig.model_validate(data)
@@ -97,7 +101,21 @@ def _imported(file: Path, told: Told, wishes: Wishes, where: Locations, share: S
         raise ResourceError(
             f"{file}: no config can be made of it: {place}: {first['msg']}, found {first['input']!r:.60}"
         ) from error
+    config = _held_in_reach(config, replace(where, meshes={set_name: store.root / set_name}))
+    if config.grasp is not None:
+        data["grasp"] = config.grasp.model_dump(mode="json", exclude_unset=True)
     return config, made, _comment(file, made, told, about) + dump_yaml(data)
+
+
+def _held_in_reach(config: ObjectConfig, where: Locations) -> ObjectConfig:
+    """The thing with only those proposed places that the skill `pick` can take.
+
+    Where it can take none of them, they stay as they are, and the certificate says what is wrong with them.
+    """
+    with suppress(SkillFailedError):
+        if places := reachable_places(config, where):
+            return config.with_places(places)
+    return config
 
 
 def _comment(file: Path, made: Made, told: Told, about: Mapping[str, Any]) -> str:

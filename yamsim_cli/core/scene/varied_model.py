@@ -5,6 +5,8 @@ Everything is set from a copy of the model as it was compiled, so that no attemp
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 
@@ -30,7 +32,8 @@ _SURFACES = {"table": "table", "floor": "safety_plane"}
 
 _SAVED = (
     "light_diffuse", "light_dir", "light_pos",
-    "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "body_pos", "body_quat",
+    "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_pos", "body_quat",
+    "dof_M0", "dof_invweight0", "tendon_invweight0", "actuator_acc0", "cam_poscom0", "light_poscom0",
     "geom_friction", "geom_matid", "geom_group", "geom_contype", "geom_conaffinity",
     "cam_fovy", "cam_pos", "cam_quat", "mat_rgba", "mat_specular", "mat_shininess",
 )  # fmt: skip
@@ -96,13 +99,14 @@ class VariedModel:
         for key, value in self._headlight.items():
             getattr(model.vis.headlight, key)[:] = value
         self.textures = []
+        # First, while all else is as compiled: MuJoCo derives more from the whole model than what follows from masses.
+        if variation.mass:
+            scale_masses(model, variation.mass)
         for number, light in zip(self._lights, variation.lights, strict=False):
             self._light(number, light)
         if variation.headlight:
             model.vis.headlight.diffuse *= variation.headlight[0]
             model.vis.headlight.ambient *= variation.headlight[1]
-        for name, factor in variation.mass.items():
-            scale_mass(model, model.body(name).id, factor)
         for name, factor in variation.friction.items():
             self._friction(name, factor)
         if variation.lens_deg is not None:
@@ -176,13 +180,14 @@ class VariedModel:
         self.textures.append(texture)
 
 
-def scale_mass(model: mujoco.MjModel, body: int, factor: float) -> None:
-    """Multiply a free body's mass, and with it all that MuJoCo has derived from it when it compiled the model."""
-    added = (factor - 1.0) * model.body_mass[body]
-    model.body_subtreemass[0] += added
-    model.body_mass[body] *= factor
-    model.body_subtreemass[body] *= factor
-    model.body_inertia[body] *= factor
-    model.body_invweight0[body] /= factor
-    first = int(model.body_dofadr[body])
-    model.dof_invweight0[first : first + 6] /= factor
+def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
+    """Multiply the masses and inertias of things, their links included, and let MuJoCo derive what follows from them.
+
+    Args:
+        factors: thing -> factor of the mass of each of its bodies.
+    """
+    for name, factor in factors.items():
+        bodies = model.body_rootid == model.body(name).id
+        model.body_mass[bodies] *= factor
+        model.body_inertia[bodies] *= factor
+    mujoco.mj_setConst(model, mujoco.MjData(model))

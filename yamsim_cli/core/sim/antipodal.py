@@ -55,7 +55,7 @@ def spans(model: mujoco.MjModel, data: mujoco.MjData, body: int, widest: float) 
     """Lines through a body no longer than `widest` (m), those near its centre of mass and square to faces first."""
     T = pose(data.xpos[body], data.xmat[body].reshape(3, 3))
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] == body and model.geom_contype[g]]
-    points = geom_points(model, [g for g in geoms if model.geom_bodyid[g] == body], _POINTS)
+    points, _ = geom_points(model, [g for g in geoms if model.geom_bodyid[g] == body], _POINTS)
     centre = model.body_ipos[body]
     found = []
     for point, direction in itertools.product((centre, *points), _DIRECTIONS):

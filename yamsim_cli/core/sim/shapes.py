@@ -8,9 +8,12 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from ..geometry.loft import Surface, joined, loft
 from ..geometry.se3 import Array
 
 _GEOM = mujoco.mjtGeom
+
+_SIDES = 24  # of a circle as a polygon: it errs by less than 1 % of the radius
 
 
 def geom_bounds(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
@@ -33,14 +36,38 @@ def geom_bounds(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
     return np.array([at - half, at + half])
 
 
-def body_block(model: mujoco.MjModel, geoms: Sequence[int]) -> Array:
-    """The lowest and highest corner (2, 3) of the block along a body's axes that encloses some of its geoms."""
-    blocks = np.array([_geom_block(model, geom, *_pose(model, geom)) for geom in geoms])
-    return np.array([blocks[:, 0].min(axis=0), blocks[:, 1].max(axis=0)])
+def body_block(model: mujoco.MjModel, geoms: Sequence[int], T: Array | None = None) -> Array:
+    """The lowest and highest corner (2, 3) of the block that encloses geoms of one body.
+
+    Args:
+        T: pose (4, 4) of the body in the frame along whose axes the block lies; without, the body's own frame.
+    """
+    blocks = []
+    for geom in geoms:
+        R, at = _pose(model, geom)
+        blocks.append(_geom_block(model, geom, *((R, at) if T is None else (T[:3, :3] @ R, T[:3, :3] @ at + T[:3, 3]))))
+    return enclosing(blocks)
 
 
-def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> Array:
-    """Points (count, 3), spread evenly over the room that geoms of one body take, in the body's frame.
+def enclosing(blocks: Sequence[Array]) -> Array:
+    """The lowest and highest corner (2, 3) of the block that encloses blocks along the same axes."""
+    corners = np.array(blocks)
+    return np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+
+
+def body_surface(model: mujoco.MjModel, geoms: Sequence[int]) -> Surface:
+    """The surfaces of geoms of one body as triangles, in the body's frame; round ones have 24 sides."""
+    placed = []
+    for geom in geoms:
+        R, at = _pose(model, geom)
+        vertices, faces = _geom_surface(model, geom)
+        placed.append((vertices @ R.T + at, faces))
+    return joined(placed)
+
+
+def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> tuple[Array, float]:
+    """Points (count, 3), spread evenly over the room that geoms of one body take, in the body's frame, and how large
+    that room is, m3.
 
     What several geoms share counts once. The points are the same for the same geoms.
     """
@@ -56,9 +83,9 @@ def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> Arra
             inside |= _inside(model, geom, (points - at) @ R)
         found.append(points[inside])
         kept += int(inside.sum())
-    points = np.concatenate(found)[:count]
+    points, volume = np.concatenate(found)[:count], max(kept, 1) / drawn * float(np.prod(high - low))
     # A thing of hardly any volume, such as a sheet: its middle has to do.
-    return points if len(points) else np.array([(low + high) / 2])
+    return (points, volume) if len(points) else (np.array([(low + high) / 2]), volume)
 
 
 def _pose(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
@@ -94,6 +121,31 @@ def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
             found = (np.abs(points - centre) <= half).all(axis=1)
     inside: Array = found
     return inside
+
+
+def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
+    """A geom's surface in its own frame."""
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    if kind in (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF):
+        mesh = int(model.geom_dataid[geom])
+        first, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        return _vertices(model, geom), model.mesh_face[first : first + number]
+    if kind == _GEOM.mjGEOM_BOX:
+        square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size[:2]
+        return loft([np.column_stack([square, np.full(4, z)]) for z in (-size[2], size[2])])
+    # Others are turned about z: radii and heights from the bottom to the top, which an ellipsoid stretches.
+    if kind == _GEOM.mjGEOM_CYLINDER:
+        radii, heights, stretch = np.ones(2), np.array([-1.0, 1.0]), np.array([size[0], size[0], size[1]])
+    else:
+        up = np.linspace(-np.pi / 2, 0, _SIDES // 4 + 1)
+        straight = size[1] / size[0] if kind == _GEOM.mjGEOM_CAPSULE else 0.0
+        below = np.sin(up) - straight
+        radii, heights = np.concatenate([np.cos(up), np.cos(up)[::-1]]), np.concatenate([below, -below[::-1]])
+        stretch = size if kind == _GEOM.mjGEOM_ELLIPSOID else np.full(3, size[0])
+    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = zip(radii, heights, strict=True)
+    return loft([np.column_stack([r * circle, np.full(_SIDES, z)]) * stretch for r, z in rings])
 
 
 def _vertices(model: mujoco.MjModel, geom: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -13,7 +13,8 @@ from ..geometry.se3 import Array, inverse, pose
 from ..goals.world import TABLE
 from ..scene.compiled import CompiledScene, Ids, SceneArm, SceneCloth
 from .cloth import ClothState
-from .shapes import body_block, geom_bounds, geom_points
+from .interior import Interior
+from .shapes import body_block, body_surface, enclosing, geom_bounds, geom_points
 
 # How finely the volume of a thing is sampled. One point more or less is a thousandth of it.
 _POINTS = 1000
@@ -49,7 +50,6 @@ class SimWorld:
     Args:
         things: their names, in order. Each is a body of that name with what hangs on it.
         sides: the arms' sides, "left" or "right", in the order of `arms`.
-        interiors: container -> the lowest and highest corner (2, 3) of its interior, in its own frame, m.
         regions: name -> a part of a thing that has a name of its own, such as a tray's compartment.
         cloths: which of the things are cloth, and where their points are.
     """
@@ -61,13 +61,12 @@ class SimWorld:
         arms: Sequence[SceneArm],
         sides: Sequence[str],
         things: Sequence[str],
-        interiors: Mapping[str, Array] | None = None,
         regions: Mapping[str, Region] | None = None,
         cloths: Mapping[str, SceneCloth] | None = None,
     ) -> None:
         self._model, self._data = model, data
         self.arms, self.sides, self.things = tuple(arms), tuple(sides), tuple(things)
-        self._interiors, self._regions = interiors or {}, regions or {}
+        self._regions = regions or {}
         self._cloths = {name: ClothState(cloth, data) for name, cloth in (cloths or {}).items()}
         root = model.body_rootid[model.geom_bodyid]
         self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
@@ -81,7 +80,9 @@ class SimWorld:
         for arm, geoms_of in enumerate(self._fingers):
             for finger, geoms in enumerate(geoms_of):
                 self._of_finger[geoms] = 2 * arm + finger
-        self._points: dict[str, Array] = {}
+        self._bodies = {name: self._solid_geoms(name) for name in things}
+        self._volumes: dict[int, tuple[Array, float]] = {}
+        self._interiors: dict[int, Interior] = {}
         self._hands: dict[str, list[str]] = {name: [] for name in things}
         self._handovers: dict[str, list[tuple[str, str]]] = {name: [] for name in things}
         self._starts: dict[str, Array] = {}
@@ -210,15 +211,35 @@ class SimWorld:
         return tuple(self._handovers[self._known(thing)])
 
     def share_inside(self, thing: str, container: str) -> float:
-        """See `World`: of points spread evenly over a thing's primitives, those in the block of the interior."""
-        to_container = inverse(self.pose(container))
-        if cloth := self._cloths.get(thing):
-            T, points = to_container, cloth.points
-        else:
-            T, points = to_container @ self.pose(thing), self._volume(thing)
-        points = points @ T[:3, :3].T + T[:3, 3]
-        low, high = self.interior(container)
-        return float(((points >= low) & (points <= high)).all(axis=1).mean())
+        """See `World`: of points spread evenly over a thing's primitives, those in the interior."""
+        return self._share(thing, lambda points: self.inside(container, points))
+
+    def share_in_block(self, thing: str, container: str) -> float:
+        """The share, 0..1, of a thing's volume that lies in the block around a container, see `block`."""
+        return self._share(thing, lambda points: self._in_block(container, points))
+
+    def _share(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
+        """The share of a thing's volume of whose points (n, 3) in `world` `held` is true (n,)."""
+        shares, volumes = zip(*((held(points).mean(), volume) for points, volume in self._filled(thing)), strict=True)
+        return float(np.average(shares, weights=volumes))
+
+    def _in_block(self, container: str, points: Array) -> NDArray[np.bool_]:
+        T, (low, high) = self.pose(container), self.block(container)
+        points = (points - T[:3, 3]) @ T[:3, :3]
+        held: NDArray[np.bool_] = ((points >= low) & (points <= high)).all(axis=1)
+        return held
+
+    def inside(self, container: str, points: Array) -> NDArray[np.bool_]:
+        """Whether points (n, 3) in `world` lie in a container's interior (n,): of a region, in its block."""
+        if container in self._regions:
+            return self._in_block(container, points)
+        held = np.zeros(len(points), bool)
+        for body, geoms in self._bodies[self._known(container)].items():
+            if body not in self._interiors:
+                self._interiors[body] = Interior(body_surface(self._model, geoms))
+            T = self._body_pose(body)
+            held |= self._interiors[body].holds((points - T[:3, 3]) @ T[:3, :3])
+        return held
 
     def opening(self, thing: str, joint: str) -> float:
         """See `World`."""
@@ -256,28 +277,42 @@ class SimWorld:
         return thing
 
     def block(self, thing: str) -> Array:
-        """The lowest and highest corner (2, 3) of the block along a thing's own axes that encloses it, m."""
+        """The lowest and highest corner (2, 3) of the block along a thing's own axes that encloses it, m: all of its
+        bodies, as its joints are now.
+        """
+        if region := self._regions.get(thing):
+            return region.corners
         if cloth := self._cloths.get(thing):
             return cloth.block
-        geoms = [int(g) for g in self._geoms[self._known(thing)] if self._model.geom_contype[g]]
-        return body_block(self._model, geoms)
+        root, T = int(self._model.body(self._known(thing)).id), inverse(self.pose(thing))
+        return enclosing(
+            [
+                body_block(self._model, geoms, None if body == root else T @ self._body_pose(body))
+                for body, geoms in self._bodies[thing].items()
+            ]
+        )
 
-    def interior(self, container: str) -> Array:
-        """The lowest and highest corner (2, 3) of a container's interior in its own frame; of one that says nothing,
-        its `block`.
-        """
-        if region := self._regions.get(container):
-            return region.corners
-        if container not in self._interiors:
-            return self.block(container)
-        return self._interiors[container]
+    def _solid_geoms(self, thing: str) -> dict[int, list[int]]:
+        """The geoms that collide of each body of a thing."""
+        bodies: dict[int, list[int]] = {}
+        for geom in self._geoms[thing]:
+            if self._model.geom_contype[geom]:
+                bodies.setdefault(int(self._model.geom_bodyid[geom]), []).append(int(geom))
+        return bodies
 
-    def _volume(self, thing: str) -> Array:
-        """Points (n, 3) spread evenly over a thing's volume, in its own frame."""
-        if thing not in self._points:
-            geoms = [int(g) for g in self._geoms[thing] if self._model.geom_contype[g]]
-            self._points[thing] = geom_points(self._model, geoms, _POINTS)
-        return self._points[thing]
+    def _body_pose(self, body: int) -> Array:
+        return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
+
+    def _filled(self, thing: str) -> Iterator[tuple[Array, float]]:
+        """Points (n, 3) in `world` spread evenly over the volume of each body of a thing, and that volume, m3."""
+        if cloth := self._cloths.get(thing):
+            yield cloth.points, 1.0
+            return
+        for body, geoms in self._bodies[self._known(thing)].items():
+            if body not in self._volumes:
+                self._volumes[body] = geom_points(self._model, geoms, _POINTS)
+            T, (points, volume) = self._body_pose(body), self._volumes[body]
+            yield points @ T[:3, :3].T + T[:3, 3], volume
 
 
 def _block_corners(block: Array) -> list[Array]:

@@ -42,7 +42,9 @@ class Insert(Placing):
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""
         container = cast.one(self.into)
-        T, (low, high) = bench.world.pose(container), bench.world.interior(container)
+        T, (low, high) = bench.world.pose(container), bench.world.block(container)
+        bottom, top = bench.world.block(thing)
+        foot = np.array([*(bottom + top)[:2] / 2, bottom[2], 1.0])
         found = []
         for turn in _TURNS:
             heading = yaw(T) + turn
@@ -55,8 +57,11 @@ class Insert(Placing):
                 for y in _spread(*room[1]):
                     place = (T @ (x, y, 0.0, 1.0))[:2]
                     height = bench.height_on(thing, place, container, heading)
+                    T_goal = pose((*place, height), rotation_z(heading))
                     off = float(np.hypot(x - middles[0], y - middles[1]))
-                    found.append((round(height / _LOWER), off, pose((*place, height), rotation_z(heading))))
+                    # The block around a container has room outside of its walls as well.
+                    if bench.world.inside(container, (T_goal @ foot)[None, :3])[0]:
+                        found.append((round(height / _LOWER), off, T_goal))
         return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
 
     def _check(self, bench: Bench, thing: str, onto: str, T_goal: Array) -> None:

@@ -26,7 +26,7 @@ _APPROACHES = (0.09, 0.05)
 
 
 @dataclass(frozen=True)
-class _Reach:
+class Reach:
     """A grip that a hand can take: its joints (dof,) before it and at it, and how wide its fingers are then, m."""
 
     grip: Grip
@@ -86,7 +86,7 @@ class Pick(Skill):
 
         return sorted(hands, key=distance)
 
-    def _take(self, bench: Bench, hand: Hand, thing: str, found: _Reach) -> Iterator[Segment]:
+    def _take(self, bench: Bench, hand: Hand, thing: str, found: Reach) -> Iterator[Segment]:
         grip = found.grip
         path = bench.way(hand, found.before, found.wide)
         yield bench.segment({hand: path}, {hand: Fingers(found.wide)}, arrives=self.WAITS)
@@ -108,36 +108,41 @@ class Pick(Skill):
 
     def _reaches(
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
-    ) -> Iterator[_Reach]:
+    ) -> Iterator[Reach]:
         """The grips that a hand can take now, and with which what follows can go on."""
-        T_thing = bench.world.pose(thing)
         for grip in bench.grips(thing, hand.widest):
-            if grip.opening > hand.widest:
-                why = (
-                    f"it is {2000 * grip.opening:.1f} mm wide where it can be held, and the {hand.side} hand opens "
-                    f"{2000 * hand.widest:.1f} mm"
-                )
-                reasons[why] = reasons.get(why, 0) + 1
-                continue
-            if hand.held_in_vain(thing, grip.T_pinch_in_thing):
-                continue
-            wide = min(grip.opening + grip.clearance, hand.widest)
-            T_at = T_thing @ grip.T_pinch_in_thing
-            if not points_well(T_at, hand.arm.T_base_in_world):
-                continue
-            at = hand.reach(T_at, (hand.joints, hand.ready))
-            before, why = None, f"the {hand.side} arm does not reach it so"
-            if at is not None:
-                before, why = _before(bench, hand, thing, T_at, at, wide, grip.beside)
-            if at is not None and before is not None:
-                blocked = self._blocked(bench, hand, thing, grip, T_at, at)
-                if blocked is None and ahead:
-                    T = inverse(grip.T_pinch_in_thing)
-                    blocked = ahead[0].fault(bench, cast, hand, thing, T, at, ahead[1:])
-                if blocked is None:
-                    yield _Reach(grip, before, at, wide)
-                why = blocked or "it failed"
-            reasons[why] = reasons.get(why, 0) + 1
+            found = self.reach(bench, hand, thing, grip)
+            if isinstance(found, Reach):
+                T = inverse(grip.T_pinch_in_thing)
+                fault = ahead[0].fault(bench, cast, hand, thing, T, found.at, ahead[1:]) if ahead else None
+                if fault is None:
+                    yield found
+                found = fault or "it failed"
+            if found is not None:
+                reasons[found] = reasons.get(found, 0) + 1
+
+    def reach(self, bench: Bench, hand: Hand, thing: str, grip: Grip) -> Reach | str | None:
+        """How a hand can take a thing by a grip now; else why it cannot.
+
+        Returns:
+            None where no look at the arm is needed: the hand held the thing so in vain, or no hand points there.
+        """
+        if grip.opening > hand.widest:
+            return (
+                f"it is {2000 * grip.opening:.1f} mm wide where it can be held, and the {hand.side} hand opens "
+                f"{2000 * hand.widest:.1f} mm"
+            )
+        T_at = bench.world.pose(thing) @ grip.T_pinch_in_thing
+        if hand.held_in_vain(thing, grip.T_pinch_in_thing) or not points_well(T_at, hand.arm.T_base_in_world):
+            return None
+        at = hand.reach(T_at, (hand.joints, hand.ready))
+        if at is None:
+            return f"the {hand.side} arm does not reach it so"
+        wide = min(grip.opening + grip.clearance, hand.widest)
+        before, why = _before(bench, hand, thing, T_at, at, wide, grip.beside)
+        if before is None:
+            return why
+        return self._blocked(bench, hand, thing, grip, T_at, at) or Reach(grip, before, at, wide)
 
     def _blocked(self, bench: Bench, hand: Hand, thing: str, grip: Grip, T_at: Array, at: Array) -> str | None:
         """What a hand would touch once it has lifted a thing that it takes at joints `at` (dof,)."""

@@ -14,7 +14,7 @@ from ..documents.base import ConflictError
 from ..documents.explain import dotted
 from ..errors import ConfigError, suggest
 from ..goals.cast import Cast
-from .base import Skill
+from .base import Skill, holder_of
 from .bench import Bench, Segment
 from .cloth.flatten import Flatten
 from .cloth.fold import Fold
@@ -205,7 +205,7 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: Recover
             if tries[number] == _HELD_TRIES and isinstance(skill, Placing) and _taken(program[:number]) == skill.thing:
                 with suppress(SkillFailedError):
                     yield from put_back(bench, cast, skill.thing)
-            number = _again_from(program, number, bench)
+            number = _again_from(program, number, bench, cast)
         else:
             number += 1
     for hand in bench.hands:
@@ -222,9 +222,21 @@ def _taken(program: Sequence[Skill]) -> str | None:
     return next((step.thing for step in reversed(program) if isinstance(step, Pick)), None)
 
 
-def _again_from(program: Sequence[Skill], number: int, bench: Bench) -> int:
-    """Where to go on after a failure: with what took the thing into the hand, if it is not there any more."""
-    if all(hand.held is None for hand in bench.hands):
-        while number and not isinstance(program[number], Pick):
-            number -= 1
-    return number
+def _again_from(program: Sequence[Skill], number: int, bench: Bench, cast: Cast) -> int:
+    """The number of the step to go on with after step `number` failed.
+
+    A step that needs its thing in a hand, where no hand holds it any more, needs the nearest step before it that takes
+    that thing. Any other step is tried again by itself.
+    """
+    if not program[number].NEEDS:
+        return number
+    thing = _thing(program[number], cast)
+    if holder_of(bench, thing) is not None:
+        return number
+    takes = (k for k in reversed(range(number)) if program[k].LEAVES and not program[k].NEEDS)
+    return next((k for k in takes if _thing(program[k], cast) == thing), number)
+
+
+def _thing(skill: Skill, cast: Cast) -> str:
+    """The thing of a skill's first role: the one that `NEEDS` and `LEAVES` are about."""
+    return cast.one(skill.roles()[0][1])

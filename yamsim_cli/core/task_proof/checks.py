@@ -110,8 +110,8 @@ def check_open_fingers(simulators: Simulators, seed: int, n: int) -> Check:
 
 
 def check_near_misses(simulator: Simulator, done: Simulated) -> Check:
-    """Whether the goal fails where things are put off from how a success ended: back to where they started, one at a
-    time, and as the task's own near misses say.
+    """Whether the goal fails where one thing is put off from how a success ended: back to where it started, or as one
+    of the task's own near misses says. Each near miss starts from the end of the success.
     """
     episode = open_episode(simulator, done.attempt, REPEATED_RULES)
     for state in done.states:
@@ -139,10 +139,10 @@ def _misses(
         back[at] = attempt.start[at]
         yield f"the {name} where it started", back
     for miss in task.near_misses:
-        off = ended.copy()
         for name in cast.of(miss.thing):
+            off = ended.copy()
             _put_off(scene, off, name, miss)
-            yield f"the {name} {miss.what}", off.copy()
+            yield f"the {name} {miss.what}", off
 
 
 def _moved(scene: CompiledScene, start: Array, ended: Array) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ from .randomness import Stream, generator
 # Tries to find a free place for a thing, and how often all of them are placed anew because one found none.
 _TRIES = 60
 _ROUNDS = 20
+
+BlockOf = Callable[[str, Mapping[str, float]], Array]
 
 
 @dataclass(frozen=True)
@@ -56,12 +58,13 @@ def draw_phrasing(task: ProgramTask, job: EpisodeJob) -> str:
 
 
 def draw_places(
-    task: ProgramTask, cast: Cast, blocks: Mapping[str, Array], table: Table, job: EpisodeJob, number: int = 0
+    task: ProgramTask, cast: Cast, block_of: BlockOf, table: Table, job: EpisodeJob, number: int = 0
 ) -> dict[str, Placed] | str:
     """Where everything starts: thing -> its place, in the order in which they are let down.
 
     Args:
-        blocks: thing -> the lowest and the highest corner (2, 3), in its own frame, of the block that encloses it, m.
+        block_of: from a thing and how far its parts are open, see `Placed.open`, to the lowest and the highest corner
+            (2, 3), in its own frame, of the block that encloses it, m.
         number: of the draw, for an attempt whose first ones were of no use.
 
     Returns:
@@ -72,7 +75,7 @@ def draw_places(
     rng = generator(job, Stream.PLACES, number)
     missing = ""
     for _ in range(_ROUNDS):
-        found = _round(task, cast, blocks, table, rng)
+        found = _round(task, cast, block_of, table, rng)
         if isinstance(found, dict):
             return found
         missing = found
@@ -90,13 +93,13 @@ def _arranged(task: ProgramTask, job: EpisodeJob, number: int) -> dict[str, Plac
 
 
 def _round(
-    task: ProgramTask, cast: Cast, blocks: Mapping[str, Array], table: Table, rng: np.random.Generator
+    task: ProgramTask, cast: Cast, block_of: BlockOf, table: Table, rng: np.random.Generator
 ) -> dict[str, Placed] | str:
     placed: dict[str, Placed] = {}
     for role, start in task.starts.items():
         on = TABLE if start.on == TABLE else cast.one(start.on)
         for name in cast.of(role):
-            found = _place(start, on, name, placed, blocks, table, rng)
+            found = _place(start, on, name, placed, block_of, table, rng)
             if found is None:
                 return name
             placed[name] = found
@@ -108,7 +111,7 @@ def _place(
     on: str,
     name: str,
     placed: Mapping[str, Placed],
-    blocks: Mapping[str, Array],
+    block_of: BlockOf,
     table: Table,
     rng: np.random.Generator,
 ) -> Placed | None:
@@ -119,16 +122,18 @@ def _place(
         turn = math.radians(rng.uniform(*start.yaw_deg))
         attitude = start.attitudes[int(rng.integers(len(start.attitudes)))]
         R = T_on[:3, :3] @ rotation_z(turn) @ _attitude(attitude, rng.uniform(0.0, 2 * math.pi))
-        # The outline's middle comes to lie there, and not the origin, which may be at an end.
-        middle = R @ blocks[name].mean(axis=0)
-        at = (T_on @ (x, y, 0.0, 1.0))[:3] - np.array([middle[0], middle[1], 0.0])
         opened = {part: float(rng.uniform(*share)) for part, share in start.open.items()}
+        # The outline's middle comes to lie there, and not the origin, which may be at an end.
+        block = block_of(name, opened)
+        middle = R @ block.mean(axis=0)
+        at = (T_on @ (x, y, 0.0, 1.0))[:3] - np.array([middle[0], middle[1], 0.0])
         candidate = Placed(pose(at, R), on, opened)
         beside = [other for other, there in placed.items() if there.on == on]
-        corners = outline(blocks[name], candidate.T)
+        corners = outline(block, candidate.T)
         if on == TABLE and not _on_table(corners, table):
             continue
-        if all(gap(corners, outline(blocks[other], placed[other].T)) >= start.apart for other in beside):
+        outlines = (outline(block_of(other, placed[other].open), placed[other].T) for other in beside)
+        if all(gap(corners, there) >= start.apart for there in outlines):
             return candidate
     return None
 

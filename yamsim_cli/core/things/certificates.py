@@ -17,7 +17,7 @@ from ..errors import ResourceError
 from ..files import sha256_bytes, write_file
 
 #: Grows whenever a check decides otherwise: older certificates are stale then.
-CHECKS_VERSION = 2
+CHECKS_VERSION = 3
 
 _FOLDER = "certificates"
 # The content hash at the end of the name of one of the user's own sets.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -202,6 +203,13 @@ class ObjectConfig(Config):
 
         meshes = {"mesh": named(self.mesh), "meshes": tuple(named(mesh) for mesh in self.meshes)}
         return self.model_copy(update={"name": name, **meshes})
+
+    def with_places(self, points: Sequence[GraspPoint]) -> ObjectConfig:
+        """The same thing, held by friction at other places, the best first; it needs a friction grasp already."""
+        assert self.grasp is not None and self.grasp.friction is not None
+        friction = self.grasp.friction.model_copy(update={"points": tuple(points)})
+        at = {name: getattr(points[0], name) for name in GraspPoint.model_fields}
+        return self.model_copy(update={"grasp": self.grasp.model_copy(update={**at, "friction": friction})})
 
     @property
     def all_meshes(self) -> tuple[ObjectMesh, ...]:

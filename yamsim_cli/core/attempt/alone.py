@@ -1,0 +1,179 @@
+"""A thing alone on a table before one arm, and how the skill `pick` takes it from there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config.loader import load_config
+from ..config.pictures import RenderConfig
+from ..config.program_task import PROGRAM, ProgramTask
+from ..config.recording import RecordConfig
+from ..config.rig import RigConfig
+from ..config.scene import SceneConfig
+from ..config.things.thing import GraspPoint, ObjectConfig
+from ..geometry.se3 import Array
+from ..goals.cast import Cast
+from ..goals.world import TABLE
+from ..planning.demonstration import start_stands
+from ..resources import Locations
+from ..scene.compiled import CompiledScene
+from ..session import Session
+from ..sim.rollout import path_actions
+from ..sim.watched import WatchedLoop
+from ..skills.base import Skill
+from ..skills.bench import Bench
+from ..skills.errors import SkillFailedError
+from ..skills.grips import grips
+from ..skills.pick import Pick, Reach
+from ..skills.program import Diary, program_of, run_program
+from ..tasks.randomness import Stream, generator
+from ..types import Cause, EpisodeJob
+from .expert import sides
+from .programs import no_start
+from .sampling import sample
+from .simulators import simulator_for
+
+#: The rig whose hand takes things.
+RIG = "single_linear"
+
+_THING = "thing"
+_PLACE = (0.33, 0.15)  # m, in `world`: where the middle of the thing lies, well in reach, beside the hand at its start
+_HEADINGS = (0.0, 90.0)  # degrees, of the thing; the second is tried where `pick` fails in the first
+_JOB = EpisodeJob(0, 0)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """How `pick` holds a thing that it has lifted.
+
+    Attributes:
+        T_thing_in_pinch: the thing's pose (4, 4) in the hand's pinch frame.
+        opening: of each finger around the thing, as the skill commands it, m.
+        force: with which each finger presses, N.
+    """
+
+    T_thing_in_pinch: Array
+    opening: float
+    force: float
+
+
+def take(item: ObjectConfig, locations: Locations) -> Taken:
+    """Let `pick` lift a thing from the table in physics, and return how the hand holds it then.
+
+    Args:
+        locations: with the folders of the thing's meshes, if it collides by meshes.
+
+    Raises:
+        SkillFailedError: `pick` failed in each heading of the thing; the error is that of the last one.
+        SimulationError: the scene cannot be compiled.
+    """
+    *first, last = _HEADINGS
+    for heading in first:
+        with suppress(SkillFailedError):
+            return _take(item, locations, heading)
+    return _take(item, locations, last)
+
+
+def reachable_places(item: ObjectConfig, locations: Locations) -> tuple[GraspPoint, ...]:
+    """The places of a thing's friction grasp that `pick` can take, those with the least lean of the hand first.
+
+    Nothing moves: a place counts if in one of the headings the arm reaches it, and touches nothing on its way. A thing
+    that is not for one hand to lift has none.
+
+    Args:
+        locations: as of `take`.
+
+    Raises:
+        SkillFailedError: the thing has no room on the table.
+        SimulationError: the scene cannot be compiled.
+    """
+    if item.grasp is None or item.grasp.friction is None or item.links or item.base == "fixed":
+        return ()
+    points = item.grasp.friction.points
+    leans = np.full(len(points), np.inf)
+    for heading in _HEADINGS:
+        with _before_arm(item, locations, heading) as stage:
+            leans = np.minimum(leans, [_least_lean(stage.bench, item.with_places((point,))) for point in points])
+    return tuple(points[k] for k in np.argsort(leans, kind="stable") if np.isfinite(leans[k]))
+
+
+def _least_lean(bench: Bench, item: ObjectConfig) -> float:
+    """How far the hand leans from straight down where it takes a thing by its config's places, in whole degrees.
+
+    Returns:
+        Infinity where it cannot take the thing by any of them.
+    """
+    pick, hand = Pick(thing=_THING), bench.hands[0]
+    for grip in grips(item):
+        if isinstance(pick.reach(bench, hand, _THING, grip), Reach):
+            return round(math.degrees(math.acos(np.clip(-grip.T_pinch_in_thing[2, 2], -1, 1))))
+    return math.inf
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """A thing at rest on the table: what acts, what skills plan with, and who is who."""
+
+    scene: CompiledScene
+    loop: WatchedLoop
+    bench: Bench
+    program: Sequence[Skill]
+    cast: Cast
+
+
+@contextmanager
+def _before_arm(item: ObjectConfig, locations: Locations, heading: float) -> Iterator[_Stage]:
+    session = Session(_config(item, locations, heading), locations)
+    task = session.config.program
+    assert task is not None  # made here
+    cast = task.typical_cast
+    with simulator_for(session, cast) as simulator:
+        attempt = sample(simulator, _JOB)
+        if attempt.start is None:
+            raise SkillFailedError(Cause.NO_LAYOUT, no_start(simulator, attempt))
+        loop = WatchedLoop(simulator.scene, attempt.start, task, cast, sides(session.config))
+        stands, rng = list(start_stands(session.config)), generator(_JOB, Stream.SEARCH)
+        bench = simulator.expert_tools.bench(loop.world, stands, rng)
+        yield _Stage(simulator.scene, loop, bench, program_of(task, cast), cast)
+
+
+def _take(item: ObjectConfig, locations: Locations, heading: float) -> Taken:
+    with _before_arm(item, locations, heading) as stage:
+        for segment in run_program(stage.program, stage.bench, stage.cast, Diary()):
+            stage.loop.act(path_actions(stage.scene, segment.paths))
+        hand = stage.bench.hands[0]
+        return Taken(stage.bench.look_at(hand).T_thing_in_pinch, hand.opening, hand.grip)
+
+
+def _config(item: ObjectConfig, locations: Locations, heading: float) -> RecordConfig:
+    """A recording of nothing but `pick`."""
+    x, y = _PLACE
+    task = ProgramTask.model_validate(
+        {
+            "name": "take",
+            "kind": PROGRAM,
+            "rig": RIG,
+            "things": {_THING: {"of": (item,)}},
+            "starts": {_THING: {"x": (x, x), "y": (y, y), "yaw_deg": (heading, heading)}},
+            "phrasings": {"training": ("take it",)},
+            "goal": {"all": [{"above": {"thing": _THING, "other": TABLE, "by": 0.03}}]},
+            "expert": [{"pick": {"thing": _THING}}],
+        }
+    )
+    return RecordConfig.model_validate(
+        {
+            "rig": load_config(RigConfig, "rigs", RIG, locations),
+            "scene": load_config(SceneConfig, "scenes", "tabletop", locations),
+            "task": task,
+            "grasp": "contact",
+            "seed": _JOB.seed,
+            "wrist": False,
+            "image": {"size_px": (64, 48), "jpeg_quality": 85},
+            "render": load_config(RenderConfig, "quality", "fast", locations),
+        }
+    )
