@@ -13,6 +13,7 @@ from yamsim_cli.core.skills import program
 from yamsim_cli.core.skills.base import Skill
 from yamsim_cli.core.skills.bench import Bench, Segment
 from yamsim_cli.core.skills.errors import SkillFailedError
+from yamsim_cli.core.skills.hand import Hand
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
 from yamsim_cli.core.skills.program import Diary, Recovery, read_program, run_program
@@ -42,6 +43,9 @@ class NoHands:
     """A bench with nothing to bring out of the way."""
 
     hands = ()
+
+    def free_hands(self, arm: str) -> list[Hand]:
+        return []
 
 
 @pytest.fixture(autouse=True)

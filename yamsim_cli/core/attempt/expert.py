@@ -30,10 +30,11 @@ class ExpertTools:
         self._quick = [QuickReach(bare_arm(config.rig.arms[arm.number]), arm.T_base_in_world) for arm in scene.arms]
 
     def reaches(self, T_pinch_in_world: Array) -> bool:
-        """Whether some hand comes to a pose (4, 4) of its pinch frame, whatever it would touch there."""
+        """Whether a hand that acts comes to a pose (4, 4) of its pinch frame, whatever it would touch there."""
+        stands = start_stands(self._config)
         return any(
-            quick.solve(T_pinch_in_world, np.array(stand.joints)) is not None
-            for quick, stand in zip(self._quick, start_stands(self._config), strict=True)
+            self._quick[k].solve(T_pinch_in_world, np.array(stands[k].joints)) is not None
+            for k in self._config.acting_scene_arms
         )
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
@@ -50,7 +51,8 @@ class ExpertTools:
             )
         ]
         items = {item.name: item for item in config.task.objects}
-        return Bench(scene.model, world, hands, items, self._obstacles, rng, config.task.timing.tick)
+        acting, first = config.acting_scene_arms, config.rig.recorded.index(config.first_arm)
+        return Bench(scene.model, world, hands, acting, first, items, self._obstacles, rng, config.task.timing.tick)
 
 
 def sides(config: RecordConfig) -> tuple[str, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..config.program_task import names_of
 from ..config.recording import RecordConfig
 from ..dataset.statistics import coverage, histogram
 from ..dataset.summary import CELL_M
@@ -26,9 +25,9 @@ def start_boxes(config: RecordConfig) -> dict[str, Box]:
         return {item.name: box for item in config.task.objects}
     return {
         name: (start.x, start.y)
-        for role, start in config.program.starts.items()
+        for role, start in config.starts.items()
         if start.on == TABLE
-        for name in names_of(role, config.program.things[role].count)
+        for name in config.program.possible_names(role)
     }
 
 
