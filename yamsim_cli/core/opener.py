@@ -14,10 +14,10 @@ from .session import Session
 if TYPE_CHECKING:
     from .assets import AssetLock, AssetStore, FetchProgress
     from .config.pictures import RenderConfig
-    from .config.program_task import ProgramTiming
+    from .config.program_task import ProgramTask, ProgramTiming
     from .config.recording import RecordConfig
     from .config.rig import RigConfig
-    from .config.task import Timing
+    from .config.task import TaskConfig, Timing
     from .documents.base import Config
     from .documents.document import KeyPath
     from .resources import Locations
@@ -63,6 +63,10 @@ _SETS: dict[str, tuple[str, ...]] = {
     "randomization": ("randomization",),
     "randomize": ("randomization",),
 }
+
+
+# Those that are of a part of the task.
+_WITHIN_TASK = ("object", "target", "threshold")
 
 
 @dataclass(frozen=True)
@@ -156,13 +160,21 @@ class Opener:
             own = self.config(name, where, **(given | {"randomize": None})).randomization.parts
             given["randomize"] = (None if own else "default") if randomize else "none"
         fps = given.pop("fps", None)
+        sets = {
+            setting: path for setting, path in _SETS.items() if given.get(setting) is not None and given[setting] != []
+        }
+        within = [setting for setting in _WITHIN_TASK if setting in sets]
         overrides: dict[KeyPath, tuple[str, Any]] = {
-            path: (self.spell(setting), given[setting])
-            for setting, path in _SETS.items()
-            if given.get(setting) is not None and given[setting] != []
+            path: (self.spell(setting), given[setting]) for setting, path in sets.items() if setting not in within
         }
         if given.get("task") is not None and given.get("rig") is None and (rig := self._own_rig(given["task"], where)):
             overrides["rig",] = (self.spell("task"), rig)
+        if within:
+            # Where a task has them depends on what it is.
+            task = load_config(RecordConfig, "record", name, where, overrides).task
+            overrides |= {
+                self._within(task, setting, sets[setting]): (self.spell(setting), given[setting]) for setting in within
+            }
         if fps is not None:
             overrides |= self._at_rate(fps, self.config(name, where, **given).task.timing)
 
@@ -175,6 +187,32 @@ class Opener:
         if config.program is None:
             kind_of(config.pair)
         return config
+
+    def _within(self, task: TaskConfig | ProgramTask, setting: str, path: KeyPath) -> KeyPath:
+        """Where a config has a setting of its task.
+
+        Args:
+            path: where it has the setting of a task with an object and a target.
+
+        Raises:
+            UsageError: the task has no such thing.
+        """
+        from .config.program_task import ProgramTask
+        from .documents.base import ConflictError
+
+        if not isinstance(task, ProgramTask):
+            return path
+        if setting == "threshold":
+            try:
+                return ("task", *task.radius_path)
+            except ConflictError as error:
+                raise UsageError(f"{self.spell(setting)}: {error}; leave it out") from None
+        if setting not in task.things:
+            raise UsageError(
+                f"{self.spell(setting)}: task {task.name!r} has no role {setting!r} whose object could be another; its "
+                f"roles: {', '.join(task.things)}"
+            )
+        return ("task", "things", setting, "of")
 
     def _at_rate(self, fps: float, timing: Timing | ProgramTiming) -> dict[KeyPath, tuple[str, Any]]:
         from .config.frame_rate import at_rate

@@ -72,7 +72,7 @@ class Slide(Skill):
             raise SkillFailedError(Cause.UNREACHABLE, f"the {thing} has no more room on one side than on the other")
         shift = way * across
         before = bench.world.pose(thing)[:2, 3].copy()
-        hands = [hand for hand in bench.hands if self.arm in ("any", hand.side) and hand.held is None]
+        hands = bench.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - before))):
             for press in self._presses(bench, hand, thing, shift):
                 yield from park_others(bench, hand)

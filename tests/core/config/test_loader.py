@@ -316,9 +316,9 @@ def test_values_that_do_not_fit_together_blame_the_flag_that_was_given(record, f
 
 
 def test_values_of_a_file_that_do_not_fit_together_blame_the_likeliest(record, tmp_path):
-    message = refusal(record, {"grasp: weld": "grasp: weld\narm: left"})
-    assert message.startswith(f"{tmp_path / 'mine.yaml'}:6: arm: arm 'left': rig 'single' has only a right one")
-    message = refusal(record, {"grasp: weld": "grasp: contact"})
+    message = refusal(record, {"task: pickplace": "task: pickplace\narm: left"})
+    assert message.startswith(f"{tmp_path / 'mine.yaml'}:5: arm: arm 'left': rig 'single' has only a right one")
+    message = refusal(record, {"task: pickplace": "task: pickplace\ngrasp: contact"})
     assert message.startswith(f"{tmp_path / 'mine.yaml'}:5: grasp: grasp 'contact' needs a gripper with pads")
 
 

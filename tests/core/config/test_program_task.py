@@ -14,9 +14,11 @@ from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.task import TaskConfig
+from yamsim_cli.core.documents.base import ConflictError
 from yamsim_cli.core.documents.document import dump_yaml
-from yamsim_cli.core.errors import ConfigError
+from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.skills.checked import check_config
 
@@ -148,6 +150,58 @@ BAD = {
         "phrasings.held_out",
         "so it is not held out",
     ),
+    "several things by one name": (
+        {("things", "cube"): {"of": ["cube_red", "cube_blue"], "count": 2, "named": "object"}},
+        "things.cube.named",
+        "`named: object` is for a role that one thing plays, and 2 play this one",
+    ),
+    "two roles by one name": (
+        {
+            ("things", "cube", "named"): "object",
+            ("things", "plate"): {"of": ["kitchen_plate", "cube_blue"], "named": "object"},
+        },
+        "things.cube.named",
+        "the cube may be called 'cube_blue', as the plate is",
+    ),
+    "the name of another role": (
+        {
+            ("things", "cube", "named"): "object",
+            ("things", "cube_red"): {"of": "cube_green"},
+            ("starts", "cube_red"): {"x": [0.3, 0.4], "y": [0, 0.1]},
+        },
+        "things.cube.named",
+        "the cube may be called 'cube_red', as the cube_red is",
+    ),
+    "from an arm on a thing": (
+        {("starts", "cube"): {"on": "plate", "from_arm": "first", "x": [0, 0.1], "y": [0, 0]}},
+        "starts.cube.from_arm",
+        "a region on the plate is given in its frame, and not from an arm",
+    ),
+    "unknown placeholder": (
+        {("phrasings", "held_out"): ["serve the {cub}"]},
+        "phrasings.held_out[0]",
+        "unknown placeholder {cub}; valid: {cube}, {cube.preposition}, {first_arm}, {plate}, ",
+    ),
+    "unknown placeholder in the name": (
+        {("language_task",): "put_{thing}"},
+        "language_task",
+        "unknown placeholder {thing}; valid: {cube}, ",
+    ),
+    "second of one arm": (
+        {("arms",): "one", ("expert",): [{"pick": {"thing": "cube", "arm": "second"}}]},
+        "expert[0].pick.arm",
+        "no second arm does this task",
+    ),
+    "handed over by one arm": (
+        {("arms",): "one", ("expert",): [PICK, {"handover": {"thing": "cube"}}]},
+        "expert[1].handover",
+        "this takes two arms; use a rig with two, and no `arms: one`",
+    ),
+    "put onto what carries nothing": (
+        {("things", "plate"): {"of": "013_apple"}},
+        "expert[1].place.on",
+        "target 'apple' has neither a floor nor a flat top to put something on",
+    ),
     "near miss of nobody": (
         {("near_misses",): [{"thing": "cap", "what": "off"}]},
         "near_misses[0].thing",
@@ -227,6 +281,127 @@ def test_a_good_task_is_loaded_and_read_back(tmp_path: Path, locations: Location
     again = parse_config(RecordConfig, text, "config.yaml", locations, as_recorded=True)
     assert isinstance(again.task, ProgramTask)
     assert again.data_config() == session.config.data_config()
+
+
+ONE_ARM: dict[str, Any] = changed(
+    {
+        ("arms",): "one",
+        ("things",): {
+            "object": {"of": ["cube_red", "cube_blue"], "named": "object"},
+            "target": {"of": "kitchen_plate", "named": "object"},
+        },
+        ("starts",): {
+            "target": {"from_arm": "second", "x": [0.38, 0.42], "y": [-0.16, -0.14]},
+            "object": {"from_arm": "first", "x": [0.32, 0.38], "y": [0.10, 0.14]},
+        },
+        ("phrasings",): {"training": ["by the {first_arm}, not the {second_arm}: {object} {target.preposition} it"]},
+        ("language_task",): "put_{object}",
+        ("goal",): {"all": [{"on": {"thing": "object", "surface": "target", "radius": 0.05}}]},
+        ("expert",): [
+            {"pick": {"thing": "object", "arm": "first"}},
+            {"place": {"thing": "object", "on": "target"}},
+        ],
+    }
+)
+
+
+def test_a_thing_may_have_the_name_of_its_object(tmp_path: Path) -> None:
+    task = session_of(tmp_path, ONE_ARM).config.program
+    assert task is not None
+    cast = task.cast_of({"object": (1,), "target": (0,)})
+    assert dict(cast.things) == {"object": ("cube_blue",), "target": ("plate",)}
+    assert dict(cast.kinds) == {"cube_blue": "cube_blue", "plate": "plate"}
+    assert task.possible_names("object") == ("cube_red", "cube_blue")
+    assert [item.name for item in task.played_by(cast).objects] == ["cube_blue", "plate"]
+
+
+@pytest.mark.parametrize(("arm", "other"), [("right", "left"), ("left", "right")])
+def test_of_two_arms_one_may_act(arm: str, other: str, tmp_path: Path) -> None:
+    config = session_of(tmp_path, ONE_ARM, rig="yam_station_linear_4310_d405", arm=arm).config
+    assert [one.side for one in config.acting_arms] == [arm]
+    assert (config.rig.arms[config.first_arm].side, config.rig.arms[config.second_arm].side) == (arm, other)
+    place = config.rig.place_y(config.first_arm)
+    assert config.starts["object"].y == pytest.approx((0.10 + place, 0.14 + place))
+    assert config.starts["target"].y == pytest.approx((-0.16 - place, -0.14 - place))
+    assert all(start.from_arm is None for start in config.starts.values())
+    acting = config.acting_scene_arms[0]
+    assert [stand.opening > 0 for stand in start_stands(config)] == [k == acting for k in range(2)]
+
+
+def test_on_one_arm_first_and_second_are_the_same(tmp_path: Path) -> None:
+    config = session_of(tmp_path, ONE_ARM).config
+    assert config.first_arm == config.second_arm == 0
+    assert config.starts["target"].y == (-0.16, -0.14)
+
+
+def test_what_is_said_has_the_names_of_what_is_there(tmp_path: Path) -> None:
+    config = session_of(tmp_path, ONE_ARM, rig="yam_station_linear_4310_d405", arm="left").config
+    assert config.program is not None
+    assert config.program.language_prompt == "by the left, not the right: cube red on it"
+    played = config.program.played_by(config.program.cast_of({"object": (1,), "target": (0,)}))
+    assert played.phrasings.training == ("by the left, not the right: cube blue on it",)
+    assert played.language_task == "put_cube_blue"
+
+
+def test_an_arm_that_does_not_act_cannot_be_named(tmp_path: Path) -> None:
+    left = changed({("expert",): [{"pick": {"thing": "object", "arm": "left"}}]}, ONE_ARM)
+    with pytest.raises(ConfigError, match=r"expert\[0\].pick.arm: no left arm does this task, only the right one"):
+        session_of(tmp_path, left)
+    assert session_of(tmp_path, left, rig="yam_station_linear_4310_d405", arm="left").config.arm == "left"
+
+
+def test_the_first_grasp_of_a_task_is_its_own(tmp_path: Path) -> None:
+    both = changed({("grasps",): ["weld", "contact"]})
+    assert session_of(tmp_path, both).config.grasp == "weld"
+    assert session_of(tmp_path, both, rig="single").config.grasp == "weld"
+    assert session_of(tmp_path, both, grasp="contact").config.grasp == "contact"
+    with pytest.raises(UsageError, match="--grasp: task 'small' cannot be done with grasp 'weld'; it has contact"):
+        session_of(tmp_path, changed({}), grasp="weld")
+    with pytest.raises(UsageError, match="--rig: grasp 'contact' needs a gripper with pads"):
+        session_of(tmp_path, changed({}), rig="single")
+
+
+def test_a_weld_needs_fingers_that_open_wide_enough(tmp_path: Path) -> None:
+    wide = changed(
+        {("grasps",): ["weld"], ("things", "cube", "of"): ["cube_red", "054_softball"], ("phrasings", "held_out"): []}
+    )
+    with pytest.raises(UsageError, match="--task: object 'softball' is too wide to be picked up"):
+        session_of(tmp_path, wide)
+
+
+def test_the_scored_predicate_has_its_radius_changed(tmp_path: Path) -> None:
+    task = session_of(tmp_path, ONE_ARM).config.program
+    assert task is not None and task.target_predicate is not None
+    on = task.target_predicate
+    assert (on.thing, on.surface, on.radius) == ("object", "target", 0.05)
+    nearer = task.with_radius(0.02)
+    assert nearer.target_predicate is not None and nearer.target_predicate.radius == 0.02
+    assert nearer.model_copy(update={"goal": task.goal}) == task
+    plain = session_of(tmp_path, changed({})).config.program
+    assert plain is not None and plain.target_predicate is None
+    with pytest.raises(ConflictError, match="no `on` with a `radius` in its goal"):
+        plain.with_radius(0.02)
+
+
+def test_flags_reach_into_a_task_with_their_roles(tmp_path: Path) -> None:
+    given = {"object": "cube_green", "target": "bin", "threshold": 0.03}
+    task = session_of(tmp_path, ONE_ARM, **given).config.program
+    assert task is not None and task.target_predicate is not None
+    assert [item.name for item in task.objects] == ["cube_green", "bin"]
+    assert task.target_predicate.radius == 0.03
+    with pytest.raises(UsageError, match=r"--object: task 'small' has no role 'object' .*; its roles: plate, cube"):
+        session_of(tmp_path, changed({}), object="cube_green")
+    with pytest.raises(UsageError, match="--threshold: task 'small' has no `on` with a `radius` in its goal"):
+        session_of(tmp_path, changed({}), threshold=0.03)
+    with pytest.raises(UsageError, match="--target: target 'apple' has neither a floor nor a flat top"):
+        session_of(tmp_path, ONE_ARM, target="013_apple")
+
+
+def test_what_is_new_in_tasks_is_left_out_of_datasets_that_do_not_use_it(tmp_path: Path) -> None:
+    task = session_of(tmp_path, changed({})).config.data_config()["task"]
+    assert not {"arms", "grasps", "language_task"} & set(task)
+    assert not any("named" in role for role in task["things"].values())
+    assert not any("from_arm" in start for start in task["starts"].values())
 
 
 def test_another_rig_is_taken_where_one_is_named(tmp_path: Path) -> None:

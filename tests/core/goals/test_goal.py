@@ -120,6 +120,14 @@ def test_every_predicate_has_a_case() -> None:
     assert set(CASES) == set(PREDICATES)
 
 
+def test_what_leans_against_a_thing_is_not_on_it() -> None:
+    goal = Goal.model_validate({"on": {"thing": "cup", "surface": "plate", "radius": 0.05}})
+    assert judge(goal, ON_PLATE, CAST).worst.margin == pytest.approx(0.04)
+    leaning = StillWorld(ON_PLATE.places, touches=[("cup", "plate"), ("cup", "table")])
+    verdict = judge(goal, leaning, CAST)
+    assert not verdict.reached and verdict.worst.detail == "touches the table"
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_holds_with_its_margin_and_not_in_a_near_miss(name: str) -> None:
     arguments, world, margin, near_miss = CASES[name]

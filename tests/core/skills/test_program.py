@@ -13,10 +13,11 @@ from yamsim_cli.core.skills import program
 from yamsim_cli.core.skills.base import Skill
 from yamsim_cli.core.skills.bench import Bench, Segment
 from yamsim_cli.core.skills.errors import SkillFailedError
+from yamsim_cli.core.skills.hand import Hand
 from yamsim_cli.core.skills.operate import Operate
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
-from yamsim_cli.core.skills.program import Diary, Recovery, read_program, run_program
+from yamsim_cli.core.skills.program import RecoveryLog, Recovery, read_program, run_program
 from yamsim_cli.core.types import Cause
 
 CAST = Cast(
@@ -44,6 +45,9 @@ class NoHands:
 
     hands = ()
 
+    def free_hands(self, arm: str) -> list[Hand]:
+        return []
+
 
 @pytest.fixture(autouse=True)
 def _failing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,8 +55,8 @@ def _failing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program, "SKILLS", {**program.SKILLS, "failing": Failing})
 
 
-def _run(times: int) -> Diary:
-    diary = Diary()
+def _run(times: int) -> RecoveryLog:
+    diary = RecoveryLog()
     for _ in run_program([Failing(times=times)], cast(Bench, NoHands()), CAST, diary):
         pass
     return diary
@@ -102,7 +106,7 @@ def _put_back(monkeypatch: pytest.MonkeyPatch, taken: str, times: int) -> list[s
     monkeypatch.setattr(Stuck, "tried", [])
     monkeypatch.setattr(program, "put_back", put_back)
     steps = [Taking(thing=taken), Stuck(thing="plate", on="table", at=(0.0, 0.0), number=times)]
-    list(run_program(steps, cast(Bench, NoHands()), CAST, Diary()))
+    list(run_program(steps, cast(Bench, NoHands()), CAST, RecoveryLog()))
     return put
 
 
@@ -139,7 +143,7 @@ ran: list[str] = []
 
 def _ran(*steps: Skill) -> list[str]:
     ran.clear()
-    list(run_program(steps, cast(Bench, NoHands()), CAST, Diary()))
+    list(run_program(steps, cast(Bench, NoHands()), CAST, RecoveryLog()))
     return list(ran)
 
 

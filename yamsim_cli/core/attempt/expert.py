@@ -40,12 +40,12 @@ class ExpertTools:
         self._quick = [QuickReach(bare_arm(config.rig.arms[arm.number]), arm.T_base_in_world) for arm in scene.arms]
 
     def reaches_place(self, place: Array) -> bool:
-        """Return whether some hand gets to a place (3,) in `world`, whatever it would touch there, m."""
+        """Return whether some hand that acts gets to a place (3,) in `world`, m, whatever it would touch there."""
         stands = start_stands(self._config)
         return any(
-            quick.solve(T, np.array(stand.joints)) is not None
+            self._quick[k].solve(T, np.array(stands[k].joints)) is not None
             for T in _hand_poses(place)
-            for quick, stand in zip(self._quick, stands, strict=True)
+            for k in self._config.acting_scene_arms
         )
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
@@ -62,7 +62,8 @@ class ExpertTools:
             )
         ]
         items = {item.name: item for item in config.task.objects}
-        return Bench(scene.model, world, hands, items, self._obstacles, rng, config.task.timing.tick)
+        acting, first = config.acting_scene_arms, config.rig.recorded.index(config.first_arm)
+        return Bench(scene.model, world, hands, acting, first, items, self._obstacles, rng, config.task.timing.tick)
 
 
 def sides(config: RecordConfig) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) 
         ctrl=acting.ctrl[0][scene.drives],
         action_joints=acting.joints[0],
         magnet=acting.magnet[0],
-        language_task=task.language_task,
+        language_task=task.language_task or task.name,
         language_prompt=attempt.phrasing or task.language_prompt,
         wrist_camera=config.wrist_arms[0].wrist_camera_name if len(config.wrist_arms) == 1 else None,
         T_right_base_in_left_base=inverse(bases[0]) @ bases[1] if len(bases) > 1 else None,

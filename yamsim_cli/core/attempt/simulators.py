@@ -35,6 +35,7 @@ def simulator_for(session: Session, cast: Cast) -> Simulator:
     except ValueError as error:
         # A dataset's own task, whose things could be made in their sizes once.
         raise SimulationError(f"task {task.name!r}: {error}") from error
+    played = played.model_copy(update={"starts": session.config.starts})
     return Simulator(session.with_values(task=played), cast)
 
 

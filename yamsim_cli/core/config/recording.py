@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Reference
 from ..documents.explain import BRANCH
@@ -14,17 +14,17 @@ from ..robots.models import Fingers
 from ..shown_meshes import PATTERN
 from .holding import check_fingers, check_friction
 from .pictures import ImageConfig, RenderConfig
-from .program_task import PROGRAM, ProgramTask
+from .program_task import PROGRAM, ProgramTask, Start
+from .program_task import GraspKind as GraspKind
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
 from .starts import check_start, common_start
 from .task import Sampling, TaskConfig
+from .things.thing import ObjectConfig
 
 # What recordings call the camera of their scene.
 SCENE_CAMERA = "scene_camera"
-
-GraspKind = Literal["weld", "contact", "cloth_constraint"]
 
 # What frames hold of the actions: what all drives and the weld are told; or also `state` and `action` as real YAM
 # stations record them, which are of each arm its joints and how far its gripper is open, as a share.
@@ -58,7 +58,8 @@ class RecordConfig(Config):
         arm: which of two arms does the task, or begins it; a rig's only arm does it in any case.
         grasp: "weld" holds the object by a constraint switched on at the grasp, as the lab's magnet does; "contact" by
             friction between a gripper's pads alone; "cloth_constraint", which tasks with cloth have and no others, by
-            friction, and cloth by a constraint where both fingers close on it, see `core.sim.cloth`.
+            friction, and cloth by a constraint where both fingers close on it, see `core.sim.cloth`. If left out, it is
+            the first of those that the task has.
         episodes: how many successful episodes to record, or trials to run.
         workers: how many processes; it never changes the data.
         action: "joints" records `state` and `action` too, see `core.dataset.lowdim.frame_data`.
@@ -78,7 +79,8 @@ class RecordConfig(Config):
     task: Annotated[AnyTask, Reference("tasks")]
     # Left out where it is the default, so that datasets of one arm say what they always said.
     arm: Annotated[Side, Field(exclude_if=lambda side: side == "right")] = "right"
-    grasp: GraspKind
+    # None only before validation, which puts the task's own there.
+    grasp: GraspKind = Field(default=cast(GraspKind, None), validate_default=True)
     action: Annotated[ActionKind, Field(exclude_if=lambda kind: kind == "drives")] = "drives"
     episodes: int = Field(default=500, ge=1, le=1_000_000)
     workers: int = Field(default=2, ge=1, le=1024)
@@ -93,6 +95,14 @@ class RecordConfig(Config):
     meshes: Annotated[
         Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None, Field(exclude_if=lambda meshes: meshes is None)
     ] = None
+
+    @field_validator("grasp", mode="before")
+    @classmethod
+    def _tasks_own_grasp(cls, given: Any, info: ValidationInfo) -> Any:
+        if given is not None:
+            return given
+        task = info.data.get("task")
+        return task.valid_grasps[0] if isinstance(task, ProgramTask) else "weld"
 
     @model_validator(mode="after")
     def _complete(self) -> RecordConfig:
@@ -140,7 +150,10 @@ class RecordConfig(Config):
 
     @model_validator(mode="after")
     def _can_hand_over(self) -> RecordConfig:
-        if isinstance(self.task, ProgramTask) or self.task.exchange is None:
+        if isinstance(self.task, ProgramTask):
+            first, second = (self.rig.arms[k].side for k in (self.first_arm, self.second_arm))
+            return self.model_copy(update={"task": self.task.done_by(first, second)})
+        if self.task.exchange is None:
             return self
         if len(self.rig.arms) < 2:
             raise ConflictError(
@@ -153,17 +166,24 @@ class RecordConfig(Config):
 
     @model_validator(mode="after")
     def _fits_between_the_fingers(self) -> RecordConfig:
-        if isinstance(self.task, ProgramTask):
-            return self
-        check_fingers(self.rig, self.acting_arms, self.task)
+        # What a task that is data picks up is known to `core.skills.checked`.
+        items: dict[tuple[str | int, ...], ObjectConfig] = {}
+        if isinstance(self.task, TaskConfig):
+            items["task", "object"] = self.task.object
+        if items or self.grasp == "weld":
+            check_fingers(self.rig, self.acting_arms, items)
         return self
 
     @model_validator(mode="after")
     def _can_be_held(self) -> RecordConfig:
         if isinstance(self.task, ProgramTask):
-            # Skills hold by friction alone; it does not hold cloth.
-            cloth = any(item.cloth for item in self.task.objects)
-            self = self.model_copy(update={"grasp": "cloth_constraint" if cloth else "contact"})
+            if self.grasp not in (valid := self.task.valid_grasps):
+                raise ConflictError(
+                    f"task {self.task.name!r} cannot be done with grasp {self.grasp!r}; it has "
+                    f"{' and '.join(valid)}: give one of those, or leave `grasp` out",
+                    ("grasp",),
+                    ("task",),
+                )
         elif self.grasp == "cloth_constraint":
             raise ConflictError(
                 "grasp 'cloth_constraint' is that of tasks with cloth alone; use grasp: contact, or weld",
@@ -234,12 +254,29 @@ class RecordConfig(Config):
     @property
     def acting(self) -> tuple[int, ...]:
         """Numbers, in the rig, of the arms that do the task: the one that picks first, the one that places last."""
-        by_side = {arm.side: k for k, arm in enumerate(self.rig.arms)}
         if isinstance(self.task, ProgramTask):
-            return self.rig.recorded
-        if self.task.exchange is not None:
-            return by_side[self.arm], by_side[_other(self.arm)]
-        return (by_side.get(self.arm, 0),)
+            return self.rig.recorded if self.task.arms == "all" else (self.first_arm,)
+        return (self.first_arm,) if self.task.exchange is None else (self.first_arm, self.second_arm)
+
+    @property
+    def first_arm(self) -> int:
+        """Number, in the rig, of the arm that does the task, or begins it."""
+        return next((k for k, arm in enumerate(self.rig.arms) if arm.side == self.arm), 0)
+
+    @property
+    def second_arm(self) -> int:
+        """Number, in the rig, of the other arm; of a lone arm the same."""
+        return len(self.rig.arms) - 1 - self.first_arm
+
+    @property
+    def starts(self) -> Mapping[str, Start]:
+        """Role -> where its things start, of a task that is data, with all regions in `world`."""
+        assert isinstance(self.task, ProgramTask), "not called for tasks with an object and a target"
+        places = {"first": self.rig.place_y(self.first_arm), "second": self.rig.place_y(self.second_arm)}
+        return {
+            role: start if start.from_arm is None else start.moved(places[start.from_arm])
+            for role, start in self.task.starts.items()
+        }
 
     @property
     def acting_arms(self) -> tuple[ArmConfig, ...]:

@@ -93,8 +93,12 @@ def dotted(path: KeyPath) -> str:
 
 def _culprit(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, str]) -> tuple[KeyPath, str]:
     """Path and place of the first value that a flag gave, or else of the first value."""
-    given = next((path for path in paths if path in flags), None)
-    return (paths[0], document.place(paths[0])) if given is None else (given, flags[given])
+    for path in paths:
+        # A flag may give one item where the path is of an item of a list.
+        for whole in (path, path[:-1]) if path and isinstance(path[-1], int) else (path,):
+            if whole in flags:
+                return whole, flags[whole]
+    return paths[0], document.place(paths[0])
 
 
 def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:

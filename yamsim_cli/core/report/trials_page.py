@@ -20,9 +20,12 @@ Box = tuple[Point, Point]
 
 def start_boxes(config: RecordConfig) -> dict[str, Box]:
     """Thing -> the box in `world` in which it starts, as x and y ranges, m; none of what starts on another thing."""
-    task, cast = config.task, config.task.typical_cast
-    boxes = {role: config.start_box(start) for role, start in task.starts.items() if start.on == TABLE}
-    return {name: box for role, box in boxes.items() for name in cast.of(role)}
+    return {
+        name: (start.x, start.y)
+        for role, start in config.starts.items()
+        if start.on == TABLE
+        for name in config.task.possible_names(role)
+    }
 
 
 def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) -> str:

@@ -14,7 +14,8 @@ from .bench import Bench, Segment
 from .errors import SkillFailedError
 from .hand import Hand
 
-Side = Literal["left", "right", "any"]
+# Which arm a skill uses: by its side, or by its turn, see `RecordConfig.arm`.
+Side = Literal["left", "right", "first", "second", "any"]
 
 
 class Skill(Config):

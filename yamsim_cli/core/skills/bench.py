@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -63,6 +63,8 @@ class Bench:
 
     Args:
         world: the things, as they are now.
+        acting: numbers of the hands that may be used; the others stay where they are.
+        first: number of the hand that begins; the other one of two is the second.
         items: thing -> its config.
         rng: for searches; it makes nothing random that was not sampled from an attempt's numbers.
         tick: length of a control tick, s.
@@ -73,12 +75,16 @@ class Bench:
         model: mujoco.MjModel,
         world: SimWorld,
         hands: Sequence[Hand],
+        acting: Collection[int],
+        first: int,
         items: Mapping[str, ObjectConfig],
         obstacles: Obstacles,
         rng: np.random.Generator,
         tick: float,
     ) -> None:
         self.model, self.world, self.hands, self.items = model, world, tuple(hands), items
+        self.acting = tuple(hands[k] for k in sorted(acting))
+        self._turns = {"first": hands[first].side, "second": hands[len(hands) - 1 - first].side}
         self.obstacles, self._rng, self.tick = obstacles, rng, tick
         self._spans: dict[str, list[Span]] = {}
         self._known: tuple[bytes, dict[Hashable, Any]] = (b"", {})
@@ -101,6 +107,14 @@ class Bench:
         fingers = hand.arm.fingers
         assert fingers is not None, "skills are for hands with fingers"
         return float(self.qpos[fingers.qpos[0]] * fingers.sign[0])
+
+    def side_of(self, arm: str) -> str:
+        """The side that an argument names, "first" and "second" by their turn; others, such as "any", as they are."""
+        return self._turns.get(arm, arm)
+
+    def free_hands(self, arm: str) -> list[Hand]:
+        """The hands that may be used, hold nothing, and that an argument names: "any" names all."""
+        return [hand for hand in self.acting if self.side_of(arm) in ("any", hand.side) and hand.held is None]
 
     def look_at(self, hand: Hand) -> Held:
         """What a hand holds, and how, now.
@@ -178,8 +192,8 @@ class Bench:
 
     @property
     def middle(self) -> Array:
-        """The middle (2,) between the arms' bases, in `world`, m."""
-        middle: Array = np.mean([hand.arm.T_base_in_world[:2, 3] for hand in self.hands], axis=0)
+        """The middle (2,) between the bases of the arms that may be used, in `world`, m."""
+        middle: Array = np.mean([hand.arm.T_base_in_world[:2, 3] for hand in self.acting], axis=0)
         return middle
 
     def middle_places(self) -> list[Array]:

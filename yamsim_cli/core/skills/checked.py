@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
+from ..config.holding import check_fingers
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
 from ..config.things.thing import ObjectConfig
@@ -18,8 +21,11 @@ from ..goals.world import TABLE
 from ..scene.robot import bare_arm
 from .base import Skill
 from .cloth.fold import Fold
+from .handover import Handover
 from .hang import Hang
+from .lift import Lift
 from .operate import Operate
+from .pick import Pick
 from .place import Place
 from .program import read_steps
 from .push import Push
@@ -38,26 +44,30 @@ def check_config(config: Config) -> None:
         check_program(config)
     elif isinstance(config, RecordConfig) and config.program is not None:
         try:
-            check_program(config.program, len(config.rig.arms))
+            check_program(config.program, [config.rig.arms[k].side for k in config.acting])
         except ConflictError as error:
             raise ConflictError(str(error), *(("task", *path) for path in error.paths)) from error
-        _check_reach(config, config.program)
+        if config.grasp == "weld":
+            _check_widths(config, config.program)
+        _check_reach(config)
         _check_places(config, config.program)
 
 
-def check_program(task: ProgramTask, arms: int = 2) -> None:
+def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None:
     """Make sure that a task's program has known skills, roles and parts, and that hands are free when it needs them.
 
     Args:
-        arms: how many hands there are.
+        sides: of the arms that do it, where that is known.
 
     Raises:
         ConflictError: it cannot be; its path is where, from the task.
     """
     cast = task.typical_cast
+    arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
     held: set[str] = set()
     for path, skill in read_steps(task.expert, cast, ("expert",)):
         thing = cast.one(skill.roles()[0][1])
+        _check_arms(skill, sides, arms, path)
         if skill.NEEDS and thing not in held:
             raise ConflictError(f"the {thing} is in no hand here: pick it first", path)
         if skill.NEEDS is False and thing not in held and len(held) >= arms:
@@ -77,6 +87,8 @@ def check_program(task: ProgramTask, arms: int = 2) -> None:
                     else "is cloth; it can only be folded, or have things placed onto it"
                 )
                 raise ConflictError(f"the {role} {said}", (*path, argument))
+        if isinstance(skill, Place) and skill.on != TABLE:
+            _check_carries(task, cast, skill, path)
         if isinstance(skill, Fold):
             _check_fold(task, cast, skill, arms, path)
     if (found := contradiction(task.goal)) is not None:
@@ -84,6 +96,20 @@ def check_program(task: ProgramTask, arms: int = 2) -> None:
     for path, predicate in task.goal.predicates():
         if isinstance(predicate, Hung):
             _check_hung(task, cast, predicate, ("goal", *path))
+
+
+def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
+    """Make sure that there are the arms that a step names, or takes."""
+    if isinstance(skill, Handover | Lift) and arms < 2:
+        raise ConflictError("this takes two arms; use a rig with two, and no `arms: one`", path)
+    for argument in ("arm", "to"):
+        named = getattr(skill, argument, None)
+        absent = sides is not None and named in ("left", "right") and named not in sides
+        if absent or (named == "second" and arms < 2):
+            only = sides[0] if sides else "first"
+            raise ConflictError(
+                f"no {named} arm does this task, only the {only} one; give 'first', or 'any'", (*path, argument)
+            )
 
 
 def _check_fold(task: ProgramTask, cast: Cast, skill: Fold, arms: int, path: tuple[str | int, ...]) -> None:
@@ -110,6 +136,18 @@ def _check_part(task: ProgramTask, cast: Cast, skill: Operate, path: tuple[str |
         )
 
 
+def _check_carries(task: ProgramTask, cast: Cast, skill: Place, path: tuple[str | int, ...]) -> None:
+    """Make sure that something can be put onto whatever plays the role that a step puts a thing onto."""
+    role = next(name for name in task.things if skill.on in (name, *cast.of(name)))
+    for k, item in enumerate(task.things[role].of):
+        if item.cloth is None and not item.carries:
+            raise ConflictError(
+                f"target {item.name!r} has neither a floor nor a flat top to put something on",
+                (*path, "on"),
+                ("things", role, "of", k),
+            )
+
+
 def _check_hung(task: ProgramTask, cast: Cast, hung: Hung, path: tuple[str | int, ...]) -> None:
     """Make sure that what is to hang has an eye, and what it is to hang on a peg, whichever objects play them."""
     for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
@@ -124,10 +162,23 @@ def _objects_of(task: ProgramTask, cast: Cast, role: str) -> tuple[ObjectConfig,
     return next(one.of for name, one in task.things.items() if role in (name, *cast.of(name)))
 
 
-def _check_reach(config: RecordConfig, task: ProgramTask) -> None:
+def _check_widths(config: RecordConfig, task: ProgramTask) -> None:
+    """Make sure that whatever the expert picks up fits between the fingers of the arms that act."""
+    cast = task.typical_cast
+    picked = {skill.thing for _, skill in read_steps(task.expert, cast) if isinstance(skill, Pick)}
+    items: dict[tuple[str | int, ...], ObjectConfig] = {
+        ("task", "things", role, "of", k): item
+        for role, one in task.things.items()
+        if picked & {role, *cast.of(role)}
+        for k, item in enumerate(one.of)
+    }
+    check_fingers(config.rig, config.acting_arms, items)
+
+
+def _check_reach(config: RecordConfig) -> None:
     """Make sure that of every region on the table some place is nearer to an arm's base than the arm is long."""
     arms = _arms(config)
-    for role, start in task.starts.items():
+    for role, start in config.starts.items():
         if start.on != TABLE:
             continue
         short = []
@@ -166,8 +217,8 @@ def _named_place(skill: Skill) -> tuple[str, Array | None]:
 
 
 def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
-    """Where the base (2,) of each arm is in `world`, and how long the arm is at most, m."""
-    return [(config.rig.T_base_in_world(k)[:2, 3], _length(bare_arm(arm))) for k, arm in enumerate(config.rig.arms)]
+    """Where the base (2,) of each arm that acts is in `world`, and how long the arm is at most, m."""
+    return [(config.rig.T_base_in_world(k)[:2, 3], _length(bare_arm(config.rig.arms[k]))) for k in config.acting]
 
 
 def _length(model: mujoco.MjModel) -> float:

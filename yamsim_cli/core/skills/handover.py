@@ -63,14 +63,14 @@ class Handover(Skill):
     NEEDS: ClassVar[bool | None] = True
     LEAVES: ClassVar[bool | None] = True
     thing: str
-    to: Literal["left", "right", "other"] = "other"
+    to: Literal["left", "right", "first", "second", "other"] = "other"
     height: Distance = 0.22
 
     def run(self, bench: Bench, cast: Cast, ahead: Sequence[Skill]) -> Iterator[Segment]:
         """See `Skill`."""
         thing = cast.one(self.thing)
         giver = hand_with(bench, thing, "handed over")
-        if self.to == giver.side:
+        if bench.side_of(self.to) == giver.side:
             return
         taker = next(hand for hand in bench.hands if hand is not giver)
         meeting = self._meeting(bench, cast, giver, taker, ahead)
@@ -101,7 +101,7 @@ class Handover(Skill):
         ahead: Sequence[Skill] = (),
     ) -> str | None:
         """See `Skill`."""
-        if cast.one(self.thing) != thing or self.to == hand.side:
+        if cast.one(self.thing) != thing or bench.side_of(self.to) == hand.side:
             return None
         taker = next(other for other in bench.hands if other is not hand)
         grips, why = self._suitable(bench, cast, taker, thing, ahead)

@@ -73,7 +73,7 @@ def park(bench: Bench, hand: Hand) -> Iterator[Segment]:
 
 def idle(bench: Bench) -> list[Hand]:
     """The hands that hold nothing, and are not out of the way."""
-    return [hand for hand in bench.hands if hand.held is None and not _parked(hand)]
+    return [hand for hand in bench.free_hands("any") if not _parked(hand)]
 
 
 def _parked(hand: Hand) -> bool:
@@ -99,7 +99,7 @@ def recover(bench: Bench) -> Iterator[Segment]:
     Raises:
         SkillFailedError: there is no free way for any of those that are left.
     """
-    left = [hand for hand in bench.hands if hand.held is None]
+    left = bench.free_hands("any")
     while left:
         before, faults = len(left), list[SkillFailedError]()
         for hand in tuple(left):

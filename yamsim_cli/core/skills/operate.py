@@ -61,7 +61,7 @@ class Operate(Skill):
     def _move(self, bench: Bench, thing: str, link: Link) -> Iterator[Segment]:
         T_part = bench.world.part_pose(thing, link.name)
         fault = f"no arm reaches a handle of the {link.name}"
-        for hand in (hand for hand in bench.hands if self.arm in ("any", hand.side) and hand.held is None):
+        for hand in bench.free_hands(self.arm):
             for handle in link.handles:
                 for turn in (0.0, math.pi):
                     T_in_part = handle.T_pinch_in_part @ pose(rotation=rotation_from_vector([0.0, 0.0, turn]))

@@ -67,7 +67,7 @@ class Pick(Skill):
                 return
         if not reasons:
             low, high = bench.world.block(thing)
-            opens = f"{2000 * max(hand.widest for hand in bench.hands):.0f} mm"
+            opens = f"{2000 * max(hand.widest for hand in bench.acting):.0f} mm"
             size = " x ".join(f"{1000 * length:.0f}" for length in high - low)
             reasons[
                 f"it is {size} mm and has no two opposite faces less than {opens} apart, as wide as a hand opens"
@@ -78,7 +78,7 @@ class Pick(Skill):
     def _hands(self, bench: Bench, thing: str, goals: Sequence[Array]) -> list[Hand]:
         """The hands that may do it, the nearest to where the thing lies and is to lie first."""
         places = [bench.world.pose(thing)[:2, 3], *goals]
-        hands = [hand for hand in bench.hands if self.arm in ("any", hand.side) and hand.held is None]
+        hands = bench.free_hands(self.arm)
 
         def distance(hand: Hand) -> float:
             base = hand.arm.T_base_in_world[:2, 3]

@@ -74,7 +74,7 @@ class Push(Skill):
         half = float(bench.half_outline(thing, -heading)[0])
         along = way / np.linalg.norm(way)
         first, last = start - along * (half + _BEHIND), np.array(self.to) - along * half
-        hands = [hand for hand in bench.hands if self.arm in ("any", hand.side) and hand.held is None]
+        hands = bench.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
             for lean, turn in itertools.product(_LEANS, _TURNS):
                 found = self._reach(bench, hand, first, last, heading + turn, lean)

@@ -65,9 +65,9 @@ def check_program_fits(task: ProgramTask) -> Check:
     return Check("program", why is None, None, why or "no step contradicts the goal")
 
 
-def check_reach(simulator: Simulator, task: ProgramTask) -> Check:
+def check_reach(simulator: Simulator) -> Check:
     """Of the places in the regions on the table, how many some hand reaches, in whatever way it is turned."""
-    shares = {role: _reached(simulator, start) for role, start in task.starts.items() if start.on == TABLE}
+    shares = {role: _reached(simulator, start) for role, start in simulator.config.starts.items() if start.on == TABLE}
     least = min(shares.values(), default=1.0)
     told = ", ".join(f"{role} {share:.0%}" for role, share in shares.items())
     return Check("reach", least >= LEAST_REACH, least, f"of each region: {told}; at least {LEAST_REACH:.0%} is needed")

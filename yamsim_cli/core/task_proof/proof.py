@@ -42,7 +42,7 @@ def prove(session: Session, least: float, progress: Progress) -> dict[str, Any]:
     checks = [check_program_fits(config.task), Check("expert", rate >= least, rate, told)]
     few = min(_FEW, config.episodes)
     with Simulators(session.without_meshes()) as simulators:
-        checks.append(check_reach(simulators.of(EpisodeJob(config.seed, 0)), config.task))
+        checks.append(check_reach(simulators.of(EpisodeJob(config.seed, 0))))
         checks.append(check_still(simulators, config.seed, few))
         checks.append(check_open_fingers(simulators, config.seed, few))
         checks.append(_near_misses(simulators, report))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..config.program_task import Attitude, ProgramTask, Start, names_of
+from ..config.program_task import Attitude, ProgramTask, Start
 from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..goals.cast import Cast
@@ -47,7 +47,7 @@ def draw_cast(task: ProgramTask, job: EpisodeJob) -> Cast:
             numbers += [int(k) for k in rng.permutation(len(one.of))]
         drawn[role] = tuple(numbers[: one.count])
         if one.sizes:
-            sizes |= {name: one.sizes[int(rng.integers(len(one.sizes)))] for name in names_of(role, one.count)}
+            sizes |= {name: one.sizes[int(rng.integers(len(one.sizes)))] for name in task.names_of(role, drawn[role])}
     return task.cast_of(drawn, sizes)
 
 
@@ -71,7 +71,7 @@ def draw_places(
         Rather the name of a thing for which there was no room in any of 20 rounds of 60 places.
     """
     if task.arrangements:
-        return _arranged(task, job, number)
+        return _arranged(task, cast, job, number)
     rng = generator(job, Stream.PLACES, number)
     missing = ""
     for _ in range(_ROUNDS):
@@ -82,12 +82,12 @@ def draw_places(
     return missing
 
 
-def _arranged(task: ProgramTask, job: EpisodeJob, number: int) -> dict[str, Placed]:
+def _arranged(task: ProgramTask, cast: Cast, job: EpisodeJob, number: int) -> dict[str, Placed]:
     """The arrangement whose turn it is: all attempts of a seed go through one random order of them."""
     order = generator(EpisodeJob(job.seed, 0), Stream.PLACES).permutation(len(task.arrangements))
     one = task.arrangements[order[(job.attempt + number) % len(order)]]
     return {
-        name: Placed(pose((x, y, 0.0), rotation_z(math.radians(turn))), TABLE, {})
+        cast.one(name): Placed(pose((x, y, 0.0), rotation_z(math.radians(turn))), TABLE, {})
         for name, (x, y, turn) in one.places.items()
     }
 

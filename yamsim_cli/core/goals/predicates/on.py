@@ -18,7 +18,8 @@ class On(Predicate):
     Attributes:
         thing, surface: roles; the surface may be `table`.
         inside: how far inside the surface's outline the thing's middle has to lie, m.
-        radius: rather, how near the two origins have to be seen from above, m.
+        radius: rather, how near the two origins have to be seen from above, m. A thing that also touches the table
+            leans against its surface, and does not count.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "surface")
@@ -43,6 +44,9 @@ class On(Predicate):
         if surface == TABLE:
             return either(what, True)
         if self.radius is not None:
+            # What leans against a thing stands on the table, however near the two origins are.
+            if world.touching(thing, TABLE):
+                return either(what, False, "touches the table")
             apart = world.pose(thing)[:2, 3] - world.pose(surface)[:2, 3]
             distance = float((apart @ apart) ** 0.5)
             return Measure(what, self.radius - distance, "m", f"{distance * 1000:.0f} mm from the middle")

@@ -93,7 +93,7 @@ def reached(bench: Bench, thing: str, lays: Sequence[Lay], points: Array | None 
         points: where the cloth's points (along y, along x, 3) would be; without, where they are.
     """
     points = bench.world.points(thing) if points is None else points
-    free = [hand for hand in bench.hands if hand.held is None]
+    free = bench.free_hands("any")
     for hands in itertools.permutations(free, len(lays)):
         # Arms do not cross: the farther to the left a hand's arm stands, the farther to the left is its point.
         sides = [hand.arm.T_base_in_world[1, 3] for hand in hands]
