@@ -47,8 +47,8 @@ def main(names: list[str]) -> None:
 
 def _pictures(session: Session) -> list[np.ndarray]:
     """The scene camera's images (height, width, 3) of the first success."""
+    from yamsim_cli.core.attempt.engine import demonstrate
     from yamsim_cli.core.attempt.pictures import render
-    from yamsim_cli.core.attempt.programs import demonstrate_program
     from yamsim_cli.core.attempt.sampling import sample
     from yamsim_cli.core.attempt.simulators import Simulators
     from yamsim_cli.core.config.recording import SCENE_CAMERA
@@ -57,7 +57,7 @@ def _pictures(session: Session) -> list[np.ndarray]:
     with Simulators(session) as simulators:
         for job in (EpisodeJob(0, number) for number in range(_TRIES)):
             simulator = simulators.of(job)
-            done = demonstrate_program(simulator, sample(simulator, job))
+            done = demonstrate(simulator, sample(simulator, job))
             if done.outcome.success:
                 shown = [done.states[k].qpos for k in (0, len(done.states) // 2, -1)]
                 seen = [render(simulator, done.attempt, qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for qpos in shown]

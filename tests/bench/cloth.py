@@ -17,9 +17,9 @@ os.environ.setdefault("MUJOCO_GL", "off")
 
 import mujoco
 import numpy as np
-
 from yamsim_cli.core.attempt.planned import demonstrate
 from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
+
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators

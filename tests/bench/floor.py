@@ -6,16 +6,16 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from yamsim_cli.core.attempt.simulated import Simulated
+from yamsim_cli.core.sim.rollout import simulate
+from yamsim_cli.core.tasks.plans import phases
 
 from tests.bench.setting import Stopwatch
 from tests.core.attempts import all_actions
 from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.simulated import Simulated
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.files import publish_directory
 from yamsim_cli.core.images.jpeg import encode_jpeg
-from yamsim_cli.core.sim.rollout import simulate
-from yamsim_cli.core.tasks.plans import phases
 
 
 def floor_seconds(simulator: Simulator, done: Simulated, place: Path) -> dict[str, float]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-
 from yamsim_cli.core.attempt.planned import demonstrate
-from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulated import Simulated
+
+from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.types import Actions, EpisodeJob, StepState
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from tests.cli.run_cli import yamsim
 from tests.e2e.browser import Browser, wait_until
@@ -24,7 +25,6 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import task_viewpoint
-from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
 from yamsim_cli.core.teleop.loop import open_seat, run_page

@@ -17,10 +17,10 @@ pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
+from yamsim_cli.core.attempt.programs import demonstrate_program
 
 from tests.core.attempts import all_actions
 from yamsim_cli.core.attempt.expert import sides
-from yamsim_cli.core.attempt.programs import demonstrate_program
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.reader import dataset_config

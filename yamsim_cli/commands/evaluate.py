@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -100,6 +100,13 @@ def evaluate(
     ] = None,
     video_trials: Annotated[int, typer.Option(min=1, metavar="N", help="With --video: how many at most.")] = 10,
     video_all: Annotated[bool, typer.Option("--video-all", help="With --video: film successes too.")] = False,
+    end: Annotated[
+        Literal["success", "actor"],
+        typer.Option(
+            help="What ends a trial: success, once the goal has held for its hold time, or actor, the policy itself, "
+            "so that the goal has to hold at the end."
+        ),
+    ] = "success",
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Move older videos aside, and replace reports that exist.")
     ] = False,
@@ -119,7 +126,7 @@ def evaluate(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Run a policy from sampled starts, the same as `pickplace batch` has for that seed, and count its successes.
+    """Run a policy from sampled starts, the same as `yamsim trials` has for that seed, and count its successes.
 
     Exit code 6 if the policy failed in every trial before its end, so that nothing was measured.
 
@@ -160,6 +167,7 @@ def evaluate(
 
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.documents.json_text import json_text
+    from yamsim_cli.core.episode.rules import EndRule
     from yamsim_cli.core.evaluate import evaluation
     from yamsim_cli.core.evaluate.choice import PolicyChoice
     from yamsim_cli.core.evaluate.compare import compare as compared
@@ -177,7 +185,9 @@ def evaluate(
         with progress_bar("trials", "trials") as advance:
             return evaluation.evaluate(session, choice, advance, trial_timeout)
 
-    choice = PolicyChoice(policy, Path.cwd(), policy_timeout, time_limit, arguments, policy_config, chunking)
+    choice = PolicyChoice(
+        policy, Path.cwd(), policy_timeout, time_limit, EndRule(end), arguments, policy_config, chunking
+    )
     found = run(choice)
     report = evaluation.summary(found, session.config, THRESHOLDS)
     reports = [report]

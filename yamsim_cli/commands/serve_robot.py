@@ -88,7 +88,6 @@ def serve_robot(
 
     Example: yamsim serve-robot --rig yam_v1+linear_4310
     """
-    from yamsim_cli.core.config.pairs import require_pair
     from yamsim_cli.core.errors import UsageError
     from yamsim_cli.core.motors.faults import parse_fault
 
@@ -107,7 +106,6 @@ def serve_robot(
         size=size,
         quality=quality,
     )
-    require_pair(session.config, "serve-robot")
 
     from yamsim_cli.core.serve.arms import STARTS, policy_robot, serve_arms
     from yamsim_cli.core.serve.loop import ServeLoop

@@ -93,12 +93,10 @@ def check(
         raise UsageError("--overwrite is for videos: give --video")
     session = opener.open(config, renders=video is not None, task=name, n=n, seed=seed, workers=workers, rig=rig)
 
-    from yamsim_cli.core.config.pairs import require_program
     from yamsim_cli.core.task_proof.proof import prove, require_proof
     from yamsim_cli.terminal.console import print_json, print_table, progress_bar
     from yamsim_cli.terminal.tables import listing
 
-    require_program(session.config, "`yamsim tasks check`")
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
         report = prove(session, least, advance)

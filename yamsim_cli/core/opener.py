@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from .config.program_task import ProgramTask, ProgramTiming
     from .config.recording import RecordConfig
     from .config.rig import RigConfig
-    from .config.task import TaskConfig, Timing
     from .documents.base import Config
     from .documents.document import KeyPath
     from .resources import Locations
@@ -147,7 +146,6 @@ class Opener:
         from .config.loader import load_config
         from .config.recording import RecordConfig
         from .skills.checked import check_config
-        from .tasks.kinds import kind_of
 
         if isinstance(task := given.get("task"), str):
             given["task"] = self.task(task)
@@ -183,12 +181,9 @@ class Opener:
             assert isinstance(config, RecordConfig)  # asked for here
             check(config)
 
-        config = load_config(RecordConfig, "record", name, where, overrides, check_all)
-        if config.program is None:
-            kind_of(config.pair)
-        return config
+        return load_config(RecordConfig, "record", name, where, overrides, check_all)
 
-    def _within(self, task: TaskConfig | ProgramTask, setting: str, path: KeyPath) -> KeyPath:
+    def _within(self, task: ProgramTask, setting: str, path: KeyPath) -> KeyPath:
         """Where a config has a setting of its task.
 
         Args:
@@ -197,11 +192,8 @@ class Opener:
         Raises:
             UsageError: the task has no such thing.
         """
-        from .config.program_task import ProgramTask
         from .documents.base import ConflictError
 
-        if not isinstance(task, ProgramTask):
-            return path
         if setting == "threshold":
             try:
                 return ("task", *task.radius_path)
@@ -214,7 +206,7 @@ class Opener:
             )
         return ("task", "things", setting, "of")
 
-    def _at_rate(self, fps: float, timing: Timing | ProgramTiming) -> dict[KeyPath, tuple[str, Any]]:
+    def _at_rate(self, fps: float, timing: ProgramTiming) -> dict[KeyPath, tuple[str, Any]]:
         from .config.frame_rate import at_rate
 
         try:

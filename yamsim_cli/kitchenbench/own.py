@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..core.attempt.episodes import open_episode
 from ..core.attempt.sampling import no_start, sample
 from ..core.attempt.simulator import Simulator
-from ..core.attempt.simulators import cast_for, simulator_for
+from ..core.attempt.simulators import simulator_for
 from ..core.config.program_task import ProgramTask
 from ..core.episode.episode import Episode
 from ..core.episode.rules import EndRule, EpisodeRules
@@ -73,7 +73,7 @@ def realize_own(session: Session, seed: int) -> OwnRealization:
     timing = task.timing.model_copy(update={"timestep": 1 / (TICK_HZ * steps)})
     session = session.with_values(task=task.model_copy(update={"timing": timing}))
     job = EpisodeJob(seed, 0)
-    simulator = simulator_for(session, cast_for(session, job))
+    simulator = simulator_for(session, job)
     attempt = sample(simulator, job)
     if attempt.start is None:
         simulator.close()

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from yamsim_cli.core.attempt.physics import repeat
+from yamsim_cli.core.sim.rollout import path_actions
+from yamsim_cli.core.tasks.pickplace import SLIP_DISTANCE
 
 from tests.cli.run_cli import yamsim
 from tests.core.attempts import all_actions, planned
 from tests.core.unrendered import SIZE, read_frame, write_dataset
-from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
@@ -21,8 +23,6 @@ from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.sim.rollout import path_actions
-from yamsim_cli.core.tasks.pickplace import SLIP_DISTANCE
 from yamsim_cli.core.types import Actions, Attempt, Cause, JointPath
 from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.attempt.physics import repeat
 
 from tests.core.attempts import all_actions, planned
-from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import pose

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from yamsim_cli.core.attempt.physics import repeat
+from yamsim_cli.core.tasks.handover import schedule
 
 from tests.cli.run_cli import yamsim
 from tests.core.attempts import all_actions, planned
 from tests.core.unrendered import SIZE, change_frame, read_frame, write_dataset
 from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
@@ -24,7 +25,6 @@ from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.tasks.handover import schedule
 from yamsim_cli.core.types import Cause
 from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
 

@@ -9,12 +9,12 @@ from dataclasses import asdict, replace
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.attempt.physics import repeat
+from yamsim_cli.core.attempt.planned import demonstrate, with_room
 
 from tests.core.attempts import all_actions, planned
 from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.pictures import render
-from yamsim_cli.core.attempt.planned import demonstrate, with_room
 from yamsim_cli.core.attempt.runner import EpisodeRunner
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator

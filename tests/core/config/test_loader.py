@@ -1,10 +1,10 @@
 from typing import Any
 
 import pytest
+from yamsim_cli.core.config.task import TaskConfig
 
 from yamsim_cli.core.config.loader import KINDS, load_config, model_of, parse_config, validate_file
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.task import TaskConfig
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError, UsageError, YamsimError

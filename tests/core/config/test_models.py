@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, TypeAdapter, ValidationError
+from yamsim_cli.core.config.task import TaskConfig, Timing
 
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import BasePose
 from yamsim_cli.core.config.scene import FixedCamera, Table
-from yamsim_cli.core.config.task import TaskConfig, Timing
 from yamsim_cli.core.config.things.primitives import Capsule, Cylinder, Ring
 from yamsim_cli.core.config.things.thing import Grasp, Inertia, ObjectConfig
 from yamsim_cli.core.documents.base import Name, Quaternion, Range, Rgba

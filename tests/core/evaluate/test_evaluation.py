@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from yamsim_cli.core.sim.closed_loop import ClosedLoop
 
 from tests.core.attempts import all_actions, planned
 from tests.core.unrendered import write_dataset
@@ -23,7 +24,6 @@ from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_ru
 from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.sim.closed_loop import ClosedLoop
 from yamsim_cli.core.trials.batch import run_batch
 from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob, Outcome
 

@@ -5,18 +5,18 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.planning.choice import PathChooser
+from yamsim_cli.core.planning.demonstration import start_stands
+from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_vector, rotation_z
-from yamsim_cli.core.planning.choice import PathChooser
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.planning.dynamics import ArmDynamics
 from yamsim_cli.core.planning.ik import IkSolver
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.types import EpisodeJob, JointPath, Layout, Plan
 

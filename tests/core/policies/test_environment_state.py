@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from yamsim_cli.core.attempt.planned import demonstrate
+from yamsim_cli.core.sim.closed_loop import ClosedLoop
 
 from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.planned import demonstrate
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
@@ -23,7 +24,6 @@ from yamsim_cli.core.policies.lerobot import check_rows
 from yamsim_cli.core.policies.mapped import MappedPolicy
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.sim.closed_loop import ClosedLoop
 from yamsim_cli.core.types import EpisodeJob
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
@@ -27,7 +28,6 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import PERIOD, LivePictures, live_rig, live_task
-from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress

@@ -9,11 +9,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
 
 from tests.programs import FOLD, changed, first_attempt, session_of, started
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.frames import frames
-from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.errors import ConfigError, UsageError

@@ -3,12 +3,16 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.planning.choice import PathChooser
+from yamsim_cli.core.planning.demonstration import start_stands
+from yamsim_cli.core.sim.monitor import object_pose
+from yamsim_cli.core.sim.rollout import Rollout, attach, drive_command, path_actions, path_start, simulate
+from yamsim_cli.core.tasks.pickplace import sample_layout
+from yamsim_cli.core.tasks.plans import phases
 
 from tests.core.attempts import all_actions
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse
-from yamsim_cli.core.planning.choice import PathChooser
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.planning.dynamics import ArmDynamics
 from yamsim_cli.core.planning.ik import IkSolver
 from yamsim_cli.core.resources import Locations
@@ -16,11 +20,7 @@ from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.robot import arm_spec, bare_arm
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.sim.monitor import object_pose
 from yamsim_cli.core.sim.replica import Replica
-from yamsim_cli.core.sim.rollout import Rollout, attach, drive_command, path_actions, path_start, simulate
-from yamsim_cli.core.tasks.pickplace import sample_layout
-from yamsim_cli.core.tasks.plans import phases
 from yamsim_cli.core.types import Actions, JointPath, Layout
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.planning.demonstration import start_stands
 
 from tests.programs import STATION, changed, session_of
 from yamsim_cli.core.attempt.expert import sides
@@ -15,7 +16,6 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from yamsim_cli.core.goals.cast import Cast
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.sim.world import SimWorld, world_of
 from yamsim_cli.core.skills.bench import Bench
 from yamsim_cli.core.skills.insert import Insert

@@ -17,7 +17,7 @@ from yamsim_cli.core.skills.hand import Hand
 from yamsim_cli.core.skills.operate import Operate
 from yamsim_cli.core.skills.pick import Pick
 from yamsim_cli.core.skills.place import Place
-from yamsim_cli.core.skills.program import RecoveryLog, Recovery, read_program, run_program
+from yamsim_cli.core.skills.program import Recovery, RecoveryLog, read_program, run_program
 from yamsim_cli.core.types import Cause
 
 CAST = Cast(

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from yamsim_cli.core.attempt.programs import demonstrate_program
 
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
-from yamsim_cli.core.attempt.programs import demonstrate_program
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.resources import Locations

@@ -6,9 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-
-from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z, yaw
 from yamsim_cli.core.tasks.handover import (
     exchange,
     exchange_pose,
@@ -21,6 +18,9 @@ from yamsim_cli.core.tasks.handover import (
 from yamsim_cli.core.tasks.kinds import kind_of
 from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.tasks.plans import Hold
+
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z, yaw
 from yamsim_cli.core.types import Layout, Plan
 
 HEADINGS = (np.pi / 2, 0.7)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import pytest
+from yamsim_cli.core.tasks.kinds import KINDS, kind_of
 
 from tests.core.attempts import planned as planned_attempt
 from yamsim_cli.core.attempt.simulator import Simulator
@@ -12,7 +13,6 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.tasks import kinds
-from yamsim_cli.core.tasks.kinds import KINDS, kind_of
 from yamsim_cli.core.types import Cause, Outcome
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from yamsim_cli.core.tasks.pickplace import Poses, judge, sample_layout
 
 from yamsim_cli.core.config.recording import GraspKind, RecordConfig
 from yamsim_cli.core.geometry.se3 import pose, yaw
-from yamsim_cli.core.tasks.pickplace import Poses, judge, sample_layout
 from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.types import Cause, EpisodeJob, Layout, Margins, Motion, Outcome
 

@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from yamsim_cli.core.tasks.pickplace import sample_layout
+from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan, phases, phases_of, points_for, ticks
 
 from yamsim_cli.core.config.recording import GraspKind, RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z, tilt
-from yamsim_cli.core.tasks.pickplace import sample_layout
-from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan, phases, phases_of, points_for, ticks
 from yamsim_cli.core.types import Layout, Phases, Plan
 
 BASE = pose((0.1, -0.2, 0.0), rotation_z(0.3))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from yamsim_cli.core.tasks.resting import resting_height
 
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.tasks.resting import resting_height
 
 
 def thing(name: str, locations: Locations) -> ObjectConfig:

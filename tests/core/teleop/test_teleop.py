@@ -18,12 +18,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from yamsim_cli.core.attempt.physics import repeat
 
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.making import failed_attempt, made
 from tests.core.teleop.demonstrated import TICK, planned_lines, write_stream
 from tests.core.teleop.tray import Tray
-from yamsim_cli.core.attempt.physics import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json

@@ -9,6 +9,7 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.truth_files import KeypointRecord, Visibility
@@ -19,7 +20,6 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.replica import Replica
-from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.types import Stand
 from yamsim_cli.core.vision.frame_truth import FrameTruth, instance_boxes, is_seen, measure_frame
 from yamsim_cli.core.vision.labels import Keypoint, SceneLabels, scene_labels

@@ -10,6 +10,8 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
+from yamsim_cli.core.planning.demonstration import start_stands
+from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from yamsim_cli.core.assets import AssetStore, load_lock
 from yamsim_cli.core.config.recording import RecordConfig
@@ -17,13 +19,11 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.replica import Replica
-from yamsim_cli.core.tasks.pickplace import sample_layout
 from yamsim_cli.core.vision.renderer import SceneRenderer
 
 pytestmark = pytest.mark.render

@@ -16,27 +16,27 @@ from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from ..config.things.thing import GraspPoint, ObjectConfig
+from ..episode.commands import path_actions
+from ..episode.episode import Episode
+from ..episode.rules import EpisodeRules
 from ..geometry.se3 import Array
 from ..goals.cast import Cast
 from ..goals.world import TABLE
-from ..planning.demonstration import start_stands
+from ..planning.arm_tools import start_stands
 from ..resources import Locations
 from ..scene.compiled import CompiledScene
 from ..session import Session
-from ..sim.rollout import path_actions
-from ..sim.watched import WatchedLoop
 from ..skills.base import Skill
 from ..skills.bench import Bench
 from ..skills.errors import SkillFailedError
 from ..skills.grips import grips
 from ..skills.pick import Pick, Reach
-from ..skills.program import Diary, program_of, run_program
+from ..skills.program import RecoveryLog, program_of, run_program
 from ..tasks.randomness import Stream, generator
 from ..types import Cause, EpisodeJob
-from .expert import sides
-from .programs import no_start
-from .sampling import sample
-from .simulators import simulator_for
+from .episodes import open_episode
+from .sampling import no_start, sample
+from .simulator import Simulator
 
 #: The rig whose hand takes things.
 RIG = "single_linear"
@@ -120,7 +120,7 @@ class _Stage:
     """A thing at rest on the table: what acts, what skills plan with, and who is who."""
 
     scene: CompiledScene
-    loop: WatchedLoop
+    episode: Episode
     bench: Bench
     program: Sequence[Skill]
     cast: Cast
@@ -129,23 +129,22 @@ class _Stage:
 @contextmanager
 def _before_arm(item: ObjectConfig, locations: Locations, heading: float) -> Iterator[_Stage]:
     session = Session(_config(item, locations, heading), locations)
-    task = session.config.program
-    assert task is not None  # made here
-    cast = task.typical_cast
-    with simulator_for(session, cast) as simulator:
+    task = session.config.task
+    with Simulator(session) as simulator:
+        cast = simulator.cast
         attempt = sample(simulator, _JOB)
         if attempt.start is None:
             raise SkillFailedError(Cause.NO_LAYOUT, no_start(simulator, attempt))
-        loop = WatchedLoop(simulator.scene, attempt.start, task, cast, sides(session.config))
+        episode = open_episode(simulator, attempt, EpisodeRules())
         stands, rng = list(start_stands(session.config)), generator(_JOB, Stream.SEARCH)
-        bench = simulator.expert_tools.bench(loop.world, stands, rng)
-        yield _Stage(simulator.scene, loop, bench, program_of(task, cast), cast)
+        bench = simulator.expert_tools.bench(episode.world, stands, rng)
+        yield _Stage(simulator.scene, episode, bench, program_of(task, cast), cast)
 
 
 def _take(item: ObjectConfig, locations: Locations, heading: float) -> Taken:
     with _before_arm(item, locations, heading) as stage:
-        for segment in run_program(stage.program, stage.bench, stage.cast, Diary()):
-            stage.loop.act(path_actions(stage.scene, segment.paths))
+        for segment in run_program(stage.program, stage.bench, stage.cast, RecoveryLog()):
+            stage.episode.act(path_actions(stage.scene, segment.paths))
         hand = stage.bench.hands[0]
         return Taken(stage.bench.look_at(hand).T_thing_in_pinch, hand.opening, hand.grip)
 

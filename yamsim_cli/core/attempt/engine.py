@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -107,6 +108,8 @@ def outcome_of(simulator: Simulator, played: Played, failure: tuple[Cause, str] 
     cause, detail = end.cause, end.detail
     if failure is not None and end.reason not in (EndReason.UNSTABLE, EndReason.FORBIDDEN):
         cause, detail = failure
+    elif end.cause is Cause.GOAL and _misses_its_target(simulator, played):
+        cause = Cause.OFF_TARGET
     dxy, dz, speed = _distances(simulator, played)
     measures = played.verdict.measures if played.verdict else ()
     return Outcome(cause is None, cause, detail, dxy, dz, speed, margins=played.margins, measures=measures)
@@ -132,6 +135,15 @@ def with_room(simulator: Simulator, attempt: Attempt) -> Attempt:
     return attempt if simulator.placer is None else demonstrate(simulator, attempt).attempt
 
 
+def _misses_its_target(simulator: Simulator, played: Played) -> bool:
+    """Return whether the first thing that fails is the distance that the task is scored by."""
+    target = simulator.config.task.target_predicate
+    if target is None or played.verdict is None or played.verdict.reached:
+        return False
+    worst, cast = played.verdict.worst, simulator.cast
+    return worst.unit == "m" and worst.what == f"on({cast.one(target.thing)}, {cast.one(target.surface)})"
+
+
 def _distances(simulator: Simulator, played: Played) -> tuple[float | None, float | None, float | None]:
     """Return how far a thing ended from what it was to be put on: horizontally and in height, m; and its speed, m/s.
 
@@ -143,7 +155,7 @@ def _distances(simulator: Simulator, played: Played) -> tuple[float | None, floa
         return None, None, None
     thing, surface = cast.one(target.thing), cast.one(target.surface)
     apart = played.T_at_end[thing][:3, 3] - played.T_at_end[surface][:3, 3]
-    return float(np.hypot(apart[0], apart[1])), float(apart[2]), played.speeds[thing]
+    return math.hypot(apart[0], apart[1]), float(apart[2]), played.speeds[thing]
 
 
 def _fingers(scene: CompiledScene, actions: Actions, grips: bool) -> Actions:

@@ -9,9 +9,7 @@ from .expert import sides
 from .simulator import Simulator
 
 
-def open_episode(
-    simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None
-) -> Episode:
+def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:
     """Return the episode of an attempt at its start, in the attempt's varied scene.
 
     Args:

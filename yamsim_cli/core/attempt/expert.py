@@ -19,7 +19,6 @@ from ..skills.bench import Bench
 from ..skills.hand import Hand
 from ..types import Stand
 
-
 # Poses of a hand that are tried at a place: leaning by these angles from straight down, towards these sides, and turned
 # about its own axis by these angles, rad.
 LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))

@@ -10,8 +10,8 @@ from ..scene.build import shown_meshes
 from ..session import Session
 from ..shown_meshes import differences
 from ..types import EpisodeJob, EpisodePayload
-from .payload import payload, result
 from .engine import demonstrate
+from .payload import payload, result
 from .sampling import sample
 from .simulators import Simulators
 

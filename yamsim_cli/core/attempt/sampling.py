@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..config.recording import RecordConfig
-from ..geometry.se3 import Array, pose
 from ..episode.rules import EpisodeRules
+from ..geometry.se3 import Array, pose
 from ..planning.arm_tools import start_stands
 from ..scene.compiled import CompiledScene
 from ..sim.crumple import crumpled
@@ -54,10 +54,15 @@ def sample(simulator: Simulator, job: EpisodeJob) -> Attempt:
     return attempt
 
 
+def sampled_places(simulator: Simulator, job: EpisodeJob) -> dict[str, Placed] | str:
+    """Return where an attempt's things are placed first, or the name of a thing for which there is no room."""
+    config = simulator.config
+    return draw_places(config.task, simulator.cast, _block_of(simulator), config.table, job)
+
+
 def no_start(simulator: Simulator, attempt: Attempt) -> str:
     """Return why an attempt has no start."""
-    config, cast = simulator.config, simulator.cast
-    places = draw_places(config.task, cast, _block_of(simulator), config.table, attempt.job)
+    places = sampled_places(simulator, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} where it is to start"
     return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} draws"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 
 from ..closing import Closing
+from ..errors import SimulationError
 from ..goals.cast import Cast
 from ..planning.arm_tools import arm_tools
 from ..scene.build import build_scene
@@ -25,6 +26,10 @@ class Simulator(Closing):
     It remembers no attempt: what happens in one is told by functions of this and of the attempt. Close it, or use it as
     a context manager, since it may own a renderer.
 
+    Args:
+        session: whose task has the things of the cast alone.
+        cast: who plays the roles; if left out, the task's typical cast, whose things the session then gets.
+
     Attributes:
         session: of which it was made.
         config: the session's.
@@ -35,7 +40,10 @@ class Simulator(Closing):
         SimulationError: the scene cannot be compiled.
     """
 
-    def __init__(self, session: Session, cast: Cast) -> None:
+    def __init__(self, session: Session, cast: Cast | None = None) -> None:
+        if cast is None:
+            cast = session.config.task.typical_cast
+            session = played_session(session, cast)
         self.session = session
         self.config = config = session.config
         self.cast = cast
@@ -81,6 +89,21 @@ class Simulator(Closing):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+def played_session(session: Session, cast: Cast) -> Session:
+    """Return the same session with the things of a cast alone, and all regions of starts in `world`.
+
+    Raises:
+        SimulationError: a thing cannot be made in its size.
+    """
+    task = session.config.task
+    try:
+        played = task.played_by(cast)
+    except ValueError as error:
+        # A dataset's own task, whose things could be made in their sizes once.
+        raise SimulationError(f"task {task.name!r}: {error}") from error
+    return session.with_values(task=played.model_copy(update={"starts": session.config.starts}))
 
 
 def _labels(session: Session, scene: CompiledScene) -> SceneLabels:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import OrderedDict
 
 from ..closing import Closing
-from ..errors import SimulationError
 from ..goals.cast import Cast
 from ..session import Session
 from ..tasks.casting import draw_cast
 from ..types import EpisodeJob
-from .simulator import Simulator
+from .simulator import Simulator, played_session
 
 # How many are kept: each holds a compiled scene, and a renderer once it has rendered.
 _KEPT = 4
@@ -23,20 +22,14 @@ def cast_for(session: Session, job: EpisodeJob) -> Cast:
     return draw_cast(session.config.task, job)
 
 
-def simulator_for(session: Session, cast: Cast) -> Simulator:
-    """Return a simulator of the things of a cast.
+def simulator_for(session: Session, job: EpisodeJob) -> Simulator:
+    """Return a simulator of the things of an attempt.
 
     Raises:
         SimulationError: its scene cannot be compiled, or a thing not be made in its size.
     """
-    task = session.config.task
-    try:
-        played = task.played_by(cast)
-    except ValueError as error:
-        # A dataset's own task, whose things could be made in their sizes once.
-        raise SimulationError(f"task {task.name!r}: {error}") from error
-    played = played.model_copy(update={"starts": session.config.starts})
-    return Simulator(session.with_values(task=played), cast)
+    cast = cast_for(session, job)
+    return Simulator(played_session(session, cast), cast)
 
 
 class Simulators(Closing):
@@ -59,7 +52,7 @@ class Simulators(Closing):
             return self._made[key]
         while len(self._made) >= _KEPT:
             self._made.popitem(last=False)[1].close()
-        made = self._made[key] = simulator_for(self.session, cast)
+        made = self._made[key] = Simulator(played_session(self.session, cast), cast)
         return made
 
     def close(self) -> None:

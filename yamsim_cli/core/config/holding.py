@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ..documents.base import ConflictError
-from .program_task import ProgramTask
 from .rig import ArmConfig, RigConfig
-from .task import TaskConfig
 from .things.thing import ObjectConfig
 
 # Rigs whose grippers have pads, to name where a rig's have none: of one arm, and of two.
@@ -53,14 +51,14 @@ def check_fingers(
                 )
 
 
-def check_friction(kind: str, rig: RigConfig, arms: Sequence[ArmConfig], task: TaskConfig | ProgramTask) -> None:
-    """Make sure that the arms that do a task have pads, and that its object says how they hold it.
+def check_friction(kind: str, rig: RigConfig, arms: Sequence[ArmConfig]) -> None:
+    """Make sure that the arms that do a task have pads.
 
     Args:
         kind: the grasp that was asked for, for messages.
 
     Raises:
-        ConflictError: they cannot hold it; its paths are where, from a recording's config.
+        ConflictError: they have none; its paths are where, from a recording's config.
     """
     for arm in arms:
         if arm.gripper.fingers is None or not arm.gripper.fingers.pads:
@@ -70,22 +68,3 @@ def check_friction(kind: str, rig: RigConfig, arms: Sequence[ArmConfig], task: T
                 ("grasp",),
                 ("rig",),
             )
-    if isinstance(task, ProgramTask):
-        return
-    grasp = task.object.grasp
-    if grasp is None or grasp.friction is None:
-        raise ConflictError(
-            f"grasp 'contact' needs grasp.friction of object {task.object.name!r}, which has none; add it, or "
-            "use grasp: weld",
-            ("grasp",),
-            ("task", "object"),
-            ("task",),
-        )
-    if grasp.friction.hands > 1:
-        raise ConflictError(
-            f"object {task.object.name!r} takes two hands, and this task picks it up with one; choose another "
-            "object, or use grasp: weld",
-            ("task", "object"),
-            ("grasp",),
-            ("task",),
-        )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from ..documents.base import Config, ConflictError, Reference
 from ..documents.document import Document, KeyPath, is_setting, parse_yaml
@@ -18,21 +18,21 @@ from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Gripper
 from . import robot_names
 from .cameras.camera import CameraConfig
+from .older_tasks import OLDER_KINDS, upgrade_task
 from .pictures import RenderConfig
 from .policy import PolicyConfig
 from .program_task import PROGRAM, ProgramTask
 from .randomization import RandomizationConfig
 from .real import RecordingNames
-from .recording import AnyTask, RecordConfig
+from .recording import RecordConfig
 from .rig import RigConfig
 from .scene import SceneConfig
-from .task import PAIR_KINDS, TaskConfig
 from .things.thing import ObjectConfig
 
 KINDS: Mapping[str, type[Config]] = {
     "rigs": RigConfig,
     "scenes": SceneConfig,
-    "tasks": TaskConfig,
+    "tasks": ProgramTask,
     "objects": ObjectConfig,
     "cameras": CameraConfig,
     "quality": RenderConfig,
@@ -68,23 +68,17 @@ def model_of(kind: str) -> type[Config]:
     return KINDS[kind]
 
 
-def variant(model: type[Config], data: Mapping[str, Any]) -> type[Config]:
-    """The model that a document has to fit: of tasks there are two, told apart by their `kind`."""
-    return ProgramTask if model is TaskConfig and data.get("kind") == PROGRAM else model
-
-
 def _require_task_kind(document: Document) -> None:
     """Make sure that a task's `kind`, which decides the keys that it may have, is a known one."""
     kind = document.data.get("kind")
-    valid = (PROGRAM, *PAIR_KINDS)
+    valid = (PROGRAM, *OLDER_KINDS)
     if kind is not None and kind not in valid:
         raise ConfigError(f"{document.place(('kind',))}: kind: unknown kind {kind!r}; {suggest(str(kind), valid)}")
 
 
 def schema_of(kind: str) -> dict[str, Any]:
     """The JSON schema of a kind of config. Raises as `model_of`."""
-    model = model_of(kind)
-    return TypeAdapter(AnyTask).json_schema() if model is TaskConfig else model.model_json_schema()
+    return model_of(kind).model_json_schema()
 
 
 def load_config(
@@ -215,12 +209,20 @@ def _read(model: type[Config], path: Path) -> Document:
     document = model.read(path)
     if "name" in model.model_fields:
         document.data.setdefault("name", path.stem)
+    if model is ProgramTask:
+        _upgrade(document.data)
     return document
+
+
+def _upgrade(task: dict[str, Any]) -> None:
+    """Write a task of an older kind as one of today's, in place."""
+    upgraded = upgrade_task(task)
+    task.clear()
+    task.update(upgraded)
 
 
 def _other_kind(model: type[Config], document: Document) -> str | None:
     """An error message if, judging by its keys, the file holds another kind of config; else None."""
-    model = variant(model, document.data)
     kind = next((kind for kind, known in KINDS.items() if known is model), None)
     if kind is None or (instead := kind_instead(KINDS, kind, document.data)) is None:
         return None
@@ -239,17 +241,16 @@ def _check(
 ) -> C:
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
-    if model is TaskConfig and not as_recorded:
+    if model is ProgramTask and not as_recorded:
         _require_task_kind(document)
-    fitting = cast(type[C], variant(model, document.data))
-    _resolve_references(fitting, document, (), locations)
+    _resolve_references(model, document, (), locations)
     try:
-        config = fitting.model_validate(document.data, context=AS_RECORDED if as_recorded else None)
+        config = model.model_validate(document.data, context=AS_RECORDED if as_recorded else None)
         if check is not None:
             check(config)
         return config
     except ValidationError as error:
-        place, message = explain(fitting, document, error, flags or {})
+        place, message = explain(model, document, error, flags or {})
         cause: Exception = error
     except ConflictError as error:
         place, message = explain_conflict(document, error, flags or {})
@@ -271,7 +272,8 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
     here: Any = document.data
     for key in path:
         here = here[key]
-    model = variant(model, here)
+    if model is ProgramTask:
+        _upgrade(here)
     for name, kind, target in _references(model):
         items = list(here[name]) if isinstance(here.get(name), list) else None
         named = {(*path, name): here.get(name)} if items is None else {(*path, name, k): v for k, v in enumerate(items)}

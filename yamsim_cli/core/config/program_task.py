@@ -238,6 +238,8 @@ class ProgramTask(Config):
         start_joints: of the arms when it starts, rad; if left out, those of their robot model.
         arms: which of two arms do it: all, or only one, which is the one that `RecordConfig.arm` names.
         grasps: by what its hands may hold things; the first one where nobody says otherwise.
+        held_at_the_end: whether hands hold long things far from their middle: contacts are then ten times as stiff
+            along surfaces, so that things do not droop.
     """
 
     name: Name
@@ -248,6 +250,7 @@ class ProgramTask(Config):
         tuple[Literal["weld", "contact"], ...],
         Field(min_length=1, exclude_if=lambda grasps: grasps == ("contact",)),
     ] = ("contact",)
+    held_at_the_end: Annotated[bool, Field(exclude_if=lambda held: not held)] = False
     things: Annotated[Mapping[Name, Role], Field(min_length=1)]
     starts: Mapping[Name, Start]
     arrangements: Annotated[tuple[Arrangement, ...], Field(exclude_if=lambda given: not given)] = ()

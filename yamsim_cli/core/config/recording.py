@@ -5,23 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from ..documents.base import Config, ConflictError, Name, Reference
-from ..documents.explain import BRANCH
 from ..documents.units import as_recorded
-from ..robots.models import Fingers
 from ..shown_meshes import PATTERN
 from .holding import check_fingers, check_friction
 from .pictures import ImageConfig, RenderConfig
-from .program_task import PROGRAM, ProgramTask, Start
 from .program_task import GraspKind as GraspKind
+from .program_task import ProgramTask, Start
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
 from .starts import check_start, common_start
-from .task import Sampling, TaskConfig
-from .things.thing import ObjectConfig
 
 # What recordings call the camera of their scene.
 SCENE_CAMERA = "scene_camera"
@@ -30,25 +26,6 @@ SCENE_CAMERA = "scene_camera"
 # stations record them, which are of each arm its joints and how far its gripper is open, as a share.
 ActionKind = Literal["drives", "joints"]
 Side = Literal["left", "right"]
-
-
-def _other(side: Side) -> Side:
-    return "left" if side == "right" else "right"
-
-
-# The two models of tasks, as branches of a union.
-_BY_PROGRAM, _BY_PLAN = f"{BRANCH}program", f"{BRANCH}plan"
-
-
-def _branch(task: Any) -> str:
-    kind = task.get("kind") if isinstance(task, Mapping) else getattr(task, "kind", None)
-    return _BY_PROGRAM if kind == PROGRAM else _BY_PLAN
-
-
-# A task with an object and a target, which is planned beforehand, or one that is data, which skills do.
-AnyTask = Annotated[
-    Annotated[TaskConfig, Tag(_BY_PLAN)] | Annotated[ProgramTask, Tag(_BY_PROGRAM)], Discriminator(_branch)
-]
 
 
 class RecordConfig(Config):
@@ -76,7 +53,7 @@ class RecordConfig(Config):
 
     rig: Annotated[RigConfig, Reference("rigs")]
     scene: Annotated[SceneConfig, Reference("scenes")]
-    task: Annotated[AnyTask, Reference("tasks")]
+    task: Annotated[ProgramTask, Reference("tasks")]
     # Left out where it is the default, so that datasets of one arm say what they always said.
     arm: Annotated[Side, Field(exclude_if=lambda side: side == "right")] = "right"
     # None only before validation, which puts the task's own there.
@@ -102,7 +79,8 @@ class RecordConfig(Config):
         if given is not None:
             return given
         task = info.data.get("task")
-        return task.valid_grasps[0] if isinstance(task, ProgramTask) else "weld"
+        # A task that is not valid is reported, so that it does not matter what stands here.
+        return task.valid_grasps[0] if isinstance(task, ProgramTask) else "contact"
 
     @model_validator(mode="after")
     def _complete(self) -> RecordConfig:
@@ -149,49 +127,24 @@ class RecordConfig(Config):
         return self
 
     @model_validator(mode="after")
-    def _can_hand_over(self) -> RecordConfig:
-        if isinstance(self.task, ProgramTask):
-            first, second = (self.rig.arms[k].side for k in (self.first_arm, self.second_arm))
-            return self.model_copy(update={"task": self.task.done_by(first, second)})
-        if self.task.exchange is None:
-            return self
-        if len(self.rig.arms) < 2:
-            raise ConflictError(
-                f"task {self.task.name!r} needs two arms, and rig {self.rig.name!r} has one; use --rig bimanual",
-                ("rig",),
-                ("task",),
-            )
-        prompt = self.task.prompt_by(self.arm, _other(self.arm))
-        return self.model_copy(update={"task": self.task.model_copy(update={"language_prompt": prompt})})
-
-    @model_validator(mode="after")
-    def _fits_between_the_fingers(self) -> RecordConfig:
-        # What a task that is data picks up is known to `core.skills.checked`.
-        items: dict[tuple[str | int, ...], ObjectConfig] = {}
-        if isinstance(self.task, TaskConfig):
-            items["task", "object"] = self.task.object
-        if items or self.grasp == "weld":
-            check_fingers(self.rig, self.acting_arms, items)
-        return self
+    def _says_which_arms(self) -> RecordConfig:
+        first, second = (self.rig.arms[k].side for k in (self.first_arm, self.second_arm))
+        return self.model_copy(update={"task": self.task.done_by(first, second)})
 
     @model_validator(mode="after")
     def _can_be_held(self) -> RecordConfig:
-        if isinstance(self.task, ProgramTask):
-            if self.grasp not in (valid := self.task.valid_grasps):
-                raise ConflictError(
-                    f"task {self.task.name!r} cannot be done with grasp {self.grasp!r}; it has "
-                    f"{' and '.join(valid)}: give one of those, or leave `grasp` out",
-                    ("grasp",),
-                    ("task",),
-                )
-        elif self.grasp == "cloth_constraint":
+        if self.grasp not in (valid := self.task.valid_grasps):
             raise ConflictError(
-                "grasp 'cloth_constraint' is that of tasks with cloth alone; use grasp: contact, or weld",
+                f"task {self.task.name!r} cannot be done with grasp {self.grasp!r}; it has "
+                f"{' and '.join(valid)}: give one of those, or leave `grasp` out",
                 ("grasp",),
                 ("task",),
             )
-        if self.grasp != "weld":
-            check_friction(self.grasp, self.rig, self.acting_arms, self.task)
+        if self.grasp == "weld":
+            # What the task picks up is known to `core.skills.checked`.
+            check_fingers(self.rig, self.acting_arms, {})
+        else:
+            check_friction(self.grasp, self.rig, self.acting_arms)
         return self
 
     @model_validator(mode="after")
@@ -216,28 +169,10 @@ class RecordConfig(Config):
         return self
 
     @property
-    def pair(self) -> TaskConfig:
-        """The task, which is one with an object and a target: for what knows no other."""
-        assert isinstance(self.task, TaskConfig), "not called for tasks that are data"
-        return self.task
-
-    @property
-    def program(self) -> ProgramTask | None:
-        """The task, if it is data and done by skills."""
-        return self.task if isinstance(self.task, ProgramTask) else None
-
-    @property
     def start_joints(self) -> tuple[float, ...]:
         """Joints of the arms that do the task when it starts, rad."""
         assert self.task.start_joints is not None  # completed when the config was loaded
         return self.task.start_joints
-
-    @property
-    def picking_fingers(self) -> Fingers:
-        """The fingers that pick the object up."""
-        fingers = self.acting_arms[0].robot.fingers
-        assert fingers is not None  # checked when the config was loaded
-        return fingers
 
     @property
     def table(self) -> Table:
@@ -254,9 +189,7 @@ class RecordConfig(Config):
     @property
     def acting(self) -> tuple[int, ...]:
         """Numbers, in the rig, of the arms that do the task: the one that picks first, the one that places last."""
-        if isinstance(self.task, ProgramTask):
-            return self.rig.recorded if self.task.arms == "all" else (self.first_arm,)
-        return (self.first_arm,) if self.task.exchange is None else (self.first_arm, self.second_arm)
+        return self.rig.recorded if self.task.arms == "all" else (self.first_arm,)
 
     @property
     def first_arm(self) -> int:
@@ -270,8 +203,7 @@ class RecordConfig(Config):
 
     @property
     def starts(self) -> Mapping[str, Start]:
-        """Role -> where its things start, of a task that is data, with all regions in `world`."""
-        assert isinstance(self.task, ProgramTask), "not called for tasks with an object and a target"
+        """Role -> where its things start, with all regions in `world`."""
         places = {"first": self.rig.place_y(self.first_arm), "second": self.rig.place_y(self.second_arm)}
         return {
             role: start if start.from_arm is None else start.moved(places[start.from_arm])
@@ -303,22 +235,6 @@ class RecordConfig(Config):
         """The arms whose wrist cameras are recorded, the left one first."""
         arms = (self.rig.arms[k] for k in self.rig.recorded)
         return tuple(arm for arm in arms if arm.wrist_camera_name in self.recorded_cameras)
-
-    @property
-    def object_box(self) -> Sampling:
-        """Where the object starts, in `world`: the task's box, which is given for an arm at 0, at the picking arm."""
-        return self.pair.sampling.moved(self.rig.place_y(self.acting[0]))
-
-    @property
-    def target_box(self) -> Sampling:
-        """Where the target stands, in `world`: as `object_box`, for the arm that places."""
-        return self.pair.sampling.moved(self.rig.place_y(self.acting[-1]))
-
-    @property
-    def sampled(self) -> Sampling:
-        """The smallest box around both."""
-        ends = (*self.object_box.y, *self.target_box.y)
-        return self.pair.sampling.model_copy(update={"y": (min(ends), max(ends))})
 
     def data_config(self) -> dict[str, Any]:
         """Everything that decides an episode's bytes, as plain data: how many there are and who makes them does not."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ..geometry.se3 import Array
 from ..scene.breakdown import breakdown
 from ..scene.compiled import CompiledScene
 from ..types import Margins
@@ -76,7 +75,7 @@ class Monitor:
         return Margins(self._velocity, self._torque, float(self._joint), slip, tilt)
 
     def _look_at_contacts(self, data: mujoco.MjData) -> None:
-        geoms: Array = data.contact.geom
+        geoms = data.contact.geom
         forbidden = self._scene.forbidden(geoms)
         if forbidden.any():
             names = " and ".join(self._model.geom(int(geom)).name for geom in geoms[forbidden][0])

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ..attempt.engine import repeat
 from ..attempt.frames import frames
 from ..attempt.payload import versions
-from ..attempt.engine import repeat
 from ..attempt.simulator import Simulator
 from ..dataset.actions import asked_joints, recorded_actions
 from ..dataset.reader import StoredEpisode

@@ -14,17 +14,15 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from ..attempt.sampling import sampled_places
+from ..attempt.simulators import Simulators
 from ..config.recording import RecordConfig
 from ..dataset.records import AttemptRecord
 from ..errors import PartialJobError, SimulationError, YamsimError
-from ..geometry.se3 import Array, pose
-from ..planning.ik import IkSolver
-from ..scene.robot import bare_arm
+from ..goals.world import TABLE
 from ..session import Session
-from ..tasks.kinds import sample_layout
-from ..tasks.plans import grasp_points
-from ..tasks.resting import resting_height
-from ..types import Cause, EpisodeJob, Layout
+from ..skills.program import program_of
+from ..types import Cause, EpisodeJob
 
 # Attempts that failed in one way, from the first one on, after which it is asked whether any could do better.
 SAME = 10
@@ -35,20 +33,17 @@ HOPELESS = 100
 # A task that fails this often will not be finished by trying on.
 _ATTEMPTS_PER_EPISODE = 20
 
-# As for plans, see `attempt.planned`.
-_REACH_TOLERANCE = 0.005
-_ITERATIONS = 100
+HAND_HEIGHT = 0.05  # m over the table, at which hands take things
 
 # Cause -> what of a task to look at.
 _LOOK_AT: Mapping[str, str] = {
-    Cause.NO_LAYOUT: "`sampling` (its box, min_separation and clearance), and how large both things are",
-    Cause.UNREACHABLE: "`sampling`, `heights`, and where the rig's arm stands",
-    Cause.KNOCKED: "`start_joints`, `heights.approach`, and the object's `grasp`",
-    Cause.SLIPPED: "the object's `grasp.friction` and mass, and `timing`",
-    Cause.DROPPED: "the object's `grasp`, `heights.release`, and the target's `collision`",
-    Cause.COLLIDED: "`heights`, `start_joints`, and the target's `collision`",
-    Cause.LIMITS: "`timing` (more ticks_per_waypoint), `heights`, and `start_joints`",
-    Cause.OFF_TARGET: "`success`, `heights.release`, and both things' `collision` and `contact`",
+    Cause.NO_LAYOUT: "`starts` (their regions and `apart`), and how large the things are",
+    Cause.UNREACHABLE: "`starts`, the steps of `expert`, and where the rig's arms stand",
+    Cause.SLIPPED: "the object's `grasp.friction` and mass",
+    Cause.DROPPED: "the object's `grasp`, and what it is put on",
+    Cause.COLLIDED: "`start_joints`, and the things' `collision`",
+    Cause.LIMITS: "`starts`, and `start_joints`",
+    Cause.OFF_TARGET: "the radius in `goal`, and both things' `collision` and `contact`",
     Cause.UNSTABLE: "`timing` (timestep, settle_ticks), `start_joints`, and the objects' masses and inertias",
     Cause.GOAL: "`goal`, and the steps of `expert` that are to bring it about",
     Cause.TIME: "`time_limit_s`, and how many steps `expert` has",
@@ -119,63 +114,34 @@ class Patience:
 
 
 def hopeless(session: Session, cause: Cause, first: int) -> bool:
-    """Whether none of the `MORE_STARTS` attempts from number `first` on could do better than to fail for a cause; False
-    for a cause, or a task, of which that can only be told by making them.
+    """Return whether none of `MORE_STARTS` attempts from number `first` on could do better than to fail for a cause.
+
+    False for causes of which that can only be said by making the attempts.
     """
-    config = session.config
-    if config.program:
+    if cause not in (Cause.NO_LAYOUT, Cause.UNREACHABLE):
         return False
-    possible: Callable[[Layout | None], bool]
-    if cause is Cause.NO_LAYOUT:
-        possible = _has_room
-    elif cause is Cause.UNREACHABLE:
-        possible = Reach(session).holds
-    else:
-        return False
-    numbers = range(first, first + MORE_STARTS)
-    return not any(possible(sample_layout(config, EpisodeJob(config.seed, number))) for number in numbers)
-
-
-def _has_room(layout: Layout | None) -> bool:
-    return layout is not None
-
-
-class Reach:
-    """Whether hands get to where the object lies and to where it is to be put, turned in whatever way they like.
-
-    That is less than a plan needs: where it fails, every plan does.
-    """
-
-    def __init__(self, session: Session) -> None:
-        config, task = session.config, session.config.pair
-        self._task = task
-        self._starts = (np.array(config.start_joints), np.array(config.acting_arms[0].robot.home))
-        self._picking, self._placing = (
-            IkSolver(bare_arm(config.rig.arms[k]), config.rig.T_base_in_world(k))
-            for k in (config.acting[0], config.acting[-1])
+    with Simulators(session.without_meshes()) as simulators:
+        return not any(
+            _could_work(simulators, cause, EpisodeJob(session.config.seed, number))
+            for number in range(first, first + MORE_STARTS)
         )
-        # The hand is so near to the object's origin, however the two are turned.
-        self._slack = max(float(np.linalg.norm(point.position)) for point in grasp_points(task, config.grasp))
 
-    def holds(self, layout: Layout | None) -> bool:
-        """Whether both are in reach in a layout."""
-        if layout is None:
-            return False
-        task = self._task
-        taken, target = (layout.T_in_world[item.name][:3, 3] for item in (task.object, task.target))
-        over = resting_height(task.object, task.target) + task.heights.release
-        put = target + np.array([0.0, 0.0, over])
-        return self._reaches(self._picking, taken) and self._reaches(self._placing, put)
 
-    def _reaches(self, ik: IkSolver, place: Array) -> bool:
-        ik.hold(np.eye(4))
-        for start in self._starts:
-            joints, rotation = start, np.diag([1.0, -1.0, -1.0])
-            # Each time the hand is asked to be turned as it came to be: in the end, its place alone decides.
-            for _ in range(3):
-                solution = ik.solve(pose(place, rotation), joints, _ITERATIONS)
-                if solution.position_error <= _REACH_TOLERANCE + self._slack:
-                    return True
-                joints = solution.joints
-                rotation = ik.pose_of(joints)[:3, :3]
-        return False
+def _could_work(simulators: Simulators, cause: Cause, job: EpisodeJob) -> bool:
+    """Return whether an attempt's things have room, and for `UNREACHABLE` also whether hands get to all that is taken.
+
+    That is less than a program needs: where it fails, every program does.
+    """
+    simulator = simulators.of(job)
+    places = sampled_places(simulator, job)
+    if isinstance(places, str) or cause is Cause.NO_LAYOUT:
+        return not isinstance(places, str)
+    task, cast = simulator.config.task, simulator.cast
+    taken = {thing for skill in program_of(task, cast) if skill.NEEDS is False for _, thing in skill.roles()[:1]}
+    top = simulator.config.table.top
+    return all(
+        simulator.expert_tools.reaches_place(np.array([*places[name].T[:2, 3], top + HAND_HEIGHT]))
+        for thing in taken
+        for name in cast.of(thing)
+        if places[name].on == TABLE
+    )

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..attempt.sampling import sample
 from ..attempt.simulator import Simulator
+from ..attempt.simulators import simulator_for
 from ..config.recording import SCENE_CAMERA, RecordConfig
 from ..errors import SimulationError, UsageError
 from ..geometry.se3 import Array
@@ -116,7 +117,7 @@ def serve_arms(
             motors.append(Motor(wiring.gripper.id, KINDS[wiring.gripper.kind]))
         buses.append(Bus(name, motors, faults, config.seed))
     _check(faults, buses)
-    with Simulator(session.without_meshes()) as simulator:
+    with simulator_for(session.without_meshes(), EpisodeJob(config.seed, 0)) as simulator:
         scene = simulator.scene
         plant = Plant(scene, _start(simulator, config, start), wirings, buses)
     rows = enumerate(zip(scene.arms, wirings, strict=True))

@@ -12,7 +12,7 @@ from multiprocessing.shared_memory import SharedMemory
 import numpy as np
 
 from ..attempt.pictures import render
-from ..attempt.simulator import Simulator
+from ..attempt.simulators import simulator_for
 from ..errors import ResourceError, SimulationError, YamsimError
 from ..geometry.se3 import Array
 from ..images.image import Image
@@ -190,7 +190,10 @@ def _draw(pipe: Connection, session: Session, cameras: Sequence[str], shape: tup
     pictures = np.ndarray(shape, np.uint8, shared.buf)
     attempt = Attempt(EpisodeJob(0, 0))
     try:
-        with Simulator(session) as simulator, contextlib.suppress(EOFError, OSError):
+        with (
+            simulator_for(session, EpisodeJob(session.config.seed, 0)) as simulator,
+            contextlib.suppress(EOFError, OSError),
+        ):
             replica, size = simulator.replica, session.config.image.size_px
             # The first picture takes longest: it has everything uploaded.
             render(simulator, attempt, simulator.scene.model.qpos0, cameras)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..attempt.pictures import render
 from ..attempt.simulator import Simulator
-from ..attempt.simulators import cast_for, simulator_for
+from ..attempt.simulators import simulator_for
 from ..dataset.compare import Comparison
 from ..dataset.lowdim import has_simulation
 from ..dataset.reader import RecordedEpisode, StoredEpisode
@@ -137,7 +137,7 @@ def positions(episode: StoredEpisode, simulator: Simulator) -> Array:
 def simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
     """The simulator of a session in which an episode took place."""
     job = EpisodeJob(episode.record.seed, episode.record.attempt)
-    return simulator_for(session, cast_for(session, job))
+    return simulator_for(session, job)
 
 
 def repeat(episode: StoredEpisode, session: Session) -> Comparison | None:

@@ -12,7 +12,7 @@ _ROUNDING_S = 1e-9
 
 
 class Moments:
-    """Collects MuJoCo's positions at given times while a simulation runs; `sim.rollout.simulate` takes it as `see`.
+    """Collects MuJoCo's positions at given times while a simulation runs; `episode.Episode` takes it as `on_step`.
 
     At the time of a step, it is that step's state, bit for bit. Between two steps, joints and bodies are interpolated.
 

@@ -42,15 +42,15 @@ def check_config(config: Config) -> None:
     """
     if isinstance(config, ProgramTask):
         check_program(config)
-    elif isinstance(config, RecordConfig) and config.program is not None:
+    elif isinstance(config, RecordConfig):
         try:
-            check_program(config.program, [config.rig.arms[k].side for k in config.acting])
+            check_program(config.task, [config.rig.arms[k].side for k in config.acting])
         except ConflictError as error:
             raise ConflictError(str(error), *(("task", *path) for path in error.paths)) from error
         if config.grasp == "weld":
-            _check_widths(config, config.program)
+            _check_widths(config, config.task)
         _check_reach(config)
-        _check_places(config, config.program)
+        _check_places(config, config.task)
 
 
 def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None:

@@ -16,8 +16,8 @@ from ..attempt.sampling import sample
 from ..attempt.simulator import Simulator
 from ..attempt.simulators import Simulators
 from ..config.program_task import NearMiss, ProgramTask, Start
-from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector, rotation_z
 from ..episode.rules import REPEATED_RULES
+from ..geometry.se3 import Array, quat_from_rotation, rotation_from_vector
 from ..goals.cast import Cast
 from ..goals.goal import judge
 from ..goals.world import TABLE

@@ -7,7 +7,6 @@ from typing import Any
 
 from ..config.loader import load_config
 from ..config.program_task import ProgramTask
-from ..config.task import TaskConfig
 from ..documents.base import Config
 from ..resources import Locations
 from ..skills.checked import check_config
@@ -29,22 +28,8 @@ def task_there(name: str, locations: Locations) -> dict[str, Any]:
     Raises:
         ConfigError: there is none of that name, or its file is not valid.
     """
-    task: Config = load_config(TaskConfig, "tasks", name, locations, check=check_config)
-    path = str(locations.config_file("tasks", name))
-    if isinstance(task, ProgramTask):
-        return _of_program(task) | {"path": path}
-    assert isinstance(task, TaskConfig)  # there are but these two
-    return {
-        "name": task.name,
-        "kind": task.kind,
-        "rig": None,
-        # As it is said unless --arm asks for the other one.
-        "prompt": task.prompt_by("right", "left"),
-        "things": {"object": [task.object.name], "target": [task.target.name]},
-        "skills": [],
-        "goal": [],
-        "path": path,
-    }
+    task = load_config(ProgramTask, "tasks", name, locations, check=check_config)
+    return _of_program(task) | {"path": str(locations.config_file("tasks", name))}
 
 
 def _of_program(task: ProgramTask) -> dict[str, Any]:

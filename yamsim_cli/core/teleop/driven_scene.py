@@ -27,8 +27,8 @@ class DrivenScene(WatchedState):
     Of two arms one is driven at a time, and the other holds its place or goes on to where it was last told to go. What
     is said of the arm, its hand, gripper and magnet is of the driven one. It follows a target, a pose of the hand or
     joints, see `DrivenArm`; after a stop, it takes none until all is at rest. A recording begins from rest at its
-    attempt's layout, as every attempt of the task does. Attempts have casts of their own, so that the scene, and with it
-    the model, changes between attempts. A stop lets go what magnets hold; what fingers hold stays held, since that may
+    attempt's layout, as every attempt of the task does. Attempts have casts of their own, so that the scene, and the
+    model with it, changes between attempts. A stop lets go what magnets hold; what fingers hold stays held, since that may
     be the goal.
 
     Attributes:

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ..attempt.engine import demonstrate, repeat
 from ..attempt.frames import frames as made_frames
-from ..attempt.payload import FIRST_LOOKS, LOOKS, versions
-from ..attempt.physics import repeat
+from ..attempt.payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, versions
 from ..attempt.pictures import image_files
-from ..attempt.planned import demonstrate
 from ..attempt.sampling import sample
 from ..attempt.simulator import Simulator
 from ..attempt.simulators import Simulators
@@ -24,6 +23,7 @@ from ..dataset.compare import Comparison, Difference, compare_frames, compare_va
 from ..dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
 from ..dataset.reader import StoredEpisode, open_episode
 from ..dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
+from ..episode.rules import EXPERT_RULES, REPEATED_RULES
 from ..errors import DatasetError
 from ..images.jpeg import decode_jpeg
 from ..scene.build import shown_meshes
@@ -102,10 +102,16 @@ class EpisodeVerifier(Closing):
                 problems[EPISODE] = f"it shows other meshes than {CONFIG} says: {'; '.join(others)}"
             changed = self._changed(episode)
             frames = _read_frames(episode, problems)
-            if episode.record.source == "record":
-                checks |= self._from_seed(episode, frames, skipped)
-            else:
+            if episode.record.source != "record":
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
+            elif (engine := _engine(episode.record)) != ENGINE:
+                said = episode.record.versions.get("yamsim", "an older version")
+                skipped[SEED] = (
+                    f"it was made by engine revision {engine}, which yamsim {said} has, and this version has revision "
+                    f"{ENGINE}: its actions are repeated instead"
+                )
+            else:
+                checks |= self._from_seed(episode, frames, skipped)
             if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._limits.values):
                 checks[ACTIONS] = repeated
             else:
@@ -144,7 +150,8 @@ class EpisodeVerifier(Closing):
         return self._simulators.of(EpisodeJob(record.seed, record.attempt))
 
     def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
-        then, now = {"looks": _looks(episode.record)} | episode.record.versions, versions()
+        first = {"looks": FIRST_LOOKS, "engine": FIRST_ENGINE}
+        then, now = first | episode.record.versions, versions()
         simulator = self._simulator(episode.record)
         if self._limits.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
@@ -187,18 +194,24 @@ def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames,
     start, actions = recorded
     stored = episode.record.outcome
     attempt = recorded_attempt(episode.record, start)
-    done = repeat(simulator, attempt, actions, planned=episode.record.source == "record")
-    # What the plan knew of itself, its actions cannot tell.
-    judged = OutcomeRecord.of(done.outcome).model_copy(
-        update={key: getattr(stored, key) for key in ("plan_error_m", "tilt_rad", "recoveries")}
-    )
-    once = compare_values({"outcome": _judgement(stored)}, {"outcome": _judgement(judged)}, tolerance)
+    rules = EXPERT_RULES if episode.record.source == "record" else REPEATED_RULES
+    done = repeat(simulator, attempt, actions, rules)
+    # What an expert tried again, its actions cannot tell.
+    judged = OutcomeRecord.of(done.outcome).model_copy(update={"recoveries": stored.recoveries})
+    # Engine 1 judged and measured in other ways; where things ended does not depend on that.
+    keys = None if _engine(episode.record) == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
+    once = compare_values({"outcome": _judgement(stored, keys)}, {"outcome": _judgement(judged, keys)}, tolerance)
     return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
 
 
 def _looks(record: EpisodeRecord) -> str:
     """Revision of looks that a recording's pictures were drawn with."""
     return record.versions.get("looks", FIRST_LOOKS)
+
+
+def _engine(record: EpisodeRecord) -> str:
+    """Return the revision of the engine in which a recording was made."""
+    return record.versions.get("engine", FIRST_ENGINE)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
@@ -212,9 +225,9 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
     return frames
 
 
-def _judgement(outcome: OutcomeRecord) -> dict[str, Any]:
-    """An outcome's numbers and its verdict; the text on them says nothing more."""
-    return outcome.model_dump(exclude={"detail"})
+def _judgement(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
+    """Return an outcome's numbers and its verdict, or some of them; the text on them says nothing more."""
+    return outcome.model_dump(include=keys, exclude={"detail"})
 
 
 def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...config.loader import load_config, validate_file
 from ...config.recording import RecordConfig
 from ...config.rig import RigConfig
-from ...config.task import Sampling
 from ...errors import ConfigError, DatasetError
 from ...geometry.se3 import Array, pose
+from ...goals.world import TABLE
 from ...resources import Locations
 from ...robots.robot import widest_joints
 from ..layout import CONFIG, EPISODE, episode_directories, episode_name
@@ -37,6 +37,14 @@ class EpisodeDirectory:
 
 
 @dataclass(frozen=True)
+class StartRegion:
+    """The box in `world`, seen from above, from which the places of a target and its object were sampled, m."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Context:
     """What holds for all episodes of a dataset.
 
@@ -57,7 +65,7 @@ class Context:
     T_base_in_world: Array
     object: str = _OBJECT
     target: str = _TARGET
-    sampling: Sampling | None = None
+    sampling: StartRegion | None = None
     threshold: float = _THRESHOLD
     max_height: float = _MAX_HEIGHT
     wrist_cameras: Mapping[str, int] = field(default_factory=dict)
@@ -138,20 +146,29 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
     rig = parsed.rig
     arms, wrists = _limits(rig), _wrists(rig)
     T_base_in_world = rig.T_base_in_world(rig.recorded[0])
-    if parsed.program:
+    target, cast = parsed.task.target_predicate, parsed.task.typical_cast
+    if target is None or target.radius is None:
         return Context(recorded, arms, T_base_in_world, "", "", wrist_cameras=wrists, judged_by_goal=True)
-    task = parsed.pair
     return Context(
         recorded,
         arms,
         T_base_in_world,
-        task.object.name,
-        task.target.name,
-        parsed.sampled,
-        task.success.threshold,
-        task.success.max_height,
+        cast.one(target.thing),
+        cast.one(target.surface),
+        _region(parsed, (target.thing, target.surface)),
+        target.radius,
+        _MAX_HEIGHT,
         wrists,
     )
+
+
+def _region(config: RecordConfig, roles: Sequence[str]) -> StartRegion | None:
+    """Return the smallest box around the regions on the table where things of some roles start; None without any."""
+    starts = [config.starts[role] for role in roles if role in config.starts and config.starts[role].on == TABLE]
+    if not starts:
+        return None
+    x, y = ([bound for start in starts for bound in getattr(start, axis)] for axis in "xy")
+    return StartRegion((min(x), max(x)), (min(y), max(y)))
 
 
 def _limits(rig: RigConfig) -> tuple[ArmLimits, ...]:
