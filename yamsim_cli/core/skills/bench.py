@@ -18,7 +18,7 @@ from ..sim.antipodal import Span, spans
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
 from .errors import SkillFailedError
-from .grips import CLEARANCE, Grip, close_grips, found_grips, grips, sideways_grips
+from .grips import CLEARANCE, Grip, close_grips, found_grips, grips, sideways_grips, weld_grips
 from .hand import Hand, Held
 from .ways import free_way
 
@@ -142,6 +142,9 @@ class Bench:
 
     def grips(self, thing: str, widest: float) -> Iterator[Grip]:
         """The ways in which a hand, whose fingers open so far each (m), can hold a thing: the best known ones first."""
+        if self.hands[0].welds:
+            yield from weld_grips(self.items[thing])
+            return
         yield from grips(self.items[thing])
         if thing not in self._spans:
             body = self.model.body(thing).id

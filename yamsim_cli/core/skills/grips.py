@@ -17,6 +17,11 @@ from ..sim.antipodal import Span
 # flat pads press on the same two places. Of a thing that lies on its side, a quarter turn is what comes from above.
 _LEANS = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90))
 
+# rad, how far a hand that holds by a weld leans from straight down, in the order in which that is tried, and towards
+# which headings in the thing's frame
+WELD_LEANS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))
+WELD_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
+
 # How far a hand may lean to the side, along the axis on which its fingers close, about something as narrow as this, as
 # half its width, m: it turns in the pads until it lies flat in them. So a wall beside it leaves room for the hand. Its
 # fingers come but so far from the thing, m, and hold it so much higher.
@@ -71,6 +76,27 @@ def grips(item: ObjectConfig) -> Iterator[Grip]:
             for turn in (0.0, math.pi):
                 leaning = pose(rotation=rotation_z(turn) @ rotation_from_vector([0.0, lean, 0.0]))
                 yield Grip(T @ leaning, opening, clearance, force)
+
+
+def weld_grips(item: ObjectConfig) -> Iterator[Grip]:
+    """Yield the ways to hold a thing by a weld, the hand leaning less before it leans more, and to all sides.
+
+    A weld holds in any direction, so the hand leans as suits the arm. Where the config says that pads lie on a leaning
+    wall, the hand stays as it says.
+    """
+    grasp = item.grasp
+    if grasp is None:
+        return
+    points = (grasp, *(grasp.friction.points if grasp.friction is not None else ()))
+    for lean in WELD_LEANS:
+        for point in points:
+            T = point.T_pinch_in_object(flipped=False)
+            for heading in WELD_HEADINGS if lean and point.tilt_deg is None else (0.0,):
+                axis = np.array((math.sin(heading), -math.cos(heading), 0.0))
+                R = rotation_from_vector(lean * axis) if point.tilt_deg is None else np.eye(3)
+                for turn in (0.0, math.pi):
+                    T_leaning = pose(T[:3, 3], R @ T[:3, :3] @ rotation_z(turn))
+                    yield Grip(T_leaning, point.opening, grasp.clearance, 0.0)
 
 
 def sideways_grips(item: ObjectConfig) -> Iterator[Grip]:
