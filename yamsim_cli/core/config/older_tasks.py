@@ -36,7 +36,7 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
         data: as in a task's file, or as a dataset's config has it, with its objects spelled out.
     """
     kind = data.get("kind")
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         return dict(data)
     common, between = _KINDS[kind]
     old = {key: value for key, value in data.items() if key not in (*_GONE, "kind")}
