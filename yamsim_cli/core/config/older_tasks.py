@@ -39,8 +39,8 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
     Args:
         data: as in a task's file, or as a dataset's config has it, with its objects spelled out.
     """
-    kind = str(data.get("kind"))
-    if kind not in _KINDS:
+    kind = data.get("kind")
+    if not isinstance(kind, str) or kind not in _KINDS:
         return dict(data)
     common, between = _KINDS[kind]
     old = {key: value for key, value in data.items() if key not in (*_GONE, "kind")}

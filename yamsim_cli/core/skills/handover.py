@@ -32,8 +32,10 @@ _AHEAD = (0.32, 0.26, 0.38, 0.44)
 # other, and may be turned about that line, rad.
 _LEAST_ANGLE = math.radians(50)
 _OPPOSITE = math.radians(165)
-# But for hands that hold a long thing side by side, so far apart, m.
-_SIDE_BY_SIDE = 0.13
+# But for hands that hold a long thing side by side, so far apart, m: fingers with room between them; and where there is
+# no such meeting, fingers that only just pass each other, lower over the table, where both come from above.
+_SIDE_BY_SIDE, _CLOSE = 0.13, 0.07
+_LOWER = (0.0, 0.06, 0.12)
 
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
@@ -148,13 +150,15 @@ class Handover(Skill):
         across = across / np.linalg.norm(across)
         height = float(bench.world.bounds(TABLE)[1][2]) + self.height
         T_giving = inverse(held.T_thing_in_pinch)
-        for grip in grips:
-            for R in _turned(T_giving, grip.T_pinch_in_thing, across):
-                for ahead in _AHEAD:
-                    T_thing = pose((middle[0] + ahead, middle[1], height), R)
-                    found = self._met(bench, giver, taker, held, grip, T_thing)
-                    if found is not None:
-                        yield found
+        known = list(grips)
+        for apart, lower in ((_SIDE_BY_SIDE, 0.0), *((_CLOSE, lower) for lower in _LOWER)):
+            for grip in known:
+                for R in _turned(T_giving, grip.T_pinch_in_thing, across, apart):
+                    for ahead in _AHEAD:
+                        T_thing = pose((middle[0] + ahead, middle[1], height - lower), R)
+                        found = self._met(bench, giver, taker, held, grip, T_thing)
+                        if found is not None:
+                            yield found
 
     def _met(self, bench: Bench, giver: Hand, taker: Hand, held: Held, grip: Grip, T_thing: Array) -> _Meeting | None:
         T_giving, T_taking = T_thing @ inverse(held.T_thing_in_pinch), T_thing @ grip.T_pinch_in_thing
@@ -176,11 +180,12 @@ class Handover(Skill):
         return _Meeting(T_thing, giving, before, taking, grip, wide)
 
 
-def _turned(T_giving: Array, T_taking: Array, across: Array) -> Iterator[Array]:
+def _turned(T_giving: Array, T_taking: Array, across: Array, side_by_side: float) -> Iterator[Array]:
     """Rotations (3, 3) of a thing in `world` for which both hands come from their own side, and as much from above.
 
     Args:
         T_giving, T_taking: the hands' pinch frames (4, 4) in the thing's.
+        side_by_side: how far apart hands that point the same way have to be, m.
         across: from the giving arm's base to the taking arm's (3,), in `world`.
     """
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
@@ -188,7 +193,7 @@ def _turned(T_giving: Array, T_taking: Array, across: Array) -> Iterator[Array]:
     angle = math.acos(max(-1.0, min(1.0, float(giving @ taking))))
     if angle >= _LEAST_ANGLE:
         one = giving - taking
-    elif np.linalg.norm(apart) >= _SIDE_BY_SIDE:
+    elif np.linalg.norm(apart) >= side_by_side:
         one = apart
     else:
         return
