@@ -8,9 +8,13 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from ..geometry.se3 import Array
+from ..geometry.loft import Surface
+from ..geometry.se3 import Array, pose_from_quat
 
 _GEOM = mujoco.mjtGeom
+
+# Points on a round geom, around and from end to end.
+_AROUND, _RISE = 24, 7
 
 
 def geom_bounds(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
@@ -59,6 +63,30 @@ def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> Arra
     points = np.concatenate(found)[:count]
     # A thing of hardly any volume, such as a sheet: its middle has to do.
     return points if len(points) else np.array([(low + high) / 2])
+
+
+def geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
+    """Points (n, 3) on a geom in its body's frame, and its triangles where it is a mesh."""
+    T = pose_from_quat(model.geom_pos[geom], model.geom_quat[geom])
+    faces = np.zeros((0, 3), np.int32)
+    size = model.geom_size[geom]
+    match model.geom_type[geom]:
+        case _GEOM.mjGEOM_MESH | _GEOM.mjGEOM_SDF:
+            mesh = model.geom_dataid[geom]
+            start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+            points = model.mesh_vert[start : start + count].astype(float)
+            start, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+            faces = model.mesh_face[start : start + count]
+        case _GEOM.mjGEOM_BOX:
+            points = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
+        case _GEOM.mjGEOM_CYLINDER:
+            points = np.concatenate([_circle(size[0], z) for z in (-size[1], size[1])])
+        case _:
+            half = size[1] if model.geom_type[geom] == _GEOM.mjGEOM_CAPSULE else 0.0
+            rise = np.linspace(0, np.pi / 2, _RISE)
+            cap = np.concatenate([_circle(size[0] * np.cos(a), half + size[0] * np.sin(a)) for a in rise])
+            points = np.concatenate([cap, cap * [1, 1, -1]])
+    return points @ T[:3, :3].T + T[:3, 3], faces
 
 
 def _pose(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
@@ -114,3 +142,8 @@ def _halton(start: int, count: int) -> Array:
             numbers //= base
         columns.append(value)
     return np.column_stack(columns)
+
+
+def _circle(radius: float, z: float) -> Array:
+    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(_AROUND, z)])
