@@ -18,7 +18,7 @@ from ..resources import Locations
 from ..scene.cameras import add_camera, fixed_camera
 from ..scene.compiling import compile_spec
 from ..scene.things.thing import add_object
-from ..sim.shapes import body_surface
+from ..sim.shapes import body_surface, geom_corners
 
 # Of the slab that everything lies on: its surface is a table's in a scene (configs/scenes/tabletop.yaml), but it is
 # thick: what a light thing does to a thin table top is not the thing's fault.
@@ -73,11 +73,10 @@ def subject(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Lo
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] != model.body(item.name).id:
             continue
-        points, faces = body_surface(model, [geom])
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-            touching.append(points)
+            touching.append(geom_corners(model, geom))
         elif here and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH and "_look" in model.geom(geom).name:
-            looks.append(welded(points, faces))
+            looks.append(welded(*body_surface(model, [geom])))
     return Subject(item, meshes, locations, tuple(looks), np.concatenate(touching))
 
 

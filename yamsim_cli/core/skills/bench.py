@@ -17,7 +17,7 @@ from ..goals.world import TABLE
 from ..planning.joint_motion import LINE_SPEED, ease, straight, traced
 from ..planning.obstacles import Load, Obstacles
 from ..sim.antipodal import Span, spans
-from ..sim.shapes import body_surface
+from ..sim.shapes import geom_corners
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
 from .errors import SkillFailedError
@@ -171,8 +171,8 @@ class Bench:
         if thing not in self._steady:
             body, rotations = self.model.body(thing).id, [np.eye(3)]
             geoms = [g for g in range(self.model.ngeom) if self.model.geom_bodyid[g] == body]
-            points, _ = body_surface(self.model, [geom for geom in geoms if self.model.geom_contype[geom]])
-            for one in steady_attitudes(points, self.model.body_ipos[body]):
+            points = [geom_corners(self.model, geom) for geom in geoms if self.model.geom_contype[geom]]
+            for one in steady_attitudes(np.concatenate(points), self.model.body_ipos[body]):
                 if one.down[2] > -math.cos(_SAME):
                     rotations.append(one.turn)
             self._steady[thing] = rotations
