@@ -219,7 +219,7 @@ def test_the_uncertainty_is_that_of_many_photos() -> None:
     assert first.shared is not None
     own = (first.covariance - first.shared @ first.shared.T)[3:, 3:]
     spread = np.sqrt(np.diag(np.cov(shifts.T)))
-    # It is inflated twofold, for what noise alone does not explain.
+    # It is inflated for what noise alone does not explain, and holds the markers' placement.
     assert (spread < np.sqrt(np.diag(own))).all()
     assert (spread > 0.2 * np.sqrt(np.diag(own))).all()
 
