@@ -136,9 +136,11 @@ def unevenly_lit(rng: np.random.Generator, image: Grey, camera: CameraModel, boa
     return image * (0.25 + 0.75 * share)
 
 
-def enlarged_print(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
-    """OpenCV's own picture of the board in place of ours, warped: its markers are rounded to whole pixels of 900."""
-    across, border, finer = 900, 50, 4
+def enlarged_print(
+    rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array, across: int = 900
+) -> Grey:
+    """OpenCV's own picture of the board in place of ours, warped: its markers are rounded to whole pixels, `across`."""
+    border, finer = 50, 4
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     size = (board.columns, board.rows)
     grid = cv2.aruco.GridBoard(size, board.marker_length, board.gap, dictionary, np.array(board.ids))

@@ -67,7 +67,7 @@ def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
     """Return how far points (n, 2) on a board move along x (n, m) and along y (n, m) with each mode, per metre.
 
     A printer or a drawing program rounds alike the places of all markers of a column, those of a row, and the half edge
-    of all markers. Without the latter, the markers' size would decide the print's scale, which their places show better.
+    of all markers. Without the latter, the markers' size would decide the print's scale, which places show better.
     """
     step, middle = board.marker_length + board.gap, np.array([board.columns - 1, board.rows - 1]) / 2
     to_right_and_down = np.array([1.0, -1.0])
