@@ -90,6 +90,11 @@ class ClosedFormIk:
         one: Array = solutions[np.argmin(np.einsum("ij,ij->i", ways, ways))]
         return one
 
+    def bend(self, joints: Array) -> float:
+        """By how much the arm's elbow is bent at joints (6,), rad; 0 where the arm is stretched out."""
+        fore = self._fore * cmath.rect(1.0, self._signs[2] * float(joints[2]))
+        return abs(cmath.phase(self._upper.conjugate() * fore))
+
     def _candidates(self, T: Array) -> Iterator[Joints]:
         """Joints (6,) for the flange's motion (4, 4) from zero, in the frame whose third axis is h."""
         rows = [_vector(row) for row in T[:3, :3]]
@@ -106,7 +111,7 @@ class ClosedFormIk:
             place = complex(x + self._a1[0], y + self._a1[1]) - self._a2
             for q5 in _solved(self._h6[2] - along_5, h5_h6[2], _dot(before_6, self._h6) - along_5):
                 after_6 = _turned((0.0, 0.0, 1.0), self._h5, -q5)
-                # Across axis 6, where both are short if they are nearly parallel to it: their products keep their digits.
+                # Across axis 6 first: products of what is short there, near a singular pose, keep their digits.
                 before, after = _cross(self._h6, before_6), _cross(self._h6, after_6)
                 q6 = math.atan2(_dot(self._h6, _cross(before, after)), _dot(before, after))
                 if not (all_q5 := self._turns(4, q5)) or not (all_q6 := self._turns(5, q6)):

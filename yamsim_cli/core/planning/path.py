@@ -48,7 +48,7 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
                 joints.append(start_joints + _ease(done) * (first.joints - start_joints))
             else:
                 between = (knots[index], knots[index + 1], velocities[index], velocities[index + 1])
-                solution = ik.solve(_interpolate(*between, done, durations[index]), joints[-1], _ITERATIONS)
+                solution = ik.follow(_interpolate(*between, done, durations[index]), joints[-1], _ITERATIONS)
                 joints.append(solution.joints)
             moved = _ease(max(0.0, done - waypoint.fingers_from) / (1 - waypoint.fingers_from))
             gripper.append(before.gripper + moved * (waypoint.gripper - before.gripper))
