@@ -35,7 +35,10 @@ _CONVERGED = 1e-5
 # Cost at which the iteration ends: 10 nm and a thousandth of a degree. From there on, rounding makes steps fail.
 _EXACT = 1e-14
 
-_STEP = 0.35  # rad, change of a joint; on a path, an exact solution farther away may lie on another branch
+# On a path: rad, change of a joint; an exact solution farther away may lie on another branch. And rad; where the search
+# turned the hand less exactly at the pose before, joints would jump to an exact solution.
+_STEP = 0.35
+_LAG = 1e-3
 # rad, of the elbow; on a path towards the edge of the reach, exact joints would race to it and turn back at once. The
 # search slows them down. At 0.2 rad its steps begin to differ from exact ones.
 _BEND = 0.3
@@ -122,16 +125,23 @@ class IkSolver:
         exact = self._exact(T_tool_in_world, start)
         return self._searched(T_tool_in_world, start, iterations) if exact is None else exact
 
-    def follow(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
-        """Bring the held frame to a pose (4, 4) near where it is at joints `start` (dof,), on the same branch.
+    def follow(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
+        """Bring the held frame to a pose (4, 4) near the one before, on the same branch and without a jump.
 
         Args:
-            iterations: the most steps of the search where there is no exact solution next to `start`.
+            before: the solution for the pose before, see `at` for the first one.
+            iterations: the most steps of the search where no exact solution follows on the one before.
         """
-        exact = self._exact(T_tool_in_world, start)
-        if exact is None or np.abs(exact.joints - start).max() > _STEP or self._stretched(exact.joints):
-            return self._searched(T_tool_in_world, start, iterations)
-        return exact
+        start = before.joints
+        if before.tilt_error + before.heading_error <= _LAG:
+            exact = self._exact(T_tool_in_world, start)
+            if exact is not None and np.abs(exact.joints - start).max() <= _STEP and not self._stretched(exact.joints):
+                return exact
+        return self._searched(T_tool_in_world, start, iterations)
+
+    def at(self, joints: Array) -> IkSolution:
+        """The solution for the pose that the held frame has at joints (dof,)."""
+        return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
 
     def reach(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
         """Joints (dof,) that bring the held frame to a pose (4, 4); None where the arm does not reach it.
@@ -159,8 +169,7 @@ class IkSolver:
         found = [joints for joints in self._closed_form.solutions(T_flange_in_base) if self._margin(joints) >= margin]
         if not found:
             return None
-        joints = self._closed_form.nearest(np.array(found), start)
-        return IkSolution(joints, position_error=0.0, tilt_error=0.0, heading_error=0.0, margin=self._margin(joints))
+        return self.at(self._closed_form.nearest(np.array(found), start))
 
     def _stretched(self, joints: Array) -> bool:
         return self._closed_form is not None and self._closed_form.bend(joints) < _BEND
