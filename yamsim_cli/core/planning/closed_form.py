@@ -32,7 +32,8 @@ Joints = tuple[float, ...]
 _EXACT = 1e-6  # m and rad; a solution whose forward kinematics misses the pose by more is dropped
 _ALIGNED = 1e-9  # rad and m; axes that miss being parallel, or intersecting, by less count as such
 _ROUNDING = 1e-9  # share by which a cosine may exceed 1 from rounding, as it does where two solutions become one
-_FREE = 1e-12  # m or 1; coefficients below leave an angle undetermined
+_FREE = 1e-7  # m or 1; coefficients below leave an angle undetermined, with an error that counts as exact
+_SAMPLES = tuple(math.tau * k / 16 for k in range(16))  # rad; the angles that are tried where every angle is one
 _BEYOND = 1e-7  # rad; a joint beyond its stop by less, from rounding, counts as at its stop
 _TRIALS = 20  # random poses that have to be solved before an arm counts as one that has a closed solution
 _HAND = 0.13  # m; length of a hand beyond the flange, for how far a joint moves what the arm holds
@@ -75,8 +76,9 @@ class ClosedFormIk:
     def solutions(self, T_flange_in_base: Array) -> Array:
         """All joints (n, 6), in rad and within their ranges, that bring the flange to a pose (4, 4) in the base.
 
-        An empty array says that the arm does not reach the pose. Where a pose leaves a joint undetermined (the wrist's
-        centre lies on the first joint's axis, or the last axis is parallel to the three), one of its values is given.
+        An empty array says that the arm does not reach the pose. The exception are poses that leave a joint undetermined
+        (the wrist's centre lies on the first joint's axis, or the last axis is parallel to the three): there the joints
+        are given for 16 of its angles, which may all lie beyond stops.
         """
         candidates = self._candidates(self._T_basis @ T_flange_in_base @ self._T_zero)
         found = [joints for joints in candidates if self._reaches(joints, T_flange_in_base)]
@@ -111,17 +113,15 @@ class ClosedFormIk:
             place = complex(x + self._a1[0], y + self._a1[1]) - self._a2
             for q5 in _solved(self._h6[2] - along_5, h5_h6[2], _dot(before_6, self._h6) - along_5):
                 after_6 = _turned((0.0, 0.0, 1.0), self._h5, -q5)
-                # Across axis 6 first: products of what is short there, near a singular pose, keep their digits.
-                before, after = _cross(self._h6, before_6), _cross(self._h6, after_6)
-                q6 = math.atan2(_dot(self._h6, _cross(before, after)), _dot(before, after))
-                if not (all_q5 := self._turns(4, q5)) or not (all_q6 := self._turns(5, q6)):
-                    continue
-                ahead = _product(rows, _turned(_turned((1.0, 0.0, 0.0), self._h5, -q5), self._h6, -q6))
-                ahead = _turned(ahead, self._h1, -q1)
-                q234 = math.atan2(ahead[1], ahead[0])
-                for q2, q3 in self._two_links(place - cmath.rect(1.0, q234) * self._wrist):
-                    middle = (self._turns(1, q2), self._turns(2, q3), self._turns(3, q234 - q2 - q3))
-                    yield from itertools.product(all_q1, *middle, all_q5, all_q6)
+                for q6 in _between(before_6, after_6, self._h6):
+                    if not (all_q5 := self._turns(4, q5)) or not (all_q6 := self._turns(5, q6)):
+                        continue
+                    ahead = _product(rows, _turned(_turned((1.0, 0.0, 0.0), self._h5, -q5), self._h6, -q6))
+                    ahead = _turned(ahead, self._h1, -q1)
+                    q234 = math.atan2(ahead[1], ahead[0])
+                    for q2, q3 in self._two_links(place - cmath.rect(1.0, q234) * self._wrist):
+                        middle = (self._turns(1, q2), self._turns(2, q3), self._turns(3, q234 - q2 - q3))
+                        yield from itertools.product(all_q1, *middle, all_q5, all_q6)
 
     def _two_links(self, place: complex) -> Iterator[tuple[float, float]]:
         """Angles of joints 2 and 3 that bring joint 4's anchor to a place in the plane, as seen from joint 2's."""
@@ -181,15 +181,24 @@ def closed_form(model: mujoco.MjModel) -> ClosedFormIk | None:
 
 
 def _solved(a: float, b: float, c: float) -> tuple[float, ...]:
-    """The angles q with `a cos q + b sin q = c`; zero where every angle is one."""
+    """The angles q with `a cos q + b sin q = c`; samples where every angle is one."""
     length = math.hypot(a, b)
     if length < _FREE:
-        return (0.0,) if abs(c) < _FREE else ()
+        return _SAMPLES if abs(c) < _FREE else ()
     cosine = c / length
     if abs(cosine) > 1.0 + _ROUNDING:
         return ()
     middle, half = math.atan2(b, a), math.acos(max(-1.0, min(1.0, cosine)))
     return (middle + half, middle - half) if half else (middle,)
+
+
+def _between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:
+    """The angle about a unit axis from one vector to another; samples where they are parallel to the axis."""
+    # Across the axis first: the products of what is short there, near a singular pose, keep their digits.
+    v, u = _cross(axis, v), _cross(axis, u)
+    if max(*map(abs, v), *map(abs, u)) < _FREE:
+        return _SAMPLES
+    return (math.atan2(_dot(axis, _cross(v, u)), _dot(v, u)),)
 
 
 def _vector(values: Array) -> Vector:
