@@ -76,9 +76,9 @@ class ClosedFormIk:
     def solutions(self, T_flange_in_base: Array) -> Array:
         """All joints (n, 6), in rad and within their ranges, that bring the flange to a pose (4, 4) in the base.
 
-        An empty array says that the arm does not reach the pose. The exception are poses that leave a joint undetermined
-        (the wrist's centre lies on the first joint's axis, or the last axis is parallel to the three): there the joints
-        are given for 16 of its angles, which may all lie beyond stops.
+        An empty array says that the arm does not reach the pose. The exception are poses that leave a joint
+        undetermined (the wrist's centre lies on the first joint's axis, or the last axis is parallel to the three):
+        they are solved for 16 of its angles alone.
         """
         candidates = self._candidates(self._T_basis @ T_flange_in_base @ self._T_zero)
         found = [joints for joints in candidates if self._reaches(joints, T_flange_in_base)]

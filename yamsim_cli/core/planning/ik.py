@@ -107,6 +107,11 @@ class IkSolver:
         self._T_pinch_in_flange = pose(pinch.pos, rotation.reshape(3, 3))
         self.hold(np.eye(4))
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether the arm has a closed solution, so that a pose without an exact solution is out of its reach."""
+        return self._closed_form is not None
+
     def hold(self, T_object_in_pinch: Array) -> None:
         """Solve from now on for the frame of an object held at this pose (4, 4) in the pinch frame."""
         T = self._T_pinch_in_flange @ T_object_in_pinch
