@@ -35,7 +35,7 @@ Site = Literal["pinch_site", "grasp_site"]
 # Searches from other joints for those that come nearest to a pose. An arm without a closed solution needs them to find
 # what it reaches, too: for 1,000 poses of joints sampled evenly from their ranges, 29 starts were the most.
 _RESTARTS = 50
-# The same of an arm that has a closed solution. For 25 poses beyond its reach, 50 found the same within tolerance as 10.
+# The same of an arm that has a closed solution: of 25 poses beyond its reach, 50 brought no more within tolerance.
 _RESTARTS_EXACT = 10
 # Cost of an error of one rad about each axis, where one of a metre costs 10: so 1 rad weighs as much as 0.1 m, which is
 # about the hand's length. Where the arm cannot reach the whole pose, the position decides.

@@ -92,10 +92,13 @@ class ClosedFormIk:
         one: Array = solutions[np.argmin(np.einsum("ij,ij->i", ways, ways))]
         return one
 
-    def bend(self, joints: Array) -> float:
-        """By how much the arm's elbow is bent at joints (6,), rad; 0 where the arm is stretched out."""
+    def from_singular(self, joints: Array) -> float:
+        """By how much joints (6,) are off a singular posture, rad: the bend of the elbow, which is 0 where the arm is
+        stretched out, or the angle between the last axis and the three parallel ones, whichever is less.
+        """
         fore = self._fore * cmath.rect(1.0, self._signs[2] * float(joints[2]))
-        return abs(cmath.phase(self._upper.conjugate() * fore))
+        x, y, along = _turned(self._h6, self._h5, float(joints[4]))
+        return min(abs(cmath.phase(self._upper.conjugate() * fore)), math.atan2(math.hypot(x, y), abs(along)))
 
     def _candidates(self, T: Array) -> Iterator[Joints]:
         """Joints (6,) for the flange's motion (4, 4) from zero, in the frame whose third axis is h."""

@@ -39,9 +39,9 @@ _EXACT = 1e-14
 # turned the hand less exactly at the pose before, joints would jump to an exact solution.
 _STEP = 0.35
 _LAG = 1e-3
-# rad, of the elbow; on a path towards the edge of the reach, exact joints would race to it and turn back at once. The
-# search slows them down. At 0.2 rad its steps begin to differ from exact ones.
-_BEND = 0.3
+# rad, off a singular posture; on a path that goes nearer to one, such as to the edge of the reach, exact joints would
+# race and then turn back at once. The search slows them down: its steps begin to differ from exact ones at 0.2 rad.
+_SINGULAR = 0.3
 _FINISHING = 30  # iterations that bring what `QuickReach` found to its pose
 
 
@@ -138,9 +138,9 @@ class IkSolver:
             iterations: the most steps of the search where no exact solution follows on the one before.
         """
         start = before.joints
-        if before.tilt_error + before.heading_error <= _LAG:
+        if before.tilt_error + before.heading_error <= _LAG and self._is_regular(start):
             exact = self._exact(T_tool_in_world, start)
-            if exact is not None and np.abs(exact.joints - start).max() <= _STEP and not self._stretched(exact.joints):
+            if exact is not None and np.abs(exact.joints - start).max() <= _STEP:
                 return exact
         return self._searched(T_tool_in_world, start, iterations)
 
@@ -176,8 +176,8 @@ class IkSolver:
             return None
         return self.at(self._closed_form.nearest(np.array(found), start))
 
-    def _stretched(self, joints: Array) -> bool:
-        return self._closed_form is not None and self._closed_form.bend(joints) < _BEND
+    def _is_regular(self, joints: Array) -> bool:
+        return self._closed_form is not None and self._closed_form.from_singular(joints) >= _SINGULAR
 
     def _margin(self, joints: Array) -> float:
         low, high = self._model.jnt_range.T
