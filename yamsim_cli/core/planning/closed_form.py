@@ -50,8 +50,7 @@ class ClosedFormIk:
         self._model, self._data = model, mujoco.MjData(model)
         self._flange = int(model.site("tool").bodyid[0])
         self._ranges = model.jnt_range.tolist()
-        self._data.qpos[:] = 0.0
-        mujoco.mj_kinematics(model, self._data)
+        T_flange = self.pose_of(np.zeros(model.nq))
         axes, anchors = self._data.xaxis.copy(), self._data.xanchor.copy()
         h = axes[1]
         across = np.cross(h, np.eye(3)[np.argmin(np.abs(h))])
@@ -59,7 +58,7 @@ class ClosedFormIk:
         # All below is in a frame whose third axis is h: components along h and places in the plane are coordinates.
         basis = np.array([across, np.cross(h, across), h])
         self._signs = (1.0, *np.sign(axes[1:4] @ h).tolist(), 1.0, 1.0)
-        self._T_zero = inverse(self._T_flange()) @ pose(rotation=basis.T)
+        self._T_zero = inverse(T_flange) @ pose(rotation=basis.T)
         self._T_basis = pose(rotation=basis)
         h1, h5, h6 = (basis @ axes[k] for k in (0, 4, 5))
         along = np.cross(h5, h6)
@@ -70,8 +69,14 @@ class ClosedFormIk:
         self._a1, self._centre, self._height = _vector(basis @ anchors[0]), centre, float(centre[2])
         a2, a3, a4 = (complex(*(basis @ anchors[k])[:2]) for k in (1, 2, 3))
         self._a2, self._upper, self._fore, self._wrist = a2, a3 - a2, a4 - a3, complex(*centre[:2]) - a4
-        steps = np.linalg.norm(np.diff([*anchors, self._data.xpos[self._flange]], axis=0), axis=1)
+        steps = np.linalg.norm(np.diff([*anchors, T_flange[:3, 3]], axis=0), axis=1)
         self._levers = np.cumsum(steps[::-1])[::-1] + _HAND
+
+    def pose_of(self, joints: Array) -> Array:
+        """Pose (4, 4) of the flange in the base at joints (6,)."""
+        self._data.qpos[:] = joints
+        mujoco.mj_kinematics(self._model, self._data)
+        return pose(self._data.xpos[self._flange], self._data.xmat[self._flange].reshape(3, 3))
 
     def solutions(self, T_flange_in_base: Array) -> Array:
         """All joints (n, 6), in rad and within their ranges, that bring the flange to a pose (4, 4) in the base.
@@ -149,9 +154,6 @@ class ClosedFormIk:
         turn = self._data.xmat[self._flange].reshape(3, 3) - T[:3, :3]
         return bool(off @ off <= _EXACT**2 and np.vdot(turn, turn) <= 2 * _EXACT**2)
 
-    def _T_flange(self) -> Array:
-        return pose(self._data.xpos[self._flange], self._data.xmat[self._flange].reshape(3, 3))
-
 
 def closed_form(model: mujoco.MjModel) -> ClosedFormIk | None:
     """A bare arm's inverse kinematics in closed form, verified on random poses; None where it has none that is known.
@@ -172,12 +174,9 @@ def closed_form(model: mujoco.MjModel) -> ClosedFormIk | None:
         or abs(across @ (anchors[5] - anchors[4])) > _ALIGNED
     ):
         return None
-    solver, forward = ClosedFormIk(model), mujoco.MjData(model)
-    for joints in np.random.default_rng(0).uniform(*model.jnt_range.T, (_TRIALS, model.nq)):
-        forward.qpos[:] = joints
-        mujoco.mj_kinematics(model, forward)
-        flange = forward.body(int(model.site("tool").bodyid[0]))
-        found = solver.solutions(pose(flange.xpos, flange.xmat.reshape(3, 3)))
+    solver, (low, high) = ClosedFormIk(model), model.jnt_range.T
+    for joints in np.random.default_rng(0).uniform(low, high, (_TRIALS, model.nq)):
+        found = solver.solutions(solver.pose_of(joints))
         if not len(found) or np.abs(found - joints).max(axis=1).min() > _EXACT:
             return None
     return solver
