@@ -96,6 +96,7 @@ class IkSolver:
         self._model = model
         self._T_base_in_world = T_base_in_world
         self._T_world_in_base = inverse(T_base_in_world)
+        self._low, self._high = model.jnt_range.T.copy()
         self._closed_form = closed_form(model)
         self._quick = QuickReach(model, T_base_in_world)
         self._configuration = mink.Configuration(model)
@@ -171,17 +172,18 @@ class IkSolver:
         if self._closed_form is None:
             return None
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
-        found = [joints for joints in self._closed_form.solutions(T_flange_in_base) if self._margin(joints) >= margin]
-        if not found:
+        found = self._closed_form.solutions(T_flange_in_base)
+        if margin > 0.0:
+            found = found[np.minimum(found - self._low, self._high - found).min(axis=1) >= margin]
+        if not len(found):
             return None
-        return self.at(self._closed_form.nearest(np.array(found), start))
+        return self.at(self._closed_form.nearest(found, start))
 
     def _is_regular(self, joints: Array) -> bool:
         return self._closed_form is not None and self._closed_form.from_singular(joints) >= _SINGULAR
 
     def _margin(self, joints: Array) -> float:
-        low, high = self._model.jnt_range.T
-        return float(np.minimum(joints - low, high - joints).min())
+        return float(np.minimum(joints - self._low, self._high - joints).min())
 
     def _searched(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
         configuration, task = self._configuration, self._task
