@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..config.recording import RecordConfig
 from ..geometry.se3 import Array
 from ..planning.demonstration import ArmTools, start_stands
+from ..planning.ik import Tolerance
 from ..planning.obstacles import Obstacles
-from ..planning.quick_reach import QuickReach
 from ..scene.compiled import CompiledScene, Kind
-from ..scene.robot import bare_arm
 from ..sim.world import SimWorld
 from ..skills.bench import Bench
 from ..skills.hand import Hand
 from ..types import Stand
+
+# m and rad; whether a place can be reached at all, its margin to a stop does not matter.
+_ANYHOW = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
 class ExpertTools:
@@ -27,14 +31,14 @@ class ExpertTools:
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
         self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms)
-        self._quick = [QuickReach(bare_arm(config.rig.arms[arm.number]), arm.T_base_in_world) for arm in scene.arms]
 
     def reaches(self, T_pinch_in_world: Array) -> bool:
         """Whether some hand comes to a pose (4, 4) of its pinch frame, whatever it would touch there."""
-        return any(
-            quick.solve(T_pinch_in_world, np.array(stand.joints)) is not None
-            for quick, stand in zip(self._quick, start_stands(self._config), strict=True)
-        )
+        for tools, stand in zip(self._tools, start_stands(self._config), strict=True):
+            tools.ik.hold(np.eye(4))
+            if tools.ik.reach(T_pinch_in_world, [stand.joints], _ANYHOW) is not None:
+                return True
+        return False
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
         """The height at which a thing that comes straight down meets something, see `Obstacles.rest_height`."""
@@ -44,9 +48,9 @@ class ExpertTools:
         """A bench for one attempt, whose arms stand where it starts."""
         config, scene = self._config, self._scene
         hands = [
-            Hand(k, side, arm, tools.ik, quick, tools.dynamics, stand.joints, stand.opening)
-            for k, (side, arm, tools, quick, stand) in enumerate(
-                zip(sides(config), scene.arms, self._tools, self._quick, stands, strict=True)
+            Hand(k, side, arm, tools.ik, tools.dynamics, stand.joints, stand.opening)
+            for k, (side, arm, tools, stand) in enumerate(
+                zip(sides(config), scene.arms, self._tools, stands, strict=True)
             )
         ]
         items = {item.name: item for item in config.task.objects}

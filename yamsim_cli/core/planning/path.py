@@ -36,7 +36,7 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
     durations = [waypoint.ticks * timing.tick for waypoint in plan.waypoints]
     velocities = _knot_velocities(plan, knots, durations)
 
-    first = ik.solve(plan.waypoints[0].T_object_in_world, start_joints, _COLD_ITERATIONS)
+    first = solution = ik.solve(plan.waypoints[0].T_object_in_world, start_joints, _COLD_ITERATIONS)
     joints, gripper, grip = [start_joints], [], []
     position_error, leaned = 0.0, 0.0
     before = plan.waypoints[0]
@@ -48,13 +48,13 @@ def plan_path(ik: IkSolver, dynamics: ArmDynamics, plan: Plan, start_joints: Arr
                 joints.append(start_joints + _ease(done) * (first.joints - start_joints))
             else:
                 between = (knots[index], knots[index + 1], velocities[index], velocities[index + 1])
-                solution = ik.solve(_interpolate(*between, done, durations[index]), joints[-1], _ITERATIONS)
+                solution = ik.follow(_interpolate(*between, done, durations[index]), solution, _ITERATIONS)
                 joints.append(solution.joints)
             moved = _ease(max(0.0, done - waypoint.fingers_from) / (1 - waypoint.fingers_from))
             gripper.append(before.gripper + moved * (waypoint.gripper - before.gripper))
             grip.append(before.grip + moved * (waypoint.grip - before.grip))
         before = waypoint
-        position_error = max(position_error, (solution if index else first).position_error)
+        position_error = max(position_error, solution.position_error)
         if index in (plan.grasp, plan.release):
             # The pinch frame's z axis points where the fingers do.
             leaned = max(leaned, math.pi - tilt((ik.pose_of(joints[-1]) @ T_pinch_in_object)[:3, :3]))
