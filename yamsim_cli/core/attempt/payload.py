@@ -19,10 +19,15 @@ from .simulator import Simulator
 LOOKS, FIRST_LOOKS = "2", "1"
 
 
+# Revision of the engine, raised when the same config and seed give other actions: 2 since arms solve inverse kinematics
+# in closed form. A recording that states none is of `FIRST_ENGINE`.
+ENGINE, FIRST_ENGINE = "2", "1"
+
+
 def versions() -> dict[str, str]:
     """Versions of what an episode's bytes depend on; `looks` concerns its pictures alone."""
     packages = {name: name for name in ("mujoco", "mink", "daqp", "numpy")} | {"opencv": "opencv-python-headless"}
-    return {"yamsim": __version__, "python": platform.python_version(), "looks": LOOKS} | {
+    return {"yamsim": __version__, "python": platform.python_version(), "looks": LOOKS, "engine": ENGINE} | {
         key: version(name) for key, name in packages.items()
     }
 

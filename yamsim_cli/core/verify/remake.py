@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..attempt.frames import frames as made_frames
-from ..attempt.payload import FIRST_LOOKS, LOOKS, versions
+from ..attempt.payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, versions
 from ..attempt.physics import repeat
 from ..attempt.pictures import image_files
 from ..attempt.planned import demonstrate
@@ -102,10 +102,16 @@ class EpisodeVerifier(Closing):
                 problems[EPISODE] = f"it shows other meshes than {CONFIG} says: {'; '.join(others)}"
             changed = self._changed(episode)
             frames = _read_frames(episode, problems)
-            if episode.record.source == "record":
-                checks |= self._from_seed(episode, frames, skipped)
-            else:
+            if episode.record.source != "record":
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
+            elif (engine := _engine(episode.record)) != ENGINE:
+                version = episode.record.versions.get("yamsim", "unknown")
+                skipped[SEED] = (
+                    f"it was made by engine revision {engine} of yamsim {version}, and this version has revision {ENGINE}, "
+                    "which makes other episodes of the same seeds; its actions are repeated"
+                )
+            else:
+                checks |= self._from_seed(episode, frames, skipped)
             if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._limits.values):
                 checks[ACTIONS] = repeated
             else:
@@ -144,7 +150,8 @@ class EpisodeVerifier(Closing):
         return self._simulators.of(EpisodeJob(record.seed, record.attempt))
 
     def _changed(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
-        then, now = {"looks": _looks(episode.record)} | episode.record.versions, versions()
+        first = {"looks": FIRST_LOOKS, "engine": FIRST_ENGINE}
+        then, now = first | episode.record.versions, versions()
         simulator = self._simulator(episode.record)
         if self._limits.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
@@ -199,6 +206,11 @@ def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames,
 def _looks(record: EpisodeRecord) -> str:
     """Revision of looks that a recording's pictures were drawn with."""
     return record.versions.get("looks", FIRST_LOOKS)
+
+
+def _engine(record: EpisodeRecord) -> str:
+    """Return the revision of the engine in which a recording was made."""
+    return record.versions.get("engine", FIRST_ENGINE)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
