@@ -107,9 +107,11 @@ class EpisodeVerifier(Closing):
             elif (engine := _engine(episode.record)) != ENGINE:
                 version = episode.record.versions.get("yamsim", "unknown")
                 skipped[SEED] = (
-                    f"it was made by engine revision {engine} of yamsim {version}, and this version has revision {ENGINE}, "
-                    "which makes other episodes of the same seeds; its actions are repeated"
+                    f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
+                    "makes other episodes of the same seeds; its actions are repeated"
                 )
+                if self._limits.images is not None:
+                    skipped[IMAGES] = skipped[SEED]
             else:
                 checks |= self._from_seed(episode, frames, skipped)
             if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._limits.values):
