@@ -1,4 +1,4 @@
-"""What happens to boards at work: covered in part, glare, a crease, light from one side."""
+"""What happens to boards at work: covered in part, glare, a crease, a bent plate, light from one side."""
 
 from __future__ import annotations
 
@@ -48,28 +48,80 @@ def glaring(rng: np.random.Generator, image: Grey, camera: CameraModel, board: B
     return np.clip(image + 260 * soft, 0, 255)
 
 
-def creased(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
-    """The paper folded by 4 degrees along a line parallel to an edge, a third to two thirds across."""
-    fold, at = math.radians(4.0) * rng.choice([-1, 1]), float(rng.uniform(-1 / 6, 1 / 6)) * board.width
+def creased(
+    rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array, degrees: float = 4.0
+) -> Grey:
+    """The paper folded along a line parallel to an edge, a third to two thirds across."""
+    fold, at = math.radians(degrees) * rng.choice([-1, 1]), float(rng.uniform(-1 / 6, 1 / 6)) * board.width
     axis = int(rng.integers(2))
-    height, width = image.shape
-    y, x = np.mgrid[:height, :width]
-    seen = np.column_stack([rays(camera, np.column_stack([x.ravel(), y.ravel()])), np.ones(x.size)])
     # The folded half's plane: through the crease, turned about it.
     along, normal = np.eye(3)[axis], np.array([0.0, 0.0, 1.0])
     bent = math.cos(fold) * along + math.sin(fold) * normal
     bent_normal = math.cos(fold) * normal - math.sin(fold) * along
+    seen = _rays_of(camera)
     R, origin = T[:3, :3], T[:3, 3] + T[:3, axis] * at
     depth = (R @ bent_normal) @ origin / (seen @ (R @ bent_normal))
     on_fold = (seen * depth[:, None] - origin) @ R
     past, other = on_fold @ bent, on_fold[:, 1 - axis]
     half = board.width / 2 + 0.002
     here = (past > 0) & (past < half - at) & (np.abs(other) < half)
-    flat = np.empty((x.size, 2))
+    flat = np.empty((len(seen), 2))
     flat[:, axis], flat[:, 1 - axis] = at + past, other
+    return _moved(image, camera, T, flat, here)
+
+
+def bowed(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
+    """The plate bent like a part of a cylinder, two edges 1 to 3 mm above or below its middle; pose of its mean."""
+    half = max(board.width, board.height) / 2
+    curve = float(rng.choice([-1, 1]) * rng.uniform(1e-3, 3e-3)) / half**2
+    axis = np.eye(2)[int(rng.integers(2))]
+
+    def height(at: np.ndarray) -> np.ndarray:
+        return curve * ((at @ axis) ** 2 - half**2 / 3)
+
+    on_plate = _met(camera, T, height)
+    # Paper does not stretch: along the curve, it reaches less far than it is long.
+    flat = on_plate + axis * (2 / 3 * curve**2 * (on_plate @ axis) ** 3)[:, None]
+    return _moved(image, camera, T, flat, _on_board(flat, board))
+
+
+def twisted(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
+    """The plate twisted, its corners 1 to 3 mm above and below its plane by turns."""
+    half = max(board.width, board.height) / 2
+    twist = float(rng.choice([-1, 1]) * rng.uniform(1e-3, 3e-3)) / half**2
+    on_plate = _met(camera, T, lambda at: twist * at[:, 0] * at[:, 1])
+    return _moved(image, camera, T, on_plate, _on_board(on_plate, board))
+
+
+def _rays_of(camera: CameraModel) -> np.ndarray:
+    """Viewing rays (n, 3) of all pixels, row by row."""
+    y, x = np.mgrid[: camera.height, : camera.width]
+    return np.column_stack([rays(camera, np.column_stack([x.ravel(), y.ravel()])), np.ones(x.size)])
+
+
+def _met(camera: CameraModel, T: Array, height: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Places (n, 2) on a board that pixels show, which lies at heights (n,) above its plane; m."""
+    seen, raised = _rays_of(camera), np.zeros(camera.width * camera.height)
+    R, normal = T[:3, :3], T[:3, 2]
+    for _ in range(8):
+        depth = (normal @ T[:3, 3] + raised) / (seen @ normal)
+        at = (seen * depth[:, None] - T[:3, 3]) @ R[:, :2]
+        # Far beside the board, the surface goes on level.
+        raised = height(np.clip(at, -0.2, 0.2))
+    return at
+
+
+def _on_board(at: np.ndarray, board: Board) -> np.ndarray:
+    """Which places (n, 2) are on a board, or so near that it may have lain there before it was bent."""
+    return (np.abs(at) < 0.75 * np.array([board.width, board.height])).all(axis=1)
+
+
+def _moved(image: Grey, camera: CameraModel, T: Array, flat: np.ndarray, here: np.ndarray) -> Grey:
+    """A picture whose pixels (n,) `here` show places (n, 2) of a board that lay flat in it."""
+    y, x = np.mgrid[: camera.height, : camera.width]
     source = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
     source[here] = _seen(camera, T, flat[here])
-    maps = source.reshape(height, width, 2).astype(np.float32)
+    maps = source.reshape(*image.shape, 2).astype(np.float32)
     return cv2.remap(image, maps[..., 0], maps[..., 1], cv2.INTER_CUBIC)
 
 
@@ -84,9 +136,11 @@ def unevenly_lit(rng: np.random.Generator, image: Grey, camera: CameraModel, boa
     return image * (0.25 + 0.75 * share)
 
 
-def enlarged_print(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
-    """OpenCV's own picture of the board in place of ours, warped: its markers are rounded to whole pixels of 900."""
-    across, border, finer = 900, 50, 4
+def enlarged_print(
+    rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array, across: int = 900
+) -> Grey:
+    """OpenCV's own picture of the board in place of ours, warped: its markers are rounded to whole pixels, `across`."""
+    border, finer = 50, 4
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     size = (board.columns, board.rows)
     grid = cv2.aruco.GridBoard(size, board.marker_length, board.gap, dictionary, np.array(board.ids))

@@ -8,7 +8,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from yamsim_cli.core.planning.demonstration import start_stands
 
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.sampling import sample
@@ -16,6 +15,7 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.world import world_of
 from yamsim_cli.core.skills.bench import Bench

@@ -86,6 +86,21 @@ def test_poses_are_those_of_observations_and_of_physics(
     np.testing.assert_allclose(between[:3, :3], np.eye(3), atol=1e-12)
 
 
+def test_joints_of_a_pose_in_reach_are_exact() -> None:
+    kinematics = Kinematics()
+    for joints in np.random.default_rng(6).uniform(*kinematics.joint_range.T, (100, 6)):
+        T = kinematics.fk(joints)
+        np.testing.assert_allclose(kinematics.fk(kinematics.ik(T)), T, atol=1e-6)
+        np.testing.assert_allclose(kinematics.ik(T, joints), joints, atol=1e-6)
+
+
+def test_a_pose_of_few_digits_is_reached_as_well_as_those_allow() -> None:
+    kinematics = Kinematics()
+    rounded = kinematics.ik(np.round(kinematics.fk(START + 0.1), 4), START)
+    np.testing.assert_allclose(rounded, START + 0.1, atol=2e-3)
+    np.testing.assert_allclose(kinematics.fk(rounded)[:3, 3], kinematics.fk(START + 0.1)[:3, 3], atol=1e-4)
+
+
 def test_out_of_reach_says_how_far_off_the_nearest_is() -> None:
     kinematics = Kinematics()
     with pytest.raises(OutOfReachError, match=r"out of the arm's reach: the nearest it gets is \d+\.\d mm") as caught:

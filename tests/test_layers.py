@@ -20,6 +20,7 @@ FLOORS: dict[str, int] = {
     "core.closing": 1,
     "core.progress": 1,
     "core.page_origin": 1,
+    "core.untrusted": 1,
     "core.files": 2,
     "core.mounts": 2,
     "core.machine": 2,

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from .core.config.loader import load_config
 from .core.config.rig import RigConfig
 from .core.errors import UsageError, suggest
-from .core.geometry.se3 import Array, inverse
+from .core.geometry.se3 import Array, inverse, pose
 from .core.planning.arm_kinematics import ArmKinematics, OutOfReachError, reach
 from .core.planning.ik import IkSolver
 from .core.resources import Locations
@@ -32,9 +32,11 @@ __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
 Site = Literal["pinch_site", "grasp_site"]
 
-# Searches from other joints before a pose counts as out of reach. For 1,000 poses of joints sampled evenly from their
-# ranges, 29 starts were the most that any needed.
+# Searches from other joints for those that come nearest to a pose. An arm without a closed solution needs them to find
+# what it reaches, too: for 1,000 poses of joints sampled evenly from their ranges, 29 starts were the most.
 _RESTARTS = 50
+# The same of an arm that has a closed solution: of 25 poses beyond its reach, 50 brought no more within tolerance.
+_RESTARTS_EXACT = 10
 # Cost of an error of one rad about each axis, where one of a metre costs 10: so 1 rad weighs as much as 0.1 m, which is
 # about the hand's length. Where the arm cannot reach the whole pose, the position decides.
 _ROTATION_COSTS = (1.0, 1.0, 1.0)
@@ -119,22 +121,27 @@ class Kinematics:
     ) -> Array:
         """Joints (dof,), within their range, that bring the site to a pose (4, 4) in the arm's base.
 
-        The same arguments give the same answer. Of several solutions it is the one that a search from `start` leads to,
-        which is usually near: give the joints as they are now. If that search fails, others start elsewhere.
+        The same arguments give the same answer. Every YAM has a closed solution: of all joints that reach the pose, the
+        answer is the nearest to `start`, exact to 1e-6 m and rad; give the joints as they are now. Where there are
+        none, the pose is out of reach, and searches look for joints within the tolerances. An arm of one's own without
+        a closed solution (see `core.planning.closed_form.closed_form`) is searched only, first from `start`.
 
         Args:
-            start: joints (dof,) to search from; home unless given.
+            start: joints (dof,), rad; home unless given.
             position_tolerance, rotation_tolerance: by how much the pose may be missed, m and rad. A larger rotation
                 tolerance lets the hand lean where the arm is too short for the exact pose, and keeps the position.
 
         Raises:
             UsageError: `T_site_in_base` is no pose, or `start` holds no valid joints.
-            OutOfReachError: no such joints were found. Its `nearest` holds those that come nearest, and by how much
-                they miss the pose.
+            OutOfReachError: no joints reach the pose, and no search found any within the tolerances. Its `nearest`
+                holds those that come nearest, and by how much they miss the pose.
         """
         T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
         if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(T[:3, :3]) < 0:
             raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
+        # The nearest rotation: what other programs pass on has often gone through fewer digits.
+        left, _, right = np.linalg.svd(T[:3, :3])
+        T = pose(T[:3, 3], left @ right)
         first = self._home if start is None else self._joints(start, "start")
         return reach(self._solvers, T, self._starts(first), position_tolerance, rotation_tolerance).joints
 
@@ -149,7 +156,7 @@ class Kinematics:
         low, high = self._range.T
         yield np.clip(first, low, high)
         rng = np.random.default_rng(0)
-        for _ in range(_RESTARTS):
+        for _ in range(_RESTARTS_EXACT if self._solvers[0].is_exact else _RESTARTS):
             yield rng.uniform(low, high)
 
 

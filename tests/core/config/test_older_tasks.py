@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from yamsim_cli.core.config.task import TaskConfig
 
 from tests.programs import STATION, written
 from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.older_tasks import upgrade_task
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.task import TaskConfig
 from yamsim_cli.core.documents.document import dump_yaml, load_yaml
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.opener import Opener

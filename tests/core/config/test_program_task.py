@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from yamsim_cli.core.config.task import TaskConfig
-from yamsim_cli.core.planning.demonstration import start_stands
 
 from tests.programs import changed, session_of, written
 from yamsim_cli.core.config.loader import load_config, parse_config
@@ -19,6 +18,7 @@ from yamsim_cli.core.documents.base import ConflictError
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.skills.checked import check_config
 

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from yamsim_cli.core.planning.clearance import Clearance
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.tasks.plans import Hold, grasp_points, make_plan
 
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_z
+from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.planning.ik import IkSolution, IkSolver
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene

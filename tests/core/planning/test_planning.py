@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 from yamsim_cli.core.planning.choice import PathChooser
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_vector, rotation_z
+from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.planning.dynamics import ArmDynamics
 from yamsim_cli.core.planning.ik import IkSolver
 from yamsim_cli.core.resources import Locations

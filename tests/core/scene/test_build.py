@@ -5,10 +5,10 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
+from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import task_blueprint
 from yamsim_cli.core.scene.build import build_scene

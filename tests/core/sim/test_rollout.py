@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 from yamsim_cli.core.planning.choice import PathChooser
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.sim.monitor import object_pose
 from yamsim_cli.core.sim.rollout import Rollout, attach, drive_command, path_actions, path_start, simulate
 from yamsim_cli.core.tasks.pickplace import sample_layout
@@ -13,6 +12,7 @@ from yamsim_cli.core.tasks.plans import phases
 from tests.core.attempts import all_actions
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.planning.dynamics import ArmDynamics
 from yamsim_cli.core.planning.ik import IkSolver
 from yamsim_cli.core.resources import Locations

@@ -8,7 +8,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.planning.demonstration import start_stands
 
 from tests.programs import STATION, changed, session_of
 from yamsim_cli.core.attempt.expert import sides
@@ -16,6 +15,8 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from yamsim_cli.core.goals.cast import Cast
+from yamsim_cli.core.planning.arm_tools import start_stands
+from yamsim_cli.core.sim.shapes import body_surface
 from yamsim_cli.core.sim.world import SimWorld, world_of
 from yamsim_cli.core.skills.bench import Bench
 from yamsim_cli.core.skills.insert import Insert
@@ -190,3 +191,16 @@ def test_the_volume_of_a_thing_moves_with_its_parts(placed: Placed) -> None:
     assert inside == 1 and high[2] == pytest.approx(0.11)
     points = np.concatenate([points for points, _ in placed.world._filled("cabinet")])
     assert points[:, 0].min() < 1.0 - 0.25
+
+
+def test_the_surface_of_a_mesh_is_the_meshs_own() -> None:
+    """And not that of a primitive of its size, by which a vessel of hulls would have another interior."""
+    vertices = " ".join(f"{x} {y} {z}" for x, y, z in ((0, 0, 0), (0.1, 0, 0), (0, 0.2, 0), (0, 0, 0.3)))
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><asset><mesh name="wedge" vertex="{vertices}"/></asset>'
+        '<worldbody><body><geom type="mesh" mesh="wedge"/></body></worldbody></mujoco>'
+    )
+    points, faces = body_surface(model, [0])
+    assert (len(points), len(faces)) == (4, 4)
+    # MuJoCo turns a mesh into its principal axes, and its geom back.
+    assert np.ptp(points, axis=0) == pytest.approx([0.1, 0.2, 0.3], abs=1e-6)

@@ -15,7 +15,7 @@ _GRIP = pose((0.0, 0.0, 0.1), rotation_from_vector([math.pi, 0.0, 0.0]))
 
 def _hand() -> Hand:
     nothing: Any = None
-    hand = Hand(0, "left", nothing, nothing, nothing, nothing, np.zeros(6), 0.0)
+    hand = Hand(0, "left", nothing, nothing, nothing, np.zeros(6), 0.0)
     hand.in_vain.append(Held("can", inverse(_GRIP)))
     return hand
 

@@ -38,6 +38,35 @@ def test_a_bottle_is_handed_over_and_put_down(tmp_path: Path) -> None:
     assert outcome.success, outcome.detail
 
 
+CUBE = changed(
+    {
+        ("rig",): STATION,
+        ("things",): {"cube": {"of": "cube_red"}},
+        ("starts",): {"cube": {"x": [0.30, 0.36], "y": [0.14, 0.20]}},
+        ("goal",): {
+            "all": [
+                {"was_handed_over": {"thing": "cube", "to": "right"}},
+                {"on": {"thing": "cube", "surface": "table"}},
+                {"near": {"thing": "cube", "place": [0.32, -0.2], "radius": 0.04}},
+            ]
+        },
+        ("expert",): [
+            {"pick": {"thing": "cube", "arm": "left"}},
+            {"handover": {"thing": "cube", "to": "right"}},
+            {"place": {"thing": "cube", "on": "table", "at": [0.32, -0.2]}},
+        ],
+    }
+)
+
+
+@pytest.mark.slow
+def test_a_cube_is_handed_over_and_put_down_on_another_face(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, CUBE)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        outcome = demonstrate_program(simulator, attempt).outcome
+    assert outcome.success, outcome.detail
+
+
 @pytest.mark.slow
 def test_what_is_too_wide_for_the_hand_is_told_with_both_widths(tmp_path: Path) -> None:
     task = changed({("things", "cube", "of"): "054_softball"})

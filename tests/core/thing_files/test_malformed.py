@@ -13,9 +13,9 @@ from tests.malformed import malformed
 from tests.mugs import has_import_extra
 from yamsim_cli.core.errors import ResourceError, YamsimError
 from yamsim_cli.core.thing_files.child import _read
-from yamsim_cli.core.thing_files.jail import Folder
 from yamsim_cli.core.thing_files.read import Told, read_thing
-from yamsim_cli.core.thing_files.refusals import CODES, RefusedError
+from yamsim_cli.core.untrusted.jail import Folder
+from yamsim_cli.core.untrusted.refusals import CODES, RefusedError
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 

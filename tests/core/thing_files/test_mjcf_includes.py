@@ -7,9 +7,9 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from yamsim_cli.core.thing_files.jail import Folder
 from yamsim_cli.core.thing_files.mjcf import read_mjcf
-from yamsim_cli.core.thing_files.refusals import RefusedError
+from yamsim_cli.core.untrusted.jail import Folder
+from yamsim_cli.core.untrusted.refusals import RefusedError
 
 _MAIN = '<mujoco><include file="a/one.xml"/></mujoco>'
 _BOX = '<mujoco><worldbody><body name="b"><geom type="box" size="{} 0.1 0.1" mass="1"/></body></worldbody></mujoco>'

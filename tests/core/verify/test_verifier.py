@@ -12,7 +12,7 @@ import pytest
 
 from tests.cli.run_cli import Run, yamsim
 from tests.core.unrendered import SIZE, change_frame, change_record, read_frame, write_dataset
-from yamsim_cli.core.attempt.payload import LOOKS
+from yamsim_cli.core.attempt.payload import ENGINE, LOOKS
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config
 from yamsim_cli.core.dataset.selection import select_episodes
@@ -219,7 +219,7 @@ def failing(dataset: Path, *args: str) -> Run:
 def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_changed(dataset: Path) -> None:
     after = read_frame(dataset / "ep_000001", 20)["joints"] + np.float32(1e-3)
     change_frame(dataset / "ep_000001", 20, rehash=True, joints=after)
-    change_record(dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": LOOKS})
+    change_record(dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": LOOKS, "engine": ENGINE})
     run = failing(dataset)
     assert run.json["first_divergence"]["episode"] == 1
     assert run.json["first_divergence"]["frame"] == 20
@@ -250,6 +250,23 @@ def test_pictures_of_an_earlier_revision_of_looks_are_told_and_states_agree(
         f"its pictures are of looks revision 1, and this version draws revision {LOOKS}"
     )
     assert found.changed["looks"] == ("1", LOOKS)
+
+
+def test_an_episode_of_an_earlier_engine_is_repeated_by_its_actions_alone(dataset: Path, locations: Locations) -> None:
+    record = json.loads((dataset / "ep_000000" / "episode.json").read_text(encoding="utf-8"))
+    earlier = {name: version for name, version in record["versions"].items() if name != "engine"}
+    change_record(dataset / "ep_000000", versions=earlier)
+    session = Session(dataset_config(dataset, locations), locations)
+    with EpisodeVerifier(session, Limits(values=0.0, images=0.0)) as verifier:
+        found = verifier.run((0, dataset / "ep_000000"))
+    assert found.agrees
+    assert set(found.checks) == {ACTIONS}
+    said = (
+        f"it was made by engine revision 1 of yamsim {earlier['yamsim']}; this version's revision {ENGINE} makes other"
+    )
+    assert found.skipped[SEED].startswith(said)
+    assert found.skipped[IMAGES] == found.skipped[SEED]
+    assert found.changed["engine"] == ("1", ENGINE)
 
 
 def test_the_command_names_an_altered_file_though_no_value_differs_enough(dataset: Path) -> None:

@@ -10,7 +10,6 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.planning.demonstration import start_stands
 from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from yamsim_cli.core.assets import AssetStore, load_lock
@@ -19,6 +18,7 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
+from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene

@@ -10,10 +10,9 @@ import numpy as np
 from ..config.recording import RecordConfig
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..planning.arm_tools import ArmTools, start_stands
+from ..planning.ik import Tolerance
 from ..planning.obstacles import Obstacles
-from ..planning.quick_reach import QuickReach
 from ..scene.compiled import CompiledScene, Kind
-from ..scene.robot import bare_arm
 from ..sim.world import SimWorld
 from ..skills.bench import Bench
 from ..skills.hand import Hand
@@ -24,6 +23,9 @@ from ..types import Stand
 LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))
 TOWARDS = tuple(math.radians(angle) for angle in range(0, 360, 60))
 TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))
+
+# m and rad; whether a place can be reached at all, its margin to a stop does not matter.
+_ANYHOW = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
 class ExpertTools:
@@ -36,16 +38,16 @@ class ExpertTools:
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
         self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms)
-        self._quick = [QuickReach(bare_arm(config.rig.arms[arm.number]), arm.T_base_in_world) for arm in scene.arms]
 
     def reaches_place(self, place: Array) -> bool:
         """Return whether some hand that acts gets to a place (3,) in `world`, m, whatever it would touch there."""
         stands = start_stands(self._config)
-        return any(
-            self._quick[k].solve(T, np.array(stands[k].joints)) is not None
-            for T in _hand_poses(place)
-            for k in self._config.acting_scene_arms
-        )
+        for k in self._config.acting_scene_arms:
+            ik = self._tools[k].ik
+            ik.hold(np.eye(4))
+            if any(ik.reach(T, [stands[k].joints], _ANYHOW) is not None for T in _hand_poses(place)):
+                return True
+        return False
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
         """The height at which a thing that comes straight down meets something, see `Obstacles.rest_height`."""
@@ -55,9 +57,9 @@ class ExpertTools:
         """A bench for one attempt, whose arms stand where it starts."""
         config, scene = self._config, self._scene
         hands = [
-            Hand(k, side, arm, tools.ik, quick, tools.dynamics, stand.joints, stand.opening)
-            for k, (side, arm, tools, quick, stand) in enumerate(
-                zip(sides(config), scene.arms, self._tools, self._quick, stands, strict=True)
+            Hand(k, side, arm, tools.ik, tools.dynamics, stand.joints, stand.opening)
+            for k, (side, arm, tools, stand) in enumerate(
+                zip(sides(config), scene.arms, self._tools, stands, strict=True)
             )
         ]
         items = {item.name: item for item in config.task.objects}

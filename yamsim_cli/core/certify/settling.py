@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from ..geometry.attitudes import Attitude, attitudes
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
 from ..scene.breakdown import breakdown
-from .attitudes import Attitude, attitudes
 from .outcome import Outcome, View, short, unchecked
 from .subject import Subject, compiled, grounded_spec, with_camera
 

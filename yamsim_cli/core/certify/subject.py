@@ -13,14 +13,13 @@ from ..config.scene import FixedCamera, Light
 from ..config.things.thing import ObjectConfig
 from ..errors import ResourceError, UsageError
 from ..geometry.loft import Surface, joined, welded
-from ..geometry.se3 import Array, pose_from_quat
+from ..geometry.se3 import Array
 from ..resources import Locations
 from ..scene.cameras import add_camera, fixed_camera
 from ..scene.compiling import compile_spec
 from ..scene.things.thing import add_object
+from ..sim.shapes import body_surface, geom_corners
 
-# Points on a round geom, around and from end to end.
-_AROUND, _RISE = 24, 7
 # Of the slab that everything lies on: its surface is a table's in a scene (configs/scenes/tabletop.yaml), but it is
 # thick: what a light thing does to a thin table top is not the thing's fault.
 _GROUND_FRICTION = (1.0, 0.005, 0.0001)
@@ -74,11 +73,10 @@ def subject(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Lo
     for geom in range(model.ngeom):
         if model.geom_bodyid[geom] != model.body(item.name).id:
             continue
-        points, faces = _geom_surface(model, geom)
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-            touching.append(points)
+            touching.append(geom_corners(model, geom))
         elif here and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH and "_look" in model.geom(geom).name:
-            looks.append(welded(points, faces))
+            looks.append(welded(*body_surface(model, [geom])))
     return Subject(item, meshes, locations, tuple(looks), np.concatenate(touching))
 
 
@@ -143,32 +141,3 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
         ResourceError: MuJoCo refused it.
     """
     return compile_spec(spec, "the thing", ResourceError)
-
-
-def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
-    """Points (n, 3) on a geom in its body's frame, and its triangles where it is a mesh."""
-    T = pose_from_quat(model.geom_pos[geom], model.geom_quat[geom])
-    faces = np.zeros((0, 3), np.int32)
-    size = model.geom_size[geom]
-    match model.geom_type[geom]:
-        case mujoco.mjtGeom.mjGEOM_MESH | mujoco.mjtGeom.mjGEOM_SDF:
-            mesh = model.geom_dataid[geom]
-            start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-            points = model.mesh_vert[start : start + count].astype(float)
-            start, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-            faces = model.mesh_face[start : start + count]
-        case mujoco.mjtGeom.mjGEOM_BOX:
-            points = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * size
-        case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            points = np.concatenate([_circle(size[0], z) for z in (-size[1], size[1])])
-        case _:
-            half = size[1] if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0
-            rise = np.linspace(0, np.pi / 2, _RISE)
-            cap = np.concatenate([_circle(size[0] * np.cos(a), half + size[0] * np.sin(a)) for a in rise])
-            points = np.concatenate([cap, cap * [1, 1, -1]])
-    return points @ T[:3, :3].T + T[:3, 3], faces
-
-
-def _circle(radius: float, z: float) -> Array:
-    angle = 2 * np.pi * np.arange(_AROUND) / _AROUND
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(_AROUND, z)])

@@ -1,8 +1,9 @@
-"""Inverse kinematics of one bare arm. No other module knows mink."""
+"""Inverse kinematics of one bare arm: exact where the arm has a closed solution, else by search with mink."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mink
@@ -10,6 +11,8 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, quat_from_rotation
+from .closed_form import closed_form
+from .quick_reach import QuickReach
 
 # The position has priority. Orientation follows as far as the arm can, first heading and then tilt. Where the arm has
 # to lean outwards to reach a place it does so, and the position stays exact to a fraction of a millimetre.
@@ -32,6 +35,15 @@ _CONVERGED = 1e-5
 # Cost at which the iteration ends: 10 nm and a thousandth of a degree. From there on, rounding makes steps fail.
 _EXACT = 1e-14
 
+# On a path: rad, change of a joint; an exact solution farther away may lie on another branch. And rad; where the search
+# turned the hand less exactly at the pose before, joints would jump to an exact solution.
+_STEP = 0.35
+_LAG = 1e-3
+# rad, off a singular posture; on a path that goes nearer to one, such as to the edge of the reach, exact joints would
+# race and then turn back at once. The search slows them down: its steps begin to differ from exact ones at 0.2 rad.
+_SINGULAR = 0.3
+_FINISHING = 30  # iterations that bring what `QuickReach` found to its pose
+
 
 @dataclass(frozen=True)
 class IkSolution:
@@ -46,8 +58,28 @@ class IkSolution:
     margin: float
 
 
+@dataclass(frozen=True)
+class Tolerance:
+    """How near inverse kinematics has to come: m, rad, and rad from a joint's stop."""
+
+    position: float
+    rotation: float
+    margin: float = 0.05
+
+    def admits(self, solution: IkSolution) -> bool:
+        """Whether a solution is near enough to its pose, and far enough from its stops."""
+        return (
+            solution.position_error <= self.position
+            and solution.tilt_error + solution.heading_error <= self.rotation
+            and solution.margin >= self.margin
+        )
+
+
 class IkSolver:
-    """Differential inverse kinematics, iterated to convergence, within the joint limits.
+    """Inverse kinematics within the joint limits.
+
+    An arm that has a closed solution, see `closed_form`, is solved exactly. Where it has none, or does not reach the
+    pose, differential inverse kinematics is iterated to convergence: the hand then leans as far as the pose is missed.
 
     Args:
         model: a bare arm with the sites `pinch_site` and `tool`, see `scene.robot.bare_arm`.
@@ -64,6 +96,9 @@ class IkSolver:
         self._model = model
         self._T_base_in_world = T_base_in_world
         self._T_world_in_base = inverse(T_base_in_world)
+        self._low, self._high = model.jnt_range.T.copy()
+        self._closed_form = closed_form(model)
+        self._quick = QuickReach(model, T_base_in_world)
         self._configuration = mink.Configuration(model)
         self._limits = [mink.ConfigurationLimit(model)]
         self._task = mink.FrameTask("tool", "site", _POSITION_COST, np.array(rotation_costs))
@@ -71,6 +106,12 @@ class IkSolver:
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, pinch.quat)
         self._T_pinch_in_flange = pose(pinch.pos, rotation.reshape(3, 3))
+        self.hold(np.eye(4))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the arm has a closed solution, so that a pose without an exact solution is out of its reach."""
+        return self._closed_form is not None
 
     def hold(self, T_object_in_pinch: Array) -> None:
         """Solve from now on for the frame of an object held at this pose (4, 4) in the pinch frame."""
@@ -78,9 +119,73 @@ class IkSolver:
         tool = self._model.site("tool")
         tool.pos[:] = T[:3, 3]
         tool.quat[:] = quat_from_rotation(T[:3, :3])
+        self._T_flange_in_tool = inverse(T)
 
     def solve(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
-        """Bring the held frame to a pose (4, 4), from joints `start` (dof,), in at most `iterations` steps."""
+        """Bring the held frame to a pose (4, 4), wherever the arm is now.
+
+        Args:
+            start: joints (dof,), rad; of several exact solutions, the one nearest to them is given.
+            iterations: the most steps of the search where there is no exact solution.
+        """
+        exact = self._exact(T_tool_in_world, start)
+        return self._searched(T_tool_in_world, start, iterations) if exact is None else exact
+
+    def follow(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
+        """Bring the held frame to a pose (4, 4) near the one before, on the same branch and without a jump.
+
+        Args:
+            before: the solution for the pose before, see `at` for the first one.
+            iterations: the most steps of the search where no exact solution follows on the one before.
+        """
+        start = before.joints
+        if before.tilt_error + before.heading_error <= _LAG and self._is_regular(start):
+            exact = self._exact(T_tool_in_world, start)
+            if exact is not None and np.abs(exact.joints - start).max() <= _STEP:
+                return exact
+        return self._searched(T_tool_in_world, start, iterations)
+
+    def at(self, joints: Array) -> IkSolution:
+        """The solution for the pose that the held frame has at joints (dof,)."""
+        return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
+
+    def reach(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
+        """Joints (dof,) that bring the held frame to a pose (4, 4); None where the arm does not reach it.
+
+        Args:
+            starts: joints (dof,), rad. Of several exact solutions, the one nearest to the first of them is given. An
+                arm without a closed solution is searched from one after the other, and None says that all searches
+                failed.
+        """
+        if self._closed_form is not None:
+            exact = self._exact(T_tool_in_world, starts[0], tolerance.margin)
+            return None if exact is None else exact.joints
+        for start in starts:
+            if (near := self._quick.solve(T_tool_in_world, start)) is not None:
+                solution = self._searched(T_tool_in_world, near, _FINISHING)
+                if tolerance.admits(solution):
+                    return solution.joints
+        return None
+
+    def _exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
+        """The exact solution nearest to joints `start` (dof,) that keeps a margin, rad, to every stop."""
+        if self._closed_form is None:
+            return None
+        T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
+        found = self._closed_form.solutions(T_flange_in_base)
+        if margin > 0.0:
+            found = found[np.minimum(found - self._low, self._high - found).min(axis=1) >= margin]
+        if not len(found):
+            return None
+        return self.at(self._closed_form.nearest(found, start))
+
+    def _is_regular(self, joints: Array) -> bool:
+        return self._closed_form is not None and self._closed_form.from_singular(joints) >= _SINGULAR
+
+    def _margin(self, joints: Array) -> float:
+        return float(np.minimum(joints - self._low, self._high - joints).min())
+
+    def _searched(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
         configuration, task = self._configuration, self._task
         configuration.update(start)
         task.set_target(mink.SE3.from_matrix(self._T_world_in_base @ T_tool_in_world))
@@ -112,13 +217,12 @@ class IkSolver:
             if np.abs(change).max() < _CONVERGED:
                 break
         joints = configuration.q
-        low, high = self._model.jnt_range.T
         return IkSolution(
             joints=joints,
             position_error=float(np.linalg.norm(error[:3])),
             tilt_error=math.hypot(error[3], error[4]),
             heading_error=abs(float(error[5])),
-            margin=float(np.minimum(joints - low, high - joints).min()),
+            margin=self._margin(joints),
         )
 
     def pose_of(self, joints: Array) -> Array:

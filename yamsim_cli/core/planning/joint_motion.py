@@ -102,9 +102,9 @@ def traced(ik: IkSolver, start: Array, pose_at: Callable[[float], Array], second
         The motion, or None where the curve leaves the arm's reach.
     """
     number = max(_FEWEST_TICKS, math.ceil(seconds * _PEAK / tick))
-    rows = [start]
+    rows, solution = [start], ik.at(start)
     for step in range(1, number + 1):
-        solution = ik.solve(pose_at(ease(step / number)), rows[-1], _LINE_ITERATIONS)
+        solution = ik.follow(pose_at(ease(step / number)), solution, _LINE_ITERATIONS)
         if solution.position_error > _OFF_LINE or float(np.abs(solution.joints - rows[-1]).max()) > _JUMP:
             return None
         rows.append(solution.joints)

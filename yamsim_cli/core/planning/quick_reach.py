@@ -1,4 +1,4 @@
-"""A quick answer to whether an arm reaches a pose: most poses that are asked for are out of reach."""
+"""A quick answer to whether an arm without a closed solution reaches a pose: most are out of reach."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STALLED = 0.97
 
 
 class QuickReach:
-    """Inverse kinematics of one bare arm's pinch frame, without the care that `IkSolver` takes.
+    """Inverse kinematics of the frame that a bare arm holds, without the care that `IkSolver` takes.
 
     Args:
         model: the bare arm, see `scene.robot.bare_arm`.
@@ -36,13 +36,13 @@ class QuickReach:
     def __init__(self, model: mujoco.MjModel, T_base_in_world: Array) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         self._T_world_in_base = inverse(T_base_in_world)
-        self._site = model.site("pinch_site").id
+        self._site = model.site("tool").id
         self._low, self._high = model.jnt_range.T
         self._jacobian, self._quat, self._turn = np.empty((6, model.nv)), np.empty(4), np.empty(3)
 
-    def solve(self, T_pinch_in_world: Array, start: Array) -> Array | None:
-        """Joints (dof,) near those that bring the pinch frame to a pose (4, 4); None where none were found."""
-        T, joints = self._T_world_in_base @ T_pinch_in_world, np.clip(start, self._low, self._high)
+    def solve(self, T_tool_in_world: Array, start: Array) -> Array | None:
+        """Joints (dof,) near those that bring the held frame to a pose (4, 4); None where none were found."""
+        T, joints = self._T_world_in_base @ T_tool_in_world, np.clip(start, self._low, self._high)
         before = (math.inf, math.inf)
         for _ in range(_STEPS):
             error = self._error(T, joints)

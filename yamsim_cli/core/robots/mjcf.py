@@ -8,7 +8,9 @@ from pathlib import PurePosixPath
 
 from ..errors import ConfigError
 from ..geometry.se3 import pose_from_quat, quat_from_rotation
+from ..untrusted.refusals import RefusedError
 from .finray.chain import grow
+from .mjcf_file import root_of
 from .models import ArmModel, Fit, Gripper, JointChange, Mjcf, Placement
 
 Element = ElementTree.Element
@@ -19,6 +21,7 @@ _SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
 _ARMS_OWN = ("option", "size", "visual", "statistic", "custom")
 
 # Elements that read other files or run code of others, which an arm's or a gripper's MJCF may not have.
+# `mjcf_file.read_mjcf` has replaced each <include> before.
 _NOT_READ = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
 
 # Sites that every gripper has: where the fingers meet, and the frame of recorded poses.
@@ -79,12 +82,10 @@ def parse(mjcf: Mjcf) -> Element:
     Raises:
         ConfigError: it is none, declares entities, or names files other than meshes of its sets.
     """
-    if "<!DOCTYPE" in mjcf.text or "<!ENTITY" in mjcf.text:
-        raise ConfigError(f"{mjcf.file}: declares a document type, which no MJCF needs; remove it")
     try:
-        root = ElementTree.fromstring(mjcf.text)
-    except ElementTree.ParseError as error:
-        raise ConfigError(f"{mjcf.file}: not valid XML: {error}") from error
+        root = root_of(mjcf.text)
+    except RefusedError as error:
+        raise ConfigError(f"{mjcf.file}: {error}") from error
     if root.tag != "mujoco":
         raise ConfigError(f"{mjcf.file}: begins with <{root.tag}>; an MJCF begins with <mujoco>")
     _check_files(root, mjcf)
@@ -126,7 +127,7 @@ def joint(root: Element, name: str, mjcf: Mjcf) -> Element:
     Raises:
         ConfigError: there is none.
     """
-    joints = {found.get("name", ""): found for found in _section(root, "worldbody").iter("joint")}
+    joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
     if name not in joints:
         raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")
     return joints[name]
@@ -138,7 +139,7 @@ def drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
     Raises:
         ConfigError: it has none, or several, or one of another kind.
     """
-    found = [element for element in _section(root, "actuator") if element.get("joint") == joint]
+    found = [element for element in _parts(root, "actuator") if element.get("joint") == joint]
     if len(found) != 1 or found[0].tag != "position" or not found[0].get("name"):
         raise ConfigError(f"{mjcf.file}: joint {joint!r} needs one <position> actuator with a name of its own")
     return found[0]
@@ -169,7 +170,7 @@ def _attributes(root: Element, tag: str) -> dict[str, str]:
 
 def _gripper_frame(hand: Element, mjcf: Mjcf) -> Element:
     """The gripper's one body."""
-    bodies = list(_section(hand, "worldbody"))
+    bodies = list(_parts(hand, "worldbody"))
     if len(bodies) != 1 or bodies[0].tag != "body" or not bodies[0].get("name"):
         raise ConfigError(f"{mjcf.file}: <worldbody> must hold one body with a name, the gripper's frame, and no more")
     frame = bodies[0]
@@ -195,7 +196,10 @@ def _check_sites(frame: Element, mjcf: Mjcf) -> None:
 
 def _check_names(root: Element, frame: Element, arms: Mjcf, grippers: Mjcf) -> None:
     taken = {
-        (element.tag, element.get("name")) for element in _section(root, "worldbody").iter() if element.get("name")
+        (element.tag, element.get("name"))
+        for part in _parts(root, "worldbody")
+        for element in part.iter()
+        if element.get("name")
     }
     for element in (part for child in frame for part in child.iter()):
         if (element.tag, element.get("name")) in taken:

@@ -18,11 +18,12 @@ from pydantic import (
 )
 
 from ..documents.base import Config, ConflictError, Name, Quaternion, Vector, ordered
-from ..documents.document import Document, load_yaml, read_config
+from ..documents.document import Document, load_yaml
 from ..documents.units import FieldOfView, JointAngle, Offset, OffsetPoint, Within
 from ..errors import ConfigError
 from ..geometry.se3 import Array, pose_from_quat
 from .finray.parameters import FinRay
+from .mjcf_file import read_mjcf
 
 # Names in an MJCF.
 Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]
@@ -31,10 +32,17 @@ _Opening = Annotated[FiniteFloat, Within("m", 1e-4, 0.5)]
 
 
 class Mjcf(Config):
-    """An MJCF file beside a YAML: its name, and its text, so that a robot is whole wherever its config goes."""
+    """An MJCF file beside a YAML, held whole, so that a robot needs no file wherever its config goes.
+
+    Attributes:
+        file: its path.
+        text: the MJCF, with what the file includes.
+        includes: whether the file includes others, so that lines of `text` are not lines of the file.
+    """
 
     file: str
     text: str = Field(repr=False)
+    includes: bool = False
 
 
 def _named(value: object) -> object:
@@ -180,11 +188,7 @@ class _InAFolder(Config):
             raise ConfigError(f"{document.place(('name',))}: name: {said!r} lies in folder {name!r}; leave it out")
         file = document.data.get("mjcf")
         if isinstance(file, str):
-            try:
-                text = read_config(path.with_name(file)).decode()
-            except UnicodeDecodeError as error:
-                raise ConfigError(f"{path.with_name(file)}: is not UTF-8: {error.reason}") from error
-            document.data["mjcf"] = {"file": str(path.with_name(file)), "text": text}
+            document.data["mjcf"] = read_mjcf(path.with_name(file))
         return document
 
 

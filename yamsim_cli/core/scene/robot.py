@@ -38,15 +38,19 @@ def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
         try:
             mujoco.MjSpec.from_string(mjcf.text)
         except ValueError as error:
-            raise ConfigError(f"{mjcf.file} does not compile: {' '.join(str(error).split())}") from error
+            raise ConfigError(f"{mjcf.file} does not compile: {_reason(error, lines=not mjcf.includes)}") from error
     both = f"{arm.mjcf.file} with {gripper.mjcf.file}"
     try:
         spec = mujoco.MjSpec.from_string(xml)
     except ValueError as error:
-        # Its line number is one of the two files together, which is in no file.
-        reason = re.sub(r",? line \d+", "", " ".join(str(error).split()))
-        raise ConfigError(f"{both} does not compile: {reason}") from error
+        raise ConfigError(f"{both} does not compile: {_reason(error, lines=False)}") from error
     compile_spec(with_looks(spec, (*arm.mesh_sets, *gripper.mesh_sets), None), both, ConfigError)
+
+
+def _reason(error: ValueError, *, lines: bool) -> str:
+    """MuJoCo's reason in one line, without line numbers where they count lines of several files together."""
+    reason = " ".join(str(error).split())
+    return reason if lines else re.sub(r",? line \d+", "", reason)
 
 
 def arm_spec(arm: ArmConfig, meshes: Meshes | None) -> mujoco.MjSpec:

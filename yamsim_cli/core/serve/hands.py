@@ -37,7 +37,7 @@ class Hand:
     def joints(self, T_hand_in_base: Array, near: Array) -> Array:
         """Joints (dof,) that bring the hand to a pose (4, 4), or the nearest that a search from `near` (dof,) finds."""
         start = np.clip(near, *self._range.T)
-        return self._solver.solve(T_hand_in_base, start, _ITERATIONS).joints
+        return self._solver.follow(T_hand_in_base, self._solver.at(start), _ITERATIONS).joints
 
 
 def pose_of_rows(position: Array, rows: Array) -> Array:

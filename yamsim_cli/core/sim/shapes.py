@@ -13,6 +13,8 @@ from ..geometry.se3 import Array
 
 _GEOM = mujoco.mjtGeom
 
+_MESHES = (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF))
+
 _SIDES = 24  # of a circle as a polygon: it errs by less than 1 % of the radius
 
 
@@ -63,6 +65,16 @@ def body_surface(model: mujoco.MjModel, geoms: Sequence[int]) -> Surface:
         vertices, faces = _geom_surface(model, geom)
         placed.append((vertices @ R.T + at, faces))
     return joined(placed)
+
+
+def geom_corners(model: mujoco.MjModel, geom: int) -> Array:
+    """Return points (n, 3) on a geom whose convex hull is that of the geom, in its body's frame.
+
+    Of a mesh they are its vertices; round primitives have 24 sides.
+    """
+    R, at = _pose(model, geom)
+    points = _vertices(model, geom) if model.geom_type[geom] in _MESHES else np.concatenate(_loops(model, geom))
+    return points @ R.T + at
 
 
 def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> tuple[Array, float]:
@@ -124,15 +136,20 @@ def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
 
 
 def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
-    """A geom's surface in its own frame."""
+    """Return a geom's closed surface in its own frame."""
+    if model.geom_type[geom] not in _MESHES:
+        return loft(_loops(model, geom))
+    mesh = int(model.geom_dataid[geom])
+    first, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    return _vertices(model, geom), model.mesh_face[first : first + number]
+
+
+def _loops(model: mujoco.MjModel, geom: int) -> list[Array]:
+    """Return loops of points (k, 3) on a primitive in its own frame, from its bottom to its top."""
     size, kind = model.geom_size[geom], model.geom_type[geom]
-    if kind in (_GEOM.mjGEOM_MESH, _GEOM.mjGEOM_SDF):
-        mesh = int(model.geom_dataid[geom])
-        first, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-        return _vertices(model, geom), model.mesh_face[first : first + number]
     if kind == _GEOM.mjGEOM_BOX:
         square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * size[:2]
-        return loft([np.column_stack([square, np.full(4, z)]) for z in (-size[2], size[2])])
+        return [np.column_stack([square, np.full(4, z)]) for z in (-size[2], size[2])]
     # Others are turned about z: radii and heights from the bottom to the top, which an ellipsoid stretches.
     if kind == _GEOM.mjGEOM_CYLINDER:
         radii, heights, stretch = np.ones(2), np.array([-1.0, 1.0]), np.array([size[0], size[0], size[1]])
@@ -145,7 +162,7 @@ def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = zip(radii, heights, strict=True)
-    return loft([np.column_stack([r * circle, np.full(_SIDES, z)]) * stretch for r, z in rings])
+    return [np.column_stack([r * circle, np.full(_SIDES, z)]) * stretch for r, z in rings]
 
 
 def _vertices(model: mujoco.MjModel, geom: int) -> Array:

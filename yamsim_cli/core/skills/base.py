@@ -63,6 +63,10 @@ class Skill(Config):
         """
         return None
 
+    def relaxed(self, bench: Bench, cast: Cast) -> Skill:
+        """The same skill with what it only prefers left open, for hands that cannot do what it prefers."""
+        return self
+
     def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
         """About where this skill would bring a thing (2,), in `world`, m; none if it brings it nowhere."""
         return ()
@@ -70,6 +74,14 @@ class Skill(Config):
     def roles(self) -> tuple[tuple[str, str], ...]:
         """The arguments that name roles, and the roles."""
         return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
+
+
+def preferences(ahead: Sequence[Skill], bench: Bench, cast: Cast) -> Iterator[Sequence[Skill]]:
+    """The skills that follow as they prefer it; and, where that is something else, with what they prefer left open."""
+    yield ahead
+    relaxed = [skill.relaxed(bench, cast) for skill in ahead]
+    if any(one is not other for one, other in zip(relaxed, ahead, strict=True)):
+        yield relaxed
 
 
 def hand_with(bench: Bench, thing: str, done: str) -> Hand:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -10,11 +11,13 @@ import mujoco
 import numpy as np
 
 from ..config.things.thing import ObjectConfig
+from ..geometry.attitudes import steady_attitudes
 from ..geometry.se3 import Array, inverse, pose, rotation_z
 from ..goals.world import TABLE
 from ..planning.joint_motion import LINE_SPEED, ease, straight, traced
 from ..planning.obstacles import Load, Obstacles
 from ..sim.antipodal import Span, spans
+from ..sim.shapes import geom_corners
 from ..sim.world import SimWorld
 from ..types import Cause, JointPath
 from .errors import SkillFailedError
@@ -28,6 +31,9 @@ _GRAVITY = 9.81
 _ROOM = 0.02
 _AHEAD = (0.34, 0.42, 0.28)
 _ASIDE = (0.0, 0.10, -0.10, 0.20, -0.20)
+
+# A thing that leans less than this stands upright, rad.
+_SAME = math.radians(10.0)
 
 V = TypeVar("V")
 
@@ -87,6 +93,7 @@ class Bench:
         self._turns = {"first": hands[first].side, "second": hands[len(hands) - 1 - first].side}
         self.obstacles, self._rng, self.tick = obstacles, rng, tick
         self._spans: dict[str, list[Span]] = {}
+        self._steady: dict[str, list[Array]] = {}
         self._known: tuple[bytes, dict[Hashable, Any]] = (b"", {})
 
     # -- the state
@@ -175,6 +182,18 @@ class Bench:
         # What comes down goes through cloth there, since nothing is in the way of a hand that is to press on it.
         on_cloth = onto in self.items and self.items[onto].cloth is not None
         return rest + (top - float(table_high[2]) if on_cloth else 0.0)
+
+    def steady_rotations(self, thing: str) -> list[Array]:
+        """How a thing may be turned (3, 3) to lie steadily, without its headings: upright first."""
+        if thing not in self._steady:
+            body, rotations = self.model.body(thing).id, [np.eye(3)]
+            geoms = [g for g in range(self.model.ngeom) if self.model.geom_bodyid[g] == body]
+            points = [geom_corners(self.model, geom) for geom in geoms if self.model.geom_contype[geom]]
+            for one in steady_attitudes(np.concatenate(points), self.model.body_ipos[body]):
+                if one.down[2] > -math.cos(_SAME):
+                    rotations.append(one.turn)
+            self._steady[thing] = rotations
+        return self._steady[thing]
 
     def _block(self, thing: str) -> Array:
         return self.once(("block", thing), lambda: self.world.block(thing))

@@ -10,22 +10,8 @@ import numpy as np
 
 from ..geometry.se3 import Array, inverse
 from ..planning.dynamics import ArmDynamics
-from ..planning.ik import IkSolution, IkSolver
-from ..planning.quick_reach import QuickReach
+from ..planning.ik import IkSolver, Tolerance
 from ..scene.compiled import SceneArm
-
-# Enough to finish what is near already.
-_ITERATIONS = 30
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """How near inverse kinematics has to come: m, rad, and rad from a joint's stop."""
-
-    position: float
-    rotation: float
-    margin: float = 0.05
-
 
 # Where fingers close or open; and where a hand only passes.
 EXACT = Tolerance(1.5e-3, math.radians(2.0))
@@ -64,13 +50,12 @@ class Hand:
         side: str,
         arm: SceneArm,
         ik: IkSolver,
-        quick: QuickReach,
         dynamics: ArmDynamics,
         ready: Array,
         opening: float,
     ) -> None:
         self.number, self.side, self.arm = number, side, arm
-        self._ik, self._quick, self.dynamics = ik, quick, dynamics
+        self._ik, self.dynamics = ik, dynamics
         self.ready = ready
         self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
         self.magnet = False
@@ -110,20 +95,5 @@ class Hand:
         return self.ik.pose_of(joints)
 
     def reach(self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = EXACT) -> Array | None:
-        """Joints (dof,) that bring the pinch frame to a pose (4, 4), from the first seed that leads there."""
-        for seed in seeds:
-            near = self._quick.solve(T_pinch_in_world, seed)
-            if near is None:
-                continue
-            solution = self.ik.solve(T_pinch_in_world, near, _ITERATIONS)
-            if _is_near(solution, tolerance):
-                return solution.joints
-        return None
-
-
-def _is_near(solution: IkSolution, tolerance: Tolerance) -> bool:
-    return (
-        solution.position_error <= tolerance.position
-        and solution.tilt_error + solution.heading_error <= tolerance.rotation
-        and solution.margin >= tolerance.margin
-    )
+        """Joints (dof,) that bring the pinch frame to a pose (4, 4), see `IkSolver.reach`."""
+        return self.ik.reach(T_pinch_in_world, seeds, tolerance)

@@ -15,7 +15,7 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
-from .base import Skill, hand_with
+from .base import Skill, hand_with, preferences
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip, points_well
@@ -106,40 +106,39 @@ class Handover(Skill):
         if cast.one(self.thing) != thing or bench.side_of(self.to) == hand.side:
             return None
         taker = next(other for other in bench.hands if other is not hand)
-        grips, why = self._suitable(bench, cast, taker, thing, ahead)
-        if not grips:
-            return why
-        found = self._meetings(bench, hand, taker, Held(thing, T_thing_in_pinch), grips)
-        return None if next(found, None) else f"no place where the {taker.side} hand can take it"
+        suitable = self._suitable(bench, cast, taker, thing, ahead)
+        if next(self._meetings(bench, hand, taker, Held(thing, T_thing_in_pinch), suitable), None):
+            return None
+        whys = [self._unsuitable(bench, cast, taker, thing, ahead, grip) for grip in bench.grips(thing, taker.widest)]
+        return whys[-1] if whys and all(whys) else f"no place where the {taker.side} hand can take it"
 
     def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
         """The first meeting after which the next skill can go on; without one, the first at all."""
         held = bench.look_at(giver)
-        suitable, _ = self._suitable(bench, cast, taker, held.thing, ahead)
-        for grips in (suitable, bench.grips(held.thing, taker.widest)):
-            if (found := next(self._meetings(bench, giver, taker, held, grips), None)) is not None:
+        for following in preferences(ahead, bench, cast):
+            suitable = self._suitable(bench, cast, taker, held.thing, following)
+            if (found := next(self._meetings(bench, giver, taker, held, suitable), None)) is not None:
                 return found
+        anyhow = bench.grips(held.thing, taker.widest)
+        if (found := next(self._meetings(bench, giver, taker, held, anyhow), None)) is not None:
+            return found
         raise SkillFailedError(Cause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
 
-    def _suitable(
-        self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]
-    ) -> tuple[list[Grip], str | None]:
-        """The grips of the taking hand with which the next skill can go on; without any, why the last one cannot."""
+    def _suitable(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> Iterator[Grip]:
+        """The grips of the taking hand with which the next skill can go on."""
+        for grip in bench.grips(thing, taker.widest):
+            if self._unsuitable(bench, cast, taker, thing, ahead, grip) is None:
+                yield grip
 
-        def look() -> tuple[list[Grip], str | None]:
-            grips, why = list(bench.grips(thing, taker.widest)), None
-            if not ahead:
-                return grips, why
-            suitable = []
-            for grip in grips:
-                T = inverse(grip.T_pinch_in_thing)
-                fault = ahead[0].fault(bench, cast, taker, thing, T, taker.ready, ahead[1:])
-                if fault is None:
-                    suitable.append(grip)
-                why = fault or why
-            return suitable, why
-
-        return bench.once((self, "suitable", taker.side, thing), look)
+    def _unsuitable(
+        self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill], grip: Grip
+    ) -> str | None:
+        """Why the next skill could not go on with a grip of the taking hand; None if it could."""
+        if not ahead:
+            return None
+        T = inverse(grip.T_pinch_in_thing)
+        key = (self, taker.side, thing, tuple(ahead), T.tobytes(), grip.opening)
+        return bench.once(key, lambda: ahead[0].fault(bench, cast, taker, thing, T, taker.ready, ahead[1:]))
 
     def _meetings(
         self, bench: Bench, giver: Hand, taker: Hand, held: Held, grips: Iterable[Grip]

@@ -14,7 +14,7 @@ from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..planning.obstacles import Load
 from ..types import Cause
-from .base import Side, Skill, holder_of
+from .base import Side, Skill, holder_of, preferences
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip, points_well
@@ -60,11 +60,13 @@ class Pick(Skill):
             return
         places = ahead[0].places(bench, cast, thing) if ahead else ()
         reasons: dict[str, int] = {}
-        for hand in self._hands(bench, thing, places):
-            for found in self._reaches(bench, cast, hand, thing, ahead, reasons):
-                yield from park_others(bench, hand)
-                yield from self._take(bench, hand, thing, found)
-                return
+        for following in preferences(ahead, bench, cast):
+            reasons.clear()
+            for hand in self._hands(bench, thing, places):
+                for found in self._reaches(bench, cast, hand, thing, following, reasons):
+                    yield from park_others(bench, hand)
+                    yield from self._take(bench, hand, thing, found)
+                    return
         if not reasons:
             low, high = bench.world.block(thing)
             opens = f"{2000 * max(hand.widest for hand in bench.acting):.0f} mm"

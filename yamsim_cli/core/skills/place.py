@@ -19,6 +19,7 @@ from ..types import Cause
 from .base import Skill, hand_with
 from .bench import Bench, Segment
 from .errors import SkillFailedError
+from .grips import points_well
 from .hand import PASSING, Hand
 from .moves import bring, let_go, rest
 
@@ -28,6 +29,9 @@ _GAP = 0.002
 
 # A thing farther than this from where it was to lie has not been placed, m.
 _NEAR = 0.03
+
+# A hand that puts a thing down on a face beside points no farther up than this, as the sine of the angle.
+_LEVEL = 0.1
 
 # Headings that are tried, as turns from the present one: small ones first.
 _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
@@ -61,6 +65,14 @@ class Placing(Skill):
         """The same, looked for but once while nothing moves: every grip that is tried asks for them."""
         return bench.once((self, thing), lambda: self.goals(bench, cast, thing))
 
+    def relaxed(self, bench: Bench, cast: Cast) -> Placing:
+        """See `Skill`."""
+        return self
+
+    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> list[Array]:
+        """The same for a hand that holds the thing so, in the order in which they are tried."""
+        return self._best(bench, cast, thing)
+
     def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
         """See `Skill`."""
         return [T[:2, 3] for T in self._best(bench, cast, thing)[:1]]
@@ -78,10 +90,11 @@ class Placing(Skill):
         """See `Skill`."""
         fault = None
         load = Load(thing, T_thing_in_pinch, (TABLE, *bench.world.things))
-        for T_lying in self._best(bench, cast, thing):
+        for T_lying in self._tried(bench, cast, thing, T_thing_in_pinch):
             T_goal = raised(T_lying, self.drop)
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
-            there = hand.reach(T_pinch, (joints, hand.ready))
+            well = points_well(T_pinch, hand.arm.T_base_in_world)
+            there = hand.reach(T_pinch, (joints, hand.ready)) if well else None
             if there is None:
                 fault = f"the {hand.side} arm does not reach its goal with it"
                 continue
@@ -102,7 +115,7 @@ class Placing(Skill):
         hand = hand_with(bench, thing, "put down")
         held = bench.look_at(hand)
         fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
-        for T_lying in self._best(bench, cast, thing):
+        for T_lying in self.relaxed(bench, cast)._tried(bench, cast, thing, held.T_thing_in_pinch):
             T_goal = raised(T_lying, self.drop)
             joints = self._over(hand, T_goal @ inverse(held.T_thing_in_pinch))
             if joints is None or hand.reach(T_goal @ inverse(held.T_thing_in_pinch), (joints,), PASSING) is None:
@@ -138,7 +151,8 @@ class Placing(Skill):
 
 
 class Place(Placing):
-    """Put a thing down upright, its heading as suits the arm.
+    """Put a thing down, its heading as suits the arm: upright, or where no hand that takes it reaches that, in another
+    way in which the thing lies steadily, if it is one that may lie so (`rests` of its config).
 
     Attributes:
         thing: a role; it is in a hand.
@@ -146,7 +160,8 @@ class Place(Placing):
         at: where on it: x and y in its frame, or in `world` for the table, m.
         start_of: rather, a role: where its thing started.
         step, number: so far beside it, m, and so many times.
-        heading_deg: of the thing in the frame of what it is put on; without, any.
+        heading_deg: of the thing in the frame of what it is put on; without, any. With it, the thing stands upright.
+        upright: it has to stand upright.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
@@ -157,6 +172,7 @@ class Place(Placing):
     step: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
     number: Annotated[int, Field(ge=0)] = 0
     heading_deg: Annotated[FiniteFloat, Field(ge=-360, le=360)] | None = None
+    upright: bool = False
 
     @model_validator(mode="after")
     def _somewhere(self) -> Place:
@@ -171,11 +187,7 @@ class Place(Placing):
     def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """See `Placing`."""
         onto = self.support(cast)
-        T_onto = pose() if onto == TABLE else bench.world.pose(onto)
-        x, y = np.array(self.at or (0.0, 0.0)) + self.number * np.array(self.step)
-        place = (T_onto @ (x, y, 0.0, 1.0))[:2]
-        if self.start_of is not None:
-            place = bench.world.start(cast.one(self.start_of))[:2, 3]
+        place, T_onto = self._place(bench, cast)
         if self.heading_deg is not None:
             headings = [yaw(T_onto) + math.radians(self.heading_deg)]
         else:
@@ -183,6 +195,56 @@ class Place(Placing):
         return [
             pose((*place, bench.height_on(thing, place, onto, heading)), rotation_z(heading)) for heading in headings
         ]
+
+    def relaxed(self, bench: Bench, cast: Cast) -> Place:
+        """See `Skill`: it may lie otherwise than upright."""
+        asked = self.upright or self.heading_deg is not None
+        if asked or not bench.items[cast.one(self.thing)].rests_any_way:
+            return self
+        return _PlaceAnyWay.model_construct(**dict(self))
+
+    def _place(self, bench: Bench, cast: Cast) -> tuple[Array, Array]:
+        """Where the thing is to lie (2,), and the pose (4, 4) of what it is to lie on, in `world`."""
+        onto = self.support(cast)
+        T_onto = pose() if onto == TABLE else bench.world.pose(onto)
+        x, y = np.array(self.at or (0.0, 0.0)) + self.number * np.array(self.step)
+        if self.start_of is not None:
+            return bench.world.start(cast.one(self.start_of))[:2, 3], T_onto
+        return (T_onto @ (x, y, 0.0, 1.0))[:2], T_onto
+
+
+class _PlaceAnyWay(Place):
+    """Put a thing down in any way in which it lies steadily: upright if the hand reaches that."""
+
+    def relaxed(self, bench: Bench, cast: Cast) -> Place:
+        """See `Skill`."""
+        return self
+
+    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> list[Array]:
+        """See `Placing`. Of the other ways to lie, those where the hand comes from above come first."""
+        others = bench.once((self, "others", thing), lambda: self._others(bench, cast, thing))
+        T_pinch_in_thing = inverse(T_thing_in_pinch)
+
+        def ahead(T: Array) -> Array:
+            direction: Array = (T @ T_pinch_in_thing)[:3, 2]
+            return direction
+
+        reachable = [T for T in others if ahead(T)[2] < _LEVEL]
+        return [*self._best(bench, cast, thing), *sorted(reachable, key=lambda T: float(ahead(T)[2]))]
+
+    def _others(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+        """Where the thing may lie otherwise than upright, its centre of mass over the place."""
+        place, _ = self._place(bench, cast)
+        centre = np.array(bench.items[thing].inertia.centre)
+        heading = yaw(bench.world.pose(thing))
+        found = []
+        for R in bench.steady_rotations(thing)[1:]:
+            for turn in _TURNS:
+                turned = rotation_z(heading + turn) @ R
+                T = pose((*(place - (turned @ centre)[:2]), 0.0), turned)
+                T[2, 3] = bench.height_of(thing, T, self.support(cast))
+                found.append(T)
+        return found
 
 
 def raised(T: Array, height: float) -> Array:

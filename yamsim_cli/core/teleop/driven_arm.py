@@ -161,7 +161,7 @@ class DrivenArm:
         if self._joint_target is not None:
             self.apart = 0.0
             return self._joint_target
-        solution = self._ik.solve(self._target, self._pursuit.joints, _IK_ITERATIONS)
+        solution = self._ik.follow(self._target, self._ik.at(self._pursuit.joints), _IK_ITERATIONS)
         self.apart = solution.position_error if solution.position_error > _REACH else 0.0
         return solution.joints
 

@@ -28,8 +28,8 @@ class DrivenScene(WatchedState):
     is said of the arm, its hand, gripper and magnet is of the driven one. It follows a target, a pose of the hand or
     joints, see `DrivenArm`; after a stop, it takes none until all is at rest. A recording begins from rest at its
     attempt's layout, as every attempt of the task does. Attempts have casts of their own, so that the scene, and the
-    model with it, changes between attempts. A stop lets go what magnets hold; what fingers hold stays held, since that may
-    be the goal.
+    model with it, changes between attempts. A stop lets go what magnets hold. What fingers hold stays held, since that
+    may be the goal.
 
     Attributes:
         sides: of its arms, in the order of recordings.

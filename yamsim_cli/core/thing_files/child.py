@@ -7,9 +7,9 @@ import json
 import resource
 from pathlib import Path
 
-from .jail import MOST_BYTES, Folder
+from ..untrusted.jail import MOST_BYTES, Folder
+from ..untrusted.refusals import RefusedError
 from .parts import Part, ReadThing
-from .refusals import RefusedError
 
 REFUSED = "refused.json"
 

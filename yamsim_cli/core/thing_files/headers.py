@@ -7,7 +7,7 @@ import math
 import re
 from typing import Any
 
-from .refusals import RefusedError
+from ..untrusted.refusals import RefusedError
 
 # Bytes of an accessor's components. Source: glTF 2.0 specification, section 3.6.2.2.
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .jail import Folder
+from ..untrusted.jail import Folder
+from ..untrusted.refusals import RefusedError
 from .meshes import read_mesh
 from .parts import Material, Rgba, Surface
-from .refusals import RefusedError
 from .textures import open_image, png_of
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from ..errors import ResourceError
 from ..geometry.se3 import Array
 from ..geometry.stl import Faces, is_binary_stl, read_stl
+from ..untrusted.jail import Folder
+from ..untrusted.refusals import RefusedError
 from .headers import check_header
-from .jail import Folder
 from .parts import GREY, Material, Surface
-from .refusals import RefusedError
 from .textures import bake_colours, open_image, png_of
 
 # More than any scan here needs; a scanner's own output is to be reduced where it can be looked at.

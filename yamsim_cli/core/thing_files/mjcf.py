@@ -6,7 +6,6 @@ text is rewritten first: every file is read by us, and MuJoCo finds it under a n
 
 from __future__ import annotations
 
-import contextlib
 import io
 import math
 import xml.etree.ElementTree as ElementTree
@@ -17,17 +16,17 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array, pose_from_quat
+from ..untrusted.includes import with_includes
+from ..untrusted.jail import Folder
+from ..untrusted.refusals import RefusedError
 from .headers import check_header
-from .jail import Folder
 from .meshes import MOST_FACES
 from .parts import Material, ReadThing, Surface
-from .refusals import RefusedError
 from .solids import seen, touching
 from .textures import open_image, png_of
 from .tree import Joint, Link, bounded, checked_weight, parts_of
 from .xml import Element, parse
 
-_DEEPEST_INCLUDE = 8
 # A finger's distance from a marked handle's middle, m.
 _HANDLE_OPENING = 0.01
 # What runs code of others, or multiplies what stands in a file.
@@ -49,7 +48,7 @@ _SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 
 def read_mjcf(data: bytes, folder: Folder, base: Path) -> ReadThing:
     """The thing that an MJCF file describes. Raises `RefusedError`."""
-    root = _whole(data, folder, (base,), ())
+    root = with_includes(data, folder, base, parse)
     if root.tag != "mujoco":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <mujoco>, <sdf> or <robot>")
     name = root.get("model", "")
@@ -66,35 +65,6 @@ def read_mjcf(data: bytes, folder: Folder, base: Path) -> ReadThing:
         said = " ".join(str(error).split())[:200]
         raise RefusedError("damaged", f"MuJoCo does not read it: {said}") from error
     return _read(model, name)
-
-
-def _whole(data: bytes, folder: Folder, bases: tuple[Path, ...], on_way: tuple[Path, ...]) -> Element:
-    """The document with what it includes in its place.
-
-    Args:
-        bases: folders that names are relative to, in order: the main file's, then the including file's, as in MuJoCo.
-    """
-    root = parse(data)
-    for parent in list(root.iter()):
-        for place, child in reversed(list(enumerate(parent))):
-            if child.tag != "include":
-                continue
-            name = child.get("file", "")
-            path = _included(name, folder, bases)
-            if path in on_way or len(on_way) >= _DEEPEST_INCLUDE:
-                raise RefusedError("cycle", f"{path.name} includes itself, or more than {_DEEPEST_INCLUDE} levels deep")
-            data = folder.read(path.name, path.parent)
-            inner = _whole(data, folder, (bases[0], path.parent), (*on_way, path))
-            parent[place : place + 1] = list(inner)
-    return root
-
-
-def _included(name: str, folder: Folder, bases: tuple[Path, ...]) -> Path:
-    """The file that an include names, in the first folder that has it."""
-    for base in bases[:-1]:
-        with contextlib.suppress(RefusedError):
-            return folder.find(name, base)
-    return folder.find(name, bases[-1])
 
 
 def _take_files(root: Element, folder: Folder, base: Path) -> dict[str, bytes]:

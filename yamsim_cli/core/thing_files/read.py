@@ -15,12 +15,12 @@ from ..assets.sources import SourceError
 from ..errors import ResourceError, UsageError
 from ..files import scratch_directory
 from ..geometry.se3 import Array
+from ..untrusted.jail import MOST_BYTES
+from ..untrusted.refusals import RefusedError
 from .child import REFUSED
 from .endings import ENDINGS
 from .exchange import read_written
-from .jail import MOST_BYTES
 from .parts import Part, ReadThing
-from .refusals import RefusedError
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
@@ -59,7 +59,7 @@ def read_thing(path: Path, told: Told) -> ReadThing:
 
     Raises:
         UsageError: the file does not say its unit or which way is up, and the user does not either.
-        ResourceError: the file is refused, with one of `refusals.CODES`; or the extra is not installed.
+        ResourceError: the file is refused, with one of `untrusted.refusals.CODES`; or the extra is not installed.
     """
     try:
         return _in_metres(read_as_is(path), told)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.se3 import Array, pose, pose_from_quat
-from .refusals import RefusedError
+from ..untrusted.refusals import RefusedError
 from .rotations import from_rpy
 from .xml import Element, numbers
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..geometry.se3 import Array
 from ..geometry.stl import Faces
+from ..untrusted.refusals import RefusedError
 from .parts import Material, Surface
-from .refusals import RefusedError
 
 # Of what is round.
 _SEGMENTS = 40

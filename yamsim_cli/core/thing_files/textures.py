@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..geometry.se3 import Array
 from ..geometry.stl import Faces
-from .refusals import RefusedError
+from ..untrusted.refusals import RefusedError
 
 # What is decoded at most, and what is kept, px.
 _MOST_PIXELS = 64_000_000

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..geometry.se3 import Array, inverse
+from ..untrusted.refusals import RefusedError
 from .parts import Part, Surface, Weight
-from .refusals import RefusedError
 
 MOST_LINKS = 64
 # Of a hinge that has no stops, degrees: some turns are enough for anything that a hand can do.

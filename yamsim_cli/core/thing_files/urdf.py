@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..geometry.se3 import Array, pose
-from .jail import Folder
+from ..untrusted.jail import Folder
+from ..untrusted.refusals import RefusedError
 from .looks import mesh_surfaces, plain_material
 from .parts import Material, ReadThing, Surface, Weight
-from .refusals import RefusedError
 from .rotations import from_rpy
 from .solids import seen, touching
 from .tree import Joint, Link, bounded, checked_weight, parts_of

@@ -6,7 +6,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from typing import Any
 
-from .refusals import RefusedError
+from ..untrusted.refusals import RefusedError
 
 Element = ElementTree.Element
 

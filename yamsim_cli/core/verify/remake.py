@@ -105,11 +105,13 @@ class EpisodeVerifier(Closing):
             if episode.record.source != "record":
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
             elif (engine := _engine(episode.record)) != ENGINE:
-                said = episode.record.versions.get("yamsim", "an older version")
+                version = episode.record.versions.get("yamsim", "unknown")
                 skipped[SEED] = (
-                    f"it was made by engine revision {engine}, which yamsim {said} has, and this version has revision "
-                    f"{ENGINE}: its actions are repeated instead"
+                    f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
+                    "makes other episodes of the same seeds; its actions are repeated"
                 )
+                if self._limits.images is not None:
+                    skipped[IMAGES] = skipped[SEED]
             else:
                 checks |= self._from_seed(episode, frames, skipped)
             if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._limits.values):

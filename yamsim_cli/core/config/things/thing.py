@@ -103,6 +103,10 @@ class Grasp(GraspPoint):
 _UNLESS_EMPTY = Field(exclude_if=lambda parts: not parts)
 
 
+# Families of shapes that have no upper side.
+_SOLID = ("block", "fruit", "cutlery", "pasta")
+
+
 class ObjectConfig(Config):
     """A thing that can be moved: primitives or convex parts to collide, meshes to see, and parts that move on it.
 
@@ -118,6 +122,8 @@ class ObjectConfig(Config):
             its primitives tell.
         preposition: how things are put there: "on" a plate, "in" a bowl.
         look: extra primitives that are only seen, such as a banana's brown ends.
+        rests: how a hand may put it down: "upright" alone, or in "any" way in which it lies steadily. Without, what is
+            hollow, hinged or made of sheet is put down upright, and all else in any way.
         base: "free" to be moved; "fixed" stays where an attempt puts it, whatever pulls.
         links: the parts that move on the base and on each other, parents before children.
         handles: where a hand takes hold of the base.
@@ -136,6 +142,7 @@ class ObjectConfig(Config):
     support: Annotated[Distance | None, Field(exclude_if=lambda height: height is None)] = None
     preposition: Literal["on", "in"] = "on"
     grasp: Grasp | None = None
+    rests: Annotated[Literal["upright", "any"] | None, Field(exclude_if=lambda rests: rests is None)] = None
     base: Annotated[Literal["free", "fixed"], Field(exclude_if=lambda base: base == "free")] = "free"
     links: Annotated[tuple[Link, ...], _UNLESS_EMPTY] = ()
     handles: Annotated[tuple[Handle, ...], _UNLESS_EMPTY] = ()
@@ -215,6 +222,17 @@ class ObjectConfig(Config):
     def all_meshes(self) -> tuple[ObjectMesh, ...]:
         """Every mesh that is seen of it, its links' included."""
         return (self.mesh, *self.meshes, *(mesh for link in self.links for mesh in link.meshes))
+
+    @property
+    def rests_any_way(self) -> bool:
+        """Whether a hand may put it down in any way in which it lies steadily; see `rests`."""
+        if self.rests is not None:
+            return self.rests == "any"
+        if self.shape is not None:
+            return self.shape.family in _SOLID
+        rings = any(isinstance(part, Ring) for part in self.collision)
+        hollow = rings or self.preposition == "in" or self.support is not None
+        return not hollow and self.cloth is None and not self.links and not self.handles
 
     @property
     def mesh_sets(self) -> tuple[str, ...]:

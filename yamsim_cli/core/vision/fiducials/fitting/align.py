@@ -19,7 +19,7 @@ from ....geometry.camera import CameraModel
 from ....geometry.se3 import Array, pose, rotation_from_vector
 from .descent import PrintProblem, System, weighed
 from .linearize import Pixels, Tile, linearized
-from .print_shape import CREASED_SHARE, marginalized, mode_count, shape_modes
+from .print_shape import CREASED_SHARE, marginalized, mode_count, placement_modes, shape_modes
 from .print_view import Piece, PrintView, plane_of, view_print
 from .smear import Smear
 
@@ -33,9 +33,10 @@ _MOST_MOTION = 20.0
 # Where nothing is known of it yet.
 USUAL_SMEAR = Smear(0.9)
 
-# The photo's noise is not all there is: how far the truth lies from what is found, over what noise alone explains.
-# Source: `make bench-fiducials`, 95 % of squared distances against those of a normal distribution.
-INFLATION = 2.0
+# The photo's noise is not all there is: standard deviations once the print's shape and placement are marginalized, over
+# what noise alone explains. At 1.3, 95 % intervals hold at least 95 % of the poses in each of six sets of 40 to 120
+# (`python -m tests.bench.print_shape`, seeds below 200, and `tests.bench.filament`); 1.4 leaves a margin.
+INFLATION = 1.4
 
 # How far (px) growing by one moves the print once the distance has made up for most of it.
 _GROWTH_PX = 4.0
@@ -250,27 +251,28 @@ class _PoseProblem(PrintProblem[_State]):
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
 
     def _shape_columns(self, pixels: Pixels, piece: Piece, T: Array, larger: float) -> Array:
-        """Derivatives (n, 7 + k + m) by all of `_columns`, then by each piece's shape modes."""
+        """Derivatives (n, 7 + k + m) by all of `_columns`, then by each piece's shape and placement modes."""
         columns = self._columns(pixels, piece, T, larger)
-        normal = T[:3, :3] @ piece.T_board_in_ref[:3, 2]
-        # A shift of the print along its own normal, at each pixel: (0, 0, 1) in the frame of the board.
-        by_height = columns[:, 3:6] @ normal
-        own = by_height[:, None] * shape_modes(piece.board, pixels.at)
-        of_others = np.zeros_like(own)
-        return np.column_stack([columns, *(own if view.piece is piece else of_others for view in self._views)])
+        # A shift of the print along the axes of its board, at each pixel.
+        along_x, along_y, by_height = (columns[:, 3:6] @ T[:3, :3] @ piece.T_board_in_ref[:3, :3]).T[:, :, None]
+        by_x, by_y = placement_modes(piece.board, pixels.at)
+        own = [by_height * shape_modes(piece.board, pixels.at), along_x * by_x + along_y * by_y]
+        others = {view.piece.board: np.zeros((len(columns), mode_count(view.piece.board))) for view in self._views}
+        of_pieces = [np.column_stack(own) if view.piece is piece else others[view.piece.board] for view in self._views]
+        return np.column_stack([columns, *of_pieces])
 
     def shaped(self, state: _State, found: Alignment, creased: float) -> Alignment:
         """What was found at a state, with the print's shape marginalized; as it was where that breaks down."""
         system = self._system(state, found.noise, self._shape_columns)
         if system is None:
             return found
-        free, pieces = list(system.free), len(self._views)
-        known = len(system.every_gradient) - pieces * mode_count()
+        free, boards = list(system.free), [view.piece.board for view in self._views]
+        known = len(system.every_gradient) - sum(mode_count(board) for board in boards)
         held = [k for k in range(known) if k not in free]
         # The photo's noise is not all there is, so it counts for more.
         variance = (INFLATION * found.noise) ** 2
         try:
-            pose_of = marginalized(system.every_normal, system.every_gradient, variance, free, held, pieces, creased)
+            pose_of = marginalized(system.every_normal, system.every_gradient, variance, free, held, boards, creased)
         except np.linalg.LinAlgError:
             return found
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]

@@ -1,13 +1,15 @@
-"""How far a print may lie out of its plane, and what that leaves open of its pose.
+"""How far a print may lie out of its plane, how its markers are misplaced, and what that leaves open of its pose.
 
 The print's shape is linearized in the same least squares as the pose: bow along x and y, twist, and a crease. Each
 shape hypothesis has a Gaussian prior on its modes, and a mixture of hypotheses makes the prior's tail broad. Their
-evidence comes from the residuals, and each one's modes are marginalized with a Schur complement.
+evidence comes from the residuals, and each one's modes are marginalized with a Schur complement. So are the places of
+the markers' columns and rows in the print's plane and the markers' size, under every hypothesis.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +27,10 @@ CREASED_SHARE = 0.08  # prior probability of a creased print
 _NEGLECTED = 0.15  # of the fold angle, sigma of what linear modes neglect: 180 creased photos stay in their intervals
 _CREASE_ANGLES = 8  # directions of the folded side, over a whole turn: either side of a crease may lie on the plate
 _CREASE_PLACES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of half the print's width, from its centre
+_HEIGHT_MODES = _BOW_MODES + _CREASE_ANGLES * len(_CREASE_PLACES)
+# Rounding is uniform over a pixel: at 600 dots per inch, the sigma is 0.042 mm / sqrt(12) = 0.012 mm, and at the 244 of
+# a board of 94 mm drawn 900 pixels wide 0.030 mm.
+_PLACEMENT = 3e-5  # m, sigma of the place of a column or a row of markers in the print's plane, and of their half edge
 
 
 @dataclass(frozen=True)
@@ -57,38 +63,67 @@ def shape_modes(board: Board, at: Array) -> Array:
     return np.column_stack(modes)
 
 
-def mode_count() -> int:
-    """Return how many modes a piece's print has."""
-    return _BOW_MODES + _CREASE_ANGLES * len(_CREASE_PLACES)
+def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
+    """Return how far points (n, 2) on a board move along x (n, m) and along y (n, m) with each mode, per metre.
+
+    A printer or a drawing program rounds alike the places of all markers of a column, those of a row, and the half edge
+    of all markers. Without the latter, the markers' size would decide the print's scale, which places show better.
+    """
+    step, middle = board.marker_length + board.gap, np.array([board.columns - 1, board.rows - 1]) / 2
+    to_right_and_down = np.array([1.0, -1.0])
+    place = np.round(at / step * to_right_and_down + middle)
+    from_marker = at - (place - middle) * step * to_right_and_down
+    larger = from_marker / (board.marker_length / 2)
+    in_column, in_row = place[:, :1] == np.arange(board.columns), place[:, 1:] == np.arange(board.rows)
+    return (
+        np.column_stack([in_column, np.zeros_like(in_row), larger[:, 0]]),
+        np.column_stack([np.zeros_like(in_column), in_row, larger[:, 1]]),
+    )
+
+
+def mode_count(board: Board) -> int:
+    """Return how many modes a print has: of its height, then of its markers' placement."""
+    return _HEIGHT_MODES + board.columns + board.rows + 1
+
+
+def _hypotheses(boards: Sequence[Board], parameters: int, creased: float) -> list[tuple[list[int], list[float], float]]:
+    """Return of each hypothesis its modes' places among all parameters, their sigmas, and its prior probability."""
+    counts = [mode_count(board) for board in boards]
+    firsts = [parameters - sum(counts[piece:]) for piece in range(len(boards))]
+    bows = [first + k for first in firsts for k in range(_BOW_MODES)]
+    creases = [first + k for first in firsts for k in range(_BOW_MODES, _HEIGHT_MODES)]
+    places = [first + k for first, modes in zip(firsts, counts, strict=True) for k in range(_HEIGHT_MODES, modes)]
+    always, placement = [*places, *bows], [_PLACEMENT] * len(places)
+    flat, bent = ([*placement, *[sag] * len(bows)] for sag in (_PLATE_SAG, _BENT_SAG))
+    folded = [([*always, crease], [*flat, _FOLD], creased / len(creases)) for crease in creases]
+    return [(always, flat, 1 - _BENT_SHARE - creased), (always, bent, _BENT_SHARE), *folded]
 
 
 def marginalized(
-    normal: Array, gradient: Array, variance: float, free: list[int], held: list[int], pieces: int, creased: float
+    normal: Array,
+    gradient: Array,
+    variance: float,
+    free: list[int],
+    held: list[int],
+    boards: Sequence[Board],
+    creased: float,
 ) -> ShapedPose:
-    """Marginalize the shape modes, which are the last of all parameters, out of normal equations.
+    """Marginalize the shape and placement modes, which are the last of all parameters, out of normal equations.
 
     Args:
         normal, gradient: (k, k) and (k,), of residuals that are not yet divided by their `variance`.
         free: places of the parameters that are sought.
         held: places of those that are not.
-        pieces: how many prints, each with all modes.
+        boards: of the prints, each with all modes.
         creased: prior probability of a creased print.
 
     Raises:
         LinAlgError: the pixels do not determine the parameters.
     """
-    modes, count = mode_count(), len(free)
-    first = len(gradient) - pieces * modes
-    bows = [first + piece * modes + k for piece in range(pieces) for k in range(_BOW_MODES)]
-    creases = [first + piece * modes + k for piece in range(pieces) for k in range(_BOW_MODES, modes)]
-    hypotheses = [(bows, _PLATE_SAG, 1 - _BENT_SHARE - creased), (bows, _BENT_SAG, _BENT_SHARE)]
-    hypotheses += [([*bows, crease], _PLATE_SAG, creased / len(creases)) for crease in creases]
+    count = len(free)
     steps, covariances, moves, evidence, folds = [], [], [], [], []
-    for shape, sag, share in hypotheses:
-        every = [*free, *shape]
-        prior = np.zeros(len(every))
-        prior[count : count + len(bows)] = sag
-        prior[count + len(bows) :] = _FOLD
+    for modes, sigmas, share in _hypotheses(boards, len(gradient), creased):
+        every, prior = [*free, *modes], np.array([0.0] * count + sigmas)
         precision: NDArray[np.float64] = np.divide(1.0, prior**2, out=np.zeros_like(prior), where=prior > 0)
         A = normal[np.ix_(every, every)] / variance + np.diag(precision)
         scale = 1 / np.sqrt(np.diag(A))
@@ -99,8 +134,8 @@ def marginalized(
         fit = 0.5 * float(gradient[every] @ step) / variance
         evidence.append(math.log(share) + fit - 0.5 * log_determinant - np.log(prior[count:]).sum())
         steps.append(step[:count])
-        first_fold = count + len(bows)
-        folds.append(float((step[first_fold:] ** 2).sum() + np.trace(inverse[first_fold:, first_fold:])))
+        of_fold = prior == _FOLD
+        folds.append(float((step[of_fold] ** 2).sum() + np.diag(inverse)[of_fold].sum()))
         covariances.append(inverse[:count, :count])
         moves.append((-inverse @ normal[np.ix_(every, held)] / variance)[:count])
     weights = np.exp(np.array(evidence) - max(evidence))

@@ -1,0 +1,232 @@
+"""Inverse kinematics in closed form, of arms whose joints 2, 3 and 4 are parallel and whose last two axes intersect.
+
+The decomposition into subproblems is that of A. J. Elias and J. T. Wen, "IK-Geo: Unified robot inverse kinematics using
+subproblem decomposition" (Mechanism and Machine Theory 209, 2025), for three parallel axes and two that intersect.
+In the notation below, `R_i` turns about the axis `h_i` of joint i through its anchor `a_i`, all at zero joints; `h` is
+the direction of the parallel axes, and `c` is where axes 5 and 6 meet. The flange's motion from its pose at zero is
+`x -> R x + t`, the product of the six turns. Joints 5 and 6 leave `c` where it is, and joints 2 to 4 leave every
+component along `h` as it is. Therefore:
+
+- q1: `h . R_1^T (R c + t - a_1) = h . (c - a_1)`, at most two angles.
+- q5: `h . R_1^T R h_6 = h . R_5 h_6`, at most two angles.
+- q6: `R_6` turns `R^T R_1 h` into `R_5^T h`.
+- The sum of q2, q3 and q4: what is left of the rotation, `R_1^T R R_6^T R_5^T`, is a turn about `h`.
+- q3 and q2: two links in the plane across `h`, which have to bring joint 4's anchor to a known place: at most two ways.
+"""
+
+from __future__ import annotations
+
+import cmath
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+
+import mujoco
+import numpy as np
+
+from ..geometry.se3 import Array, inverse, pose
+
+Vector = tuple[float, float, float]
+Joints = tuple[float, ...]
+
+_EXACT = 1e-6  # m and rad; a solution whose forward kinematics misses the pose by more is dropped
+_ALIGNED = 1e-9  # rad and m; axes that miss being parallel, or intersecting, by less count as such
+_ROUNDING = 1e-9  # share by which a cosine may exceed 1 from rounding, as it does where two solutions become one
+_FREE = 1e-7  # m or 1; coefficients below leave an angle undetermined, with an error that counts as exact
+_SAMPLES = tuple(math.tau * k / 16 for k in range(16))  # rad; the angles that are tried where every angle is one
+_BEYOND = 1e-7  # rad; a joint beyond its stop by less, from rounding, counts as at its stop
+_TRIALS = 20  # random poses that have to be solved before an arm counts as one that has a closed solution
+_HAND = 0.13  # m; length of a hand beyond the flange, for how far a joint moves what the arm holds
+
+
+class ClosedFormIk:
+    """All joints that bring a bare arm's flange to a pose. See `closed_form` for which arms it is for.
+
+    Args:
+        model: the bare arm, see `scene.robot.bare_arm`, of six hinge joints.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model, self._data = model, mujoco.MjData(model)
+        self._flange = int(model.site("tool").bodyid[0])
+        self._ranges = model.jnt_range.tolist()
+        T_flange = self.pose_of(np.zeros(model.nq))
+        axes, anchors = self._data.xaxis.copy(), self._data.xanchor.copy()
+        h = axes[1]
+        across = np.cross(h, np.eye(3)[np.argmin(np.abs(h))])
+        across /= np.linalg.norm(across)
+        # All below is in a frame whose third axis is h: components along h and places in the plane are coordinates.
+        basis = np.array([across, np.cross(h, across), h])
+        self._signs = (1.0, *np.sign(axes[1:4] @ h).tolist(), 1.0, 1.0)
+        self._T_zero = inverse(T_flange) @ pose(rotation=basis.T)
+        self._T_basis = pose(rotation=basis)
+        h1, h5, h6 = (basis @ axes[k] for k in (0, 4, 5))
+        along = np.cross(h5, h6)
+        # The point of axis 5 that is nearest to axis 6.
+        share = np.cross(basis @ (anchors[5] - anchors[4]), h6) @ along / (along @ along)
+        centre = basis @ anchors[4] + share * h5
+        self._h1, self._h5, self._h6 = _vector(h1), _vector(h5), _vector(h6)
+        self._a1, self._centre, self._height = _vector(basis @ anchors[0]), centre, float(centre[2])
+        a2, a3, a4 = (complex(*(basis @ anchors[k])[:2]) for k in (1, 2, 3))
+        self._a2, self._upper, self._fore, self._wrist = a2, a3 - a2, a4 - a3, complex(*centre[:2]) - a4
+        steps = np.linalg.norm(np.diff([*anchors, T_flange[:3, 3]], axis=0), axis=1)
+        self._levers = np.cumsum(steps[::-1])[::-1] + _HAND
+
+    def pose_of(self, joints: Array) -> Array:
+        """Pose (4, 4) of the flange in the base at joints (6,)."""
+        self._data.qpos[:] = joints
+        mujoco.mj_kinematics(self._model, self._data)
+        return pose(self._data.xpos[self._flange], self._data.xmat[self._flange].reshape(3, 3))
+
+    def solutions(self, T_flange_in_base: Array) -> Array:
+        """All joints (n, 6), in rad and within their ranges, that bring the flange to a pose (4, 4) in the base.
+
+        An empty array says that the arm does not reach the pose. The exception are poses that leave a joint
+        undetermined (the wrist's centre lies on the first joint's axis, or the last axis is parallel to the three):
+        they are solved for 16 of its angles alone.
+        """
+        candidates = self._candidates(self._T_basis @ T_flange_in_base @ self._T_zero)
+        found = [joints for joints in candidates if self._reaches(joints, T_flange_in_base)]
+        return np.array(found).reshape(-1, self._model.nq)
+
+    def nearest(self, solutions: Array, start: Array) -> Array:
+        """The one of some solutions (n, 6), n > 0, to which the joints go from `start` (6,) with the least motion of
+        the hand: each joint's way is weighted by how far from its axis the stretched arm ends.
+        """
+        ways = (solutions - start) * self._levers
+        one: Array = solutions[np.argmin(np.einsum("ij,ij->i", ways, ways))]
+        return one
+
+    def from_singular(self, joints: Array) -> float:
+        """By how much joints (6,) are off a singular posture, rad: the bend of the elbow, which is 0 where the arm is
+        stretched out, or the angle between the last axis and the three parallel ones, whichever is less.
+        """
+        fore = self._fore * cmath.rect(1.0, self._signs[2] * float(joints[2]))
+        x, y, along = _turned(self._h6, self._h5, float(joints[4]))
+        return min(abs(cmath.phase(self._upper.conjugate() * fore)), math.atan2(math.hypot(x, y), abs(along)))
+
+    def _candidates(self, T: Array) -> Iterator[Joints]:
+        """Joints (6,) for the flange's motion (4, 4) from zero, in the frame whose third axis is h."""
+        rows = [_vector(row) for row in T[:3, :3]]
+        columns = [_vector(column) for column in T[:3, :3].T]
+        wrist = _minus(_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
+        h5_h6 = _cross(self._h5, self._h6)
+        along_5 = self._h5[2] * _dot(self._h5, self._h6)
+        along_1 = self._h1[2] * _dot(self._h1, wrist)
+        for q1 in _solved(wrist[2] - along_1, -_cross(self._h1, wrist)[2], self._height - self._a1[2] - along_1):
+            if not (all_q1 := self._turns(0, q1)):
+                continue
+            before_6 = _product(columns, _turned((0.0, 0.0, 1.0), self._h1, q1))
+            x, y, _ = _turned(wrist, self._h1, -q1)
+            place = complex(x + self._a1[0], y + self._a1[1]) - self._a2
+            for q5 in _solved(self._h6[2] - along_5, h5_h6[2], _dot(before_6, self._h6) - along_5):
+                after_6 = _turned((0.0, 0.0, 1.0), self._h5, -q5)
+                for q6 in _between(before_6, after_6, self._h6):
+                    if not (all_q5 := self._turns(4, q5)) or not (all_q6 := self._turns(5, q6)):
+                        continue
+                    ahead = _product(rows, _turned(_turned((1.0, 0.0, 0.0), self._h5, -q5), self._h6, -q6))
+                    ahead = _turned(ahead, self._h1, -q1)
+                    q234 = math.atan2(ahead[1], ahead[0])
+                    for q2, q3 in self._two_links(place - cmath.rect(1.0, q234) * self._wrist):
+                        middle = (self._turns(1, q2), self._turns(2, q3), self._turns(3, q234 - q2 - q3))
+                        yield from itertools.product(all_q1, *middle, all_q5, all_q6)
+
+    def _two_links(self, place: complex) -> Iterator[tuple[float, float]]:
+        """Angles of joints 2 and 3 that bring joint 4's anchor to a place in the plane, as seen from joint 2's."""
+        bent = self._upper.conjugate() * self._fore
+        rest = (abs(place) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
+        for q3 in _solved(bent.real, -bent.imag, rest):
+            yield cmath.phase(place) - cmath.phase(self._upper + self._fore * cmath.rect(1.0, q3)), q3
+
+    def _turns(self, k: int, angle: float) -> list[float]:
+        """What a joint may stand at for an angle about its axis: with every number of whole turns in its range."""
+        low, high = self._ranges[k]
+        joint = self._signs[k] * angle
+        first = math.ceil((low - _BEYOND - joint) / math.tau)
+        last = math.floor((high + _BEYOND - joint) / math.tau)
+        return [min(max(joint + math.tau * turn, low), high) for turn in range(first, last + 1)]
+
+    def _reaches(self, joints: Joints, T: Array) -> bool:
+        self._data.qpos[:] = joints
+        mujoco.mj_kinematics(self._model, self._data)
+        off = self._data.xpos[self._flange] - T[:3, 3]
+        # The Frobenius norm of a small turn is its angle times the square root of 2.
+        turn = self._data.xmat[self._flange].reshape(3, 3) - T[:3, :3]
+        return bool(off @ off <= _EXACT**2 and np.vdot(turn, turn) <= 2 * _EXACT**2)
+
+
+def closed_form(model: mujoco.MjModel) -> ClosedFormIk | None:
+    """A bare arm's inverse kinematics in closed form, verified on random poses; None where it has none that is known.
+
+    It has one if it has six hinge joints, of which the axes of 2, 3 and 4 are parallel, pointing either way, and those
+    of 5 and 6 intersect.
+    """
+    if model.nq != 6 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
+        return None
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    axes, anchors = data.xaxis, data.xanchor
+    across = np.cross(axes[4], axes[5])
+    if (
+        np.abs(np.cross(axes[1], axes[2:4])).max() > _ALIGNED
+        or np.linalg.norm(across) < _ALIGNED
+        or abs(across @ (anchors[5] - anchors[4])) > _ALIGNED
+    ):
+        return None
+    solver, (low, high) = ClosedFormIk(model), model.jnt_range.T
+    for joints in np.random.default_rng(0).uniform(low, high, (_TRIALS, model.nq)):
+        found = solver.solutions(solver.pose_of(joints))
+        if not len(found) or np.abs(found - joints).max(axis=1).min() > _EXACT:
+            return None
+    return solver
+
+
+def _solved(a: float, b: float, c: float) -> tuple[float, ...]:
+    """The angles q with `a cos q + b sin q = c`; samples where every angle is one."""
+    length = math.hypot(a, b)
+    if length < _FREE:
+        return _SAMPLES if abs(c) < _FREE else ()
+    cosine = c / length
+    if abs(cosine) > 1.0 + _ROUNDING:
+        return ()
+    middle, half = math.atan2(b, a), math.acos(max(-1.0, min(1.0, cosine)))
+    return (middle + half, middle - half) if half else (middle,)
+
+
+def _between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:
+    """The angle about a unit axis from one vector to another; samples where they are parallel to the axis."""
+    # Across the axis first: the products of what is short there, near a singular pose, keep their digits.
+    v, u = _cross(axis, v), _cross(axis, u)
+    if max(*map(abs, v), *map(abs, u)) < _FREE:
+        return _SAMPLES
+    return (math.atan2(_dot(axis, _cross(v, u)), _dot(v, u)),)
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _product(rows: Sequence[Vector], v: Vector) -> Vector:
+    return _dot(rows[0], v), _dot(rows[1], v), _dot(rows[2], v)
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _turned(v: Vector, axis: Vector, angle: float) -> Vector:
+    """A vector turned about a unit axis: Rodrigues' formula."""
+    c, s = math.cos(angle), math.sin(angle)
+    x, y, z = _cross(axis, v)
+    along = (1.0 - c) * _dot(axis, v)
+    return c * v[0] + s * x + along * axis[0], c * v[1] + s * y + along * axis[1], c * v[2] + s * z + along * axis[2]
