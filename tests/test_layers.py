@@ -116,6 +116,7 @@ CONFINED = {
         "core.planning",
         "core.viewers",
         "core.attempt",
+        "core.episode",
         "core.certify",
         "core.show",
         "core.export",

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
 
@@ -92,13 +91,16 @@ class Realization:
     def episode(self) -> Episode:
         """Return a new episode, which the benchmark's checker judges."""
         scene, timing = self.simulator.scene, self.simulator.config.task.timing
-
-        def world(data: mujoco.MjData) -> SimWorld:
-            return SimWorld(
+        return Episode(
+            scene,
+            self.start,
+            timing,
+            self.sides,
+            None,
+            world=lambda data: SimWorld(
                 scene.model, data, scene.arms, self.sides, scene.things, regions=self.regions, cloths=scene.cloths
-            )
-
-        return Episode(scene, self.start, timing, self.sides, None, world=world)
+            ),
+        )
 
 
 def realize(blueprint: SceneBlueprint, base: Session) -> Realization:

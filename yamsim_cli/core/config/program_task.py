@@ -204,7 +204,9 @@ class ProgramTiming(Config):
 
     Attributes:
         settle_ticks: control ticks after the program, in which everything comes to rest.
-        physics_steps_per_tick, timestep, ticks_per_frame: as of other tasks, see `task.Timing`.
+        physics_steps_per_tick: physics steps in a control tick, in which commands do not change.
+        timestep: length of a physics step, s.
+        ticks_per_frame: control ticks in a recorded frame.
     """
 
     settle_ticks: int = Field(default=15, ge=0, le=10_000)
