@@ -149,8 +149,8 @@ class Margins:
         velocity: largest speed of a joint, as a share of its motor's no-load speed.
         torque: largest torque of a drive, as a share of the most that it gives.
         joint: smallest distance of a joint from its nearer stop, rad; negative beyond it.
-        slip: how far the object moved in the hand while it was held, m; None of a program, which holds many things.
-        tilt: how far the object turned from how it lay while it was held, rad; likewise.
+        slip: largest distance that a thing moved in a hand that held it, m; None if that was not measured.
+        tilt: largest angle between a thing's vertical axis when it was taken and while it was held, rad; likewise.
     """
 
     velocity: float
