@@ -78,7 +78,7 @@ def evaluate(
     ] = "0ms",
     threshold: Threshold = None,
     time_limit: Annotated[
-        float | None, typer.Option(min=0.001, help="Longest trial, simulated s.  [default: twice the plan's]")
+        float | None, typer.Option(min=0.001, help="Longest trial, simulated s.  [default: the task's]")
     ] = None,
     policy_timeout: Annotated[
         float, typer.Option(min=0.001, help="Real seconds that one answer of the policy may take.")

@@ -35,7 +35,7 @@ class YamsimEnvConfig(EnvConfig):
         pictures: whether policies are shown any; videos are made in any case.
         environment_state: whether policies are told where things are.
         trials_of: seed of the trials.
-        max_frames: a trial's longest; twice the plan's time, or what the task says, unless given.
+        max_frames: a trial's longest; as long as the task's `time_limit_s`, unless given.
         rig, arm, grasp, quality, randomize, config: as the flags of `yamsim record`.
     """
 

@@ -20,8 +20,11 @@ _GONE = ("heights", "exchange")
 
 # kind -> what those tasks have in common, and steps between picking up and putting down.
 _KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
-    "pickplace": ({"rig": "single", "arms": "one"}, []),
-    "handover": ({"rig": "bimanual", "held_at_the_end": True}, [{"handover": {"thing": "object", "to": "second"}}]),
+    "pickplace": ({"rig": "single", "arms": "one", "time_limit_s": 20.0}, []),
+    "handover": (
+        {"rig": "bimanual", "held_at_the_end": True, "time_limit_s": 40.0},
+        [{"handover": {"thing": "object", "to": "second"}}],
+    ),
 }
 
 
