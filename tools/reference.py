@@ -39,7 +39,7 @@ def commands_page() -> str:
         "override the config file.\n",
     ]
     for path, command in sorted(_leaves(root)):
-        parts.append(f"\n## yamsim {path}\n\n{_prose(command.callback.__doc__ or command.help)}\n")
+        parts.append(f"\n## yamsim {path}\n\n{_prose(command.help)}\n")
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         options = [p for p in command.params if p.param_type_name == "option"]
         if arguments:

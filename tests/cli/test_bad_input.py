@@ -29,7 +29,7 @@ USAGE, CONFIG, MISSING = 2, 3, 4
         (["record", "--grasp", "suction"], USAGE, ["--grasp", "'suction'", "weld"]),
         (["record", "--resume", "--overwrite"], USAGE, ["--resume", "--overwrite"]),
         (["record", "--nonsense"], USAGE, ["--nonsense"]),
-        (["pickplace", "batch", "--threshold", "-1"], USAGE, ["--threshold", "-1", "greater than 0"]),
+        (["pickplace", "batch", "--threshold", "-1"], USAGE, ["--threshold", "-1", "0..1 m"]),
         (["pickplace", "batch", "--n", "0"], USAGE, ["--n", "0 is not valid"]),
         (["summarize", "nowhere"], MISSING, ["nowhere", "yamsim record"]),
         (["summarize", "."], MISSING, ["no episodes", "yamsim record"]),

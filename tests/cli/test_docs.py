@@ -51,7 +51,7 @@ def parse(line: str) -> None:
 
 def example(command: Any) -> str:
     """The line after `Example:` that ends a command's help; empty if there is none."""
-    found = re.search(r"^\s*Example: (yamsim .*)\Z", (command.callback.__doc__ or "").rstrip(), re.MULTILINE)
+    found = re.search(r"^\s*Example: (yamsim .*)\Z", (command.help or "").rstrip(), re.MULTILINE)
     return found[1] if found else ""
 
 
@@ -76,7 +76,7 @@ def test_a_page_shows_it(path: str) -> None:
 @pytest.mark.parametrize("path", LEAVES)
 def test_help_ends_in_an_example_of_it_that_parses(path: str) -> None:
     line = example(LEAVES[path])
-    assert line.startswith(f"yamsim {path}"), f"the docstring of {path} does not end in 'Example: yamsim {path} ...'"
+    assert line.startswith(f"yamsim {path}"), f"the help of {path} does not end in 'Example: yamsim {path} ...'"
     parse(line)
 
 

@@ -23,7 +23,7 @@ def test_an_unknown_object_is_one_line_that_lists_those_there_are(command: tuple
     run = yamsim(*command, "--object", "013_aple", cwd=tmp_path)
     assert run.code == 3
     assert run.message.startswith(
-        "--object: task.object: unknown object '013_aple'; did you mean '013_apple'? valid: 005_tomato"
+        "--object: task.things.object.of: unknown object '013_aple'; did you mean '013_apple'? valid: 005_tomato"
     )
     assert not list(tmp_path.iterdir())
 

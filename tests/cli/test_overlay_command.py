@@ -318,7 +318,7 @@ def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path
     run = yamsim("overlay", "--episode", dataset / "ep_000000", "--out", tmp_path / "o", "--json")
     assert run.code == 0, run.err
     assert no_complaints(run)
-    assert len(run.json["images"]) == 3
+    assert len(run.json["images"]) == len(list((dataset / "ep_000000" / "rgb" / "scene_camera").iterdir()))
     for image in run.json["images"]:
         assert (image["camera"]["source"], image["joints"]) == ("episode", "episode")
         (arm,) = image["arms"]

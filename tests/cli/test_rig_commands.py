@@ -50,7 +50,11 @@ def test_compose_xml_folder_and_zip(tmp_path: Path) -> None:
             2,
             "'middle' is not valid: must be 'left' or 'right'",
         ),
-        (["record", "--task", "handover", "--n", "1"], 2, "--task: task 'handover' needs two arms, and rig 'single'"),
+        (
+            ["record", "--task", "handover", "--rig", "single", "--n", "1"],
+            2,
+            "--rig: the step `handover` takes two arms; use a rig with two",
+        ),
         (["compose-xml", "--task", "nothing"], 3, "'nothing'"),
         (["render-views", "--quality", "superb"], 3, "valid: auto, balanced, fast, high"),
         (["render-views", "--size", "9999x10"], 2, "16..4096"),

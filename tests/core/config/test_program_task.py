@@ -195,7 +195,7 @@ BAD = {
     "handed over by one arm": (
         {("arms",): "one", ("expert",): [PICK, {"handover": {"thing": "cube"}}]},
         "expert[1].handover",
-        "this takes two arms; use a rig with two, and no `arms: one`",
+        "the step `handover` takes two arms; use a rig with two, and no `arms: one`",
     ),
     "put onto what carries nothing": (
         {("things", "plate"): {"of": "013_apple"}},

@@ -43,10 +43,13 @@ def check_config(config: Config) -> None:
     if isinstance(config, ProgramTask):
         check_program(config)
     elif isinstance(config, RecordConfig):
-        try:
-            check_program(config.task, [config.rig.arms[k].side for k in config.acting])
-        except ConflictError as error:
-            raise ConflictError(str(error), *(("task", *path) for path in error.paths)) from error
+        sides = [config.rig.arms[k].side for k in config.acting]
+        # What is wrong with the rig's own arms alone may be the fault of the rig.
+        for known, blamed in ((None, ()), (sides, (("rig",), ("arm",)))):
+            try:
+                check_program(config.task, known)
+            except ConflictError as error:
+                raise ConflictError(str(error), *(("task", *path) for path in error.paths), *blamed) from error
         if config.grasp == "weld":
             _check_widths(config, config.task)
         _check_reach(config)
@@ -101,7 +104,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
     """Make sure that there are the arms that a step names, or takes."""
     if isinstance(skill, Handover | Lift) and arms < 2:
-        raise ConflictError("this takes two arms; use a rig with two, and no `arms: one`", path)
+        raise ConflictError(f"the step `{path[-1]}` takes two arms; use a rig with two, and no `arms: one`", path)
     for argument in ("arm", "to"):
         named = getattr(skill, argument, None)
         absent = sides is not None and named in ("left", "right") and named not in sides
