@@ -32,6 +32,7 @@ from .commands.serve_policy import serve_policy
 from .commands.serve_robot import serve_robot
 from .commands.summarize import summarize
 from .commands.teleop import teleop
+from .commands.trials import trials
 from .commands.verify import verify
 from .commands.view import view
 from .core.errors import ResourceError, YamsimError
@@ -65,6 +66,7 @@ app.command()(view)
 app.command()(doctor)
 app.add_typer(export.app, name="export")
 app.command()(teleop)
+app.command()(trials)
 app.add_typer(pickplace.app, name="pickplace")
 app.add_typer(config.app, name="config")
 app.add_typer(robots.app, name="robots")

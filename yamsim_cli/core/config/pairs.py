@@ -35,6 +35,6 @@ def require_program(config: RecordConfig, who: str) -> RecordConfig:
     if not config.program:
         raise UsageError(
             f"task {config.task.name!r} is of the kind {config.task.kind!r}, and {who} is for tasks of the kind "
-            f"'program'; `yamsim pickplace batch --task {config.task.name}` counts how often it succeeds"
+            f"'program'; `yamsim trials --task {config.task.name}` counts how often it succeeds"
         )
     return config
