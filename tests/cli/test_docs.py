@@ -51,7 +51,7 @@ def parse(line: str) -> None:
 
 def example(command: Any) -> str:
     """The line after `Example:` that ends a command's help; empty if there is none."""
-    found = re.search(r"^\s*Example: (yamsim .*)\Z", (command.callback.__doc__ or "").rstrip(), re.MULTILINE)
+    found = re.search(r"^\s*Example: (yamsim .*)\Z", (command.help or "").rstrip(), re.MULTILINE)
     return found[1] if found else ""
 
 

@@ -32,7 +32,7 @@ def test_a_bad_task_is_told_before_anything_runs(tmp_path: Path) -> None:
 
 def test_who_knows_only_one_kind_says_so() -> None:
     run = yamsim("tasks", "check", "pickplace")
-    assert run.code == 2 and "`yamsim pickplace batch --task pickplace` counts" in run.message
+    assert run.code == 2 and "`yamsim trials --task pickplace` counts" in run.message
 
 
 def test_a_scene_is_composed_as_a_task_begins(tmp_path: Path) -> None:
@@ -71,3 +71,11 @@ def test_failures_of_a_check_are_filmed(tmp_path: Path) -> None:
     assert [path.name for path in films.iterdir()] == ["trial_000000_goal.mp4"]
     program = next(check for check in run.json["checks"] if check["name"] == "program")
     assert program["ok"] is False and "needs the cube in a hand at the end" in program["detail"]
+
+
+def test_pickplace_batch_is_trials_by_another_name() -> None:
+    numbers = ("--n", "1", "--seed", "3", "--workers", "1", "--json")
+    one, other = yamsim("trials", "--task", "pickplace", *numbers), yamsim("pickplace", "batch", *numbers)
+    assert one.code == other.code == 0
+    assert one.json["trials"] == other.json["trials"]
+    assert one.json["task"] == "pickplace"
