@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.core.attempts import all_actions, planned
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
@@ -111,7 +111,7 @@ def test_a_task_that_is_data_is_one_too(tmp_path: Path) -> None:
     check(task=task)
     with Simulators(session_of(tmp_path, ONTO_PLATE)) as simulators:
         simulator, attempt = first_attempt(simulators, 1)
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
     assert done.outcome.success and attempt.layout is not None
     env = gymnasium.make(ENV_ID, task=task)
     observation, info = env.reset(seed=0, options={"trial": 1})

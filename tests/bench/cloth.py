@@ -17,8 +17,8 @@ os.environ.setdefault("MUJOCO_GL", "off")
 
 import mujoco
 import numpy as np
-from yamsim_cli.core.attempt.planned import demonstrate
-from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
+from yamsim_cli.core.attempt.engine import demonstrate
+from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
 
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
@@ -98,7 +98,7 @@ def fold(task: str, count: int, first: int, spoilt: int) -> None:
                 flush=True,
             )
             if number - first < spoilt and outcome.success:
-                stuck = demonstrate_program(simulator, done.attempt, grips=False).outcome
+                stuck = demonstrate(simulator, done.attempt, grips=False).outcome
                 print(f"   the expert's fingers do not close: {stuck.cause or 'folded'}", flush=True)
                 for what, share in (("the same motion, fingers open", 0.0), ("let go half-way", 0.5)):
                     opened = _opened(simulator, done.states, share)

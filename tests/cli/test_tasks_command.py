@@ -73,3 +73,11 @@ def test_failures_of_a_check_are_filmed(tmp_path: Path) -> None:
     assert [path.name for path in films.iterdir()] == ["trial_000000_goal.mp4"]
     program = next(check for check in run.json["checks"] if check["name"] == "program")
     assert program["ok"] is False and "needs the cube in a hand at the end" in program["detail"]
+
+
+def test_pickplace_batch_is_trials_by_another_name() -> None:
+    numbers = ("--n", "1", "--seed", "3", "--workers", "1", "--json")
+    one, other = yamsim("trials", "--task", "pickplace", *numbers), yamsim("pickplace", "batch", *numbers)
+    assert one.code == other.code == 0
+    assert one.json["trials"] == other.json["trials"]
+    assert one.json["task"] == "pickplace"

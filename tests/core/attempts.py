@@ -1,20 +1,19 @@
-"""Attempts as tests need them: planned from their numbers, and what acted in them."""
+"""Attempts as tests need them: demonstrated from their numbers, and what acted in them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from yamsim_cli.core.attempt.planned import demonstrate
-from yamsim_cli.core.attempt.simulated import Simulated
 
+from yamsim_cli.core.attempt.engine import Simulated, demonstrate
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.types import Actions, EpisodeJob, StepState
 
 
 def planned(simulator: Simulator, seed: int, attempt: int = 0) -> Simulated:
-    """What the task's planner makes of an attempt."""
+    """What the task's expert makes of an attempt."""
     return demonstrate(simulator, sample(simulator, EpisodeJob(seed, attempt)))
 
 

@@ -18,11 +18,13 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import CONFIG, EPISODE, episode_name, image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, load_frame
-from yamsim_cli.core.dataset.records import EpisodeRecord, OutcomeRecord, file_hashes, to_json
+from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.files import sha256_bytes
+from yamsim_cli.core.record.episode_record import episode_record
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
+from yamsim_cli.core.types import EpisodePayload
 
 SIZE = (24, 16)
 
@@ -55,27 +57,11 @@ def write_dataset(
             cameras = simulator.scene.cameras
             for camera, k in itertools.product(cameras, range(len(made))):
                 files |= {image_name(camera, k): image(camera, number, k)} | others(camera, number, k)
-            record = EpisodeRecord(
-                episode=number,
-                attempt=number,
-                seed=config.seed,
-                source="record",
-                rig=config.rig.name,
-                scene=config.scene.name,
-                task=config.task.name,
-                grasp=config.grasp,
-                frames=len(made),
-                frame_period_s=0.064,
-                cameras=dict.fromkeys(cameras, SIZE),
-                arms=len(config.rig.arms),
-                objects=[config.task.object.name, config.task.target.name],
-                outcome=OutcomeRecord.of(done.outcome),
-                max_height_m=config.task.success.max_height,
-                layout=done.attempt.places,
-                versions=versions(),
-                renderer="none",
-                content_sha256=content_hash(made),
-                files=file_hashes(files),
+            payload = EpisodePayload(
+                done.attempt, done.outcome, files, len(made), content_hash(made), versions(), "none"
+            )
+            record = episode_record(config, payload, number).model_copy(
+                update={"cameras": dict.fromkeys(cameras, SIZE)}
             )
             for name, data in files.items():
                 (path / episode_name(number) / name).parent.mkdir(parents=True, exist_ok=True)

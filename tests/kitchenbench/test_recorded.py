@@ -17,7 +17,7 @@ pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
-from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.core.attempts import all_actions
 from yamsim_cli.core.attempt.expert import sides
@@ -131,7 +131,7 @@ class Queries:
 def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: Simulators, task: dict[str, Any]) -> None:
     job = EpisodeJob(0, 0)
     simulator = simulators.of(job)
-    done = demonstrate_program(simulator, sample(simulator, job))
+    done = demonstrate(simulator, sample(simulator, job))
     assert done.outcome.success, done.outcome
     scene, program = simulator.scene, simulator.config.program
     assert program is not None and simulator.cast is not None
@@ -157,7 +157,7 @@ def test_cutlery_is_put_onto_a_napkin_that_bends(locations: Locations) -> None:
     with Simulators(_session(task, locations)) as simulators:
         simulator = simulators.of(EpisodeJob(0, 0))
         attempt = sample(simulator, EpisodeJob(0, 0))
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
         assert done.outcome.success, done.outcome
         data = mujoco.MjData(simulator.scene.model)
         simulator.scene.reset(data, done.states[-1].qpos)

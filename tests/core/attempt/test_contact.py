@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from yamsim_cli.core.attempt.physics import repeat
-from yamsim_cli.core.sim.rollout import path_actions
+from yamsim_cli.core.episode.commands import path_actions
 from yamsim_cli.core.tasks.pickplace import SLIP_DISTANCE
 
 from tests.cli.run_cli import yamsim

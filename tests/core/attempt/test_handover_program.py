@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import STATION
 from yamsim_cli.core.attempt.sampling import sample
@@ -23,5 +23,5 @@ def test_hands_meet_side_by_side_where_they_do_not_meet_face_to_face() -> None:
     job = EpisodeJob(21, 24)
     with Simulators(Session(config, where).without_meshes()) as simulators:
         simulator = simulators.of(job)
-        outcome = demonstrate_program(simulator, sample(simulator, job)).outcome
+        outcome = demonstrate(simulator, sample(simulator, job)).outcome
     assert outcome.success, outcome.detail

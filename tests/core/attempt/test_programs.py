@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
+from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.simulator import Simulator
@@ -96,7 +96,7 @@ def test_nothing_is_wrong_with_the_dataset(dataset: Path, locations: Locations) 
 
 def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators) -> None:
     simulator, attempt = first_attempt(simulators, 2)
-    done = demonstrate_program(simulator, attempt)
+    done = demonstrate(simulator, attempt)
     assert done.outcome.success, done.outcome
     acted = [state.actions for state in done.states]
     whole = Actions(*(np.concatenate([getattr(one, part) for one in acted]) for part in ("ctrl", "magnet", "joints")))
@@ -107,7 +107,7 @@ def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators
 
 def test_fingers_that_never_close_reach_nothing(simulators: Simulators) -> None:
     simulator, attempt = first_attempt(simulators)
-    outcome = demonstrate_program(simulator, attempt, grips=False).outcome
+    outcome = demonstrate(simulator, attempt, grips=False).outcome
     assert not outcome.success and outcome.cause in (Cause.SLIPPED, Cause.DROPPED, Cause.GOAL)
 
 
@@ -115,7 +115,7 @@ def test_all_tries_are_told_of_what_no_arm_reaches(tmp_path: Path) -> None:
     away = changed({("starts", "cube"): {"x": [0.70, 0.72], "y": [0.30, 0.32]}})
     with Simulators(session_of(tmp_path, away)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate_program(simulator, attempt).outcome
+        outcome = demonstrate(simulator, attempt).outcome
     assert outcome.cause is Cause.UNREACHABLE
     assert [(one.step, one.skill, one.frame) for one in outcome.recoveries] == [(0, "pick", 0), (0, "pick", 0)]
 
@@ -131,7 +131,7 @@ def test_a_goal_that_holds_at_the_start_is_no_task(tmp_path: Path) -> None:
     met = changed({("goal",): {"on": {"thing": "cube", "surface": "table"}}})
     with Simulators(session_of(tmp_path, met)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate_program(simulator, attempt).outcome
+        outcome = demonstrate(simulator, attempt).outcome
     assert attempt.layout is None and outcome.cause is Cause.NO_LAYOUT
     assert "the goal holds already at the start, in each of 20 draws" in outcome.detail
 
@@ -140,14 +140,14 @@ def test_what_has_no_room_is_told(tmp_path: Path) -> None:
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
     with Simulators(session_of(tmp_path, tight)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate_program(simulator, attempt).outcome
+        outcome = demonstrate(simulator, attempt).outcome
     assert outcome.detail == "no free place for the cube where it is to start"
 
 
 def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, changed({("time_limit_s",): 3.0}))) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
     assert done.outcome.cause is Cause.TIME
     ticks = sum(len(state.actions.ctrl) for state in done.states)
     assert ticks <= 3.0 / 0.032 + 1

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from yamsim_cli.core.attempt.physics import repeat
-from yamsim_cli.core.attempt.planned import demonstrate, with_room
+from yamsim_cli.core.attempt.engine import demonstrate, with_room
 
 from tests.core.attempts import all_actions, planned
 from yamsim_cli.core.attempt.frames import frames

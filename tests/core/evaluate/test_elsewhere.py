@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.core.policies.servers import act_server, openpi_server, raw_server
+from tests.core.policies.servers import act_server, openpi_server, raw_server, read_request
 from yamsim_cli.core.config.loader import load_config, validate_file
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
@@ -389,7 +389,7 @@ def test_a_server_that_trickles_is_too_slow(mapping: str, config: RecordConfig, 
     """However often it says something: what is limited is the whole answer."""
 
     def trickle(connection: socket.socket) -> None:
-        connection.recv(65536)
+        read_request(connection)
         for _ in range(100):
             connection.sendall(b"H")
             time.sleep(0.05)

@@ -106,7 +106,10 @@ def test_together_the_arms_stand_as_the_rig_says(russet: RigConfig, clean: np.nd
     assert inverse(T_one) @ T_two == pytest.approx(inverse(base(russet, 0)) @ base(russet, 1), abs=1e-9)
     # What was measured beforehand stays told.
     assert (joint.margin, joint.margin_sigma) == (alone.margin, alone.margin_sigma)
-    assert max(shift_mm(joint, russet, k) for k in (0, 1)) < 0.3
+    # Each marker may lie 0.03 mm beside its place on the print, so noise moves a pose half as far again as it would
+    # if prints were exact.
+    assert max(shift_mm(joint, russet, k) for k in (0, 1)) < 0.5
+    assert max(shift_mm(joint, russet, k) for k in (0, 1)) < max(shift_mm(alone, russet, k) for k in (0, 1))
 
 
 @pytest.mark.parametrize("visible", [0, 1])

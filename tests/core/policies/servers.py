@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -65,9 +66,37 @@ def openpi_server(answer: Callable[[bytes], bytes | str], metadata: bytes = b"\x
             thread.join()
 
 
+def read_request(connection: socket.socket) -> bytes:
+    """Read one whole HTTP request, and nothing after it.
+
+    A client may send the head and the body in two segments, so one `recv` can return the head alone.
+
+    Raises:
+        ConnectionError: the client closed the connection before the end of the request.
+    """
+
+    def receive(size: int) -> bytes:
+        data = connection.recv(size)
+        if not data:
+            raise ConnectionError("the client closed the connection within a request")
+        return data
+
+    request = b""
+    while not request.endswith(b"\r\n\r\n"):
+        request += receive(1)  # One byte at a time, since the bytes after the head may be the next request's.
+    length = re.search(rb"\r\ncontent-length:\s*(\d+)", request, re.IGNORECASE)
+    end = len(request) + (int(length[1]) if length else 0)
+    while len(request) < end:
+        request += receive(end - len(request))
+    return request
+
+
 @contextmanager
 def raw_server(answer: Callable[[socket.socket], None]) -> Iterator[int]:
-    """A port whose every connection is handed to `answer`, and closed after it."""
+    """A port whose every connection is handed to `answer`, and closed after it.
+
+    An `answer` that speaks HTTP reads each request with `read_request`.
+    """
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def run() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.core.policies.servers import raw_server
+from tests.core.policies.servers import raw_server, read_request
 from yamsim_cli.core.policies.act import ActClient
 from yamsim_cli.core.policies.base import Chunk, InvalidActionError, read_chunk
 from yamsim_cli.core.policies.bounds import MOST_VALUES, DamagedError, rows_of
@@ -82,7 +82,7 @@ def test_an_endless_answer_is_cut_off(head: bytes) -> None:
 
     def answer(connection: socket.socket) -> None:
         nonlocal sent
-        connection.recv(65536)
+        read_request(connection)
         connection.sendall(b"HTTP/1.1 200 OK\r\n" + head + b"\r\n")
         block = b"x" * 0x10000
         while sent < 400_000_000:
@@ -110,7 +110,7 @@ def test_a_native_servers_text_is_no_action() -> None:
 
     def answer(connection: socket.socket) -> None:
         for data in said:
-            connection.recv(65536)
+            read_request(connection)
             connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % len(data) + data)
 
     with raw_server(answer) as port:

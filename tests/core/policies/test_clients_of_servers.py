@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.core.policies.servers import act_server, openpi_server, raw_server
+from tests.core.policies.servers import act_server, openpi_server, raw_server, read_request
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.policies.act import ActClient
 from yamsim_cli.core.policies.base import InvalidActionError
@@ -120,7 +120,7 @@ LIES = [
 @pytest.mark.parametrize(("said", "told"), LIES)
 def test_what_is_no_answer_of_act_is_told(said: bytes, told: str) -> None:
     def answer(connection: socket.socket) -> None:
-        connection.recv(65536)
+        read_request(connection)
         connection.sendall(said)
 
     with raw_server(answer) as port:
@@ -153,7 +153,7 @@ def frame(data: bytes, *, code: int = 2, last: bool = True, length: int | None =
 
 
 def handshake(connection: socket.socket) -> None:
-    key = re.search(rb"Sec-WebSocket-Key: (\S+)", connection.recv(65536))
+    key = re.search(rb"Sec-WebSocket-Key: (\S+)", read_request(connection))
     assert key is not None
     accept = base64.b64encode(hashlib.sha1(key[1] + b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11").digest())
     connection.sendall(
@@ -207,7 +207,7 @@ def test_what_is_no_answer_of_openpi_is_told(said: bytes, told: str) -> None:
 @pytest.mark.parametrize("said", [b"", b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 20_000, http_answer(b"", status="101 Yes")])
 def test_what_speaks_no_websocket_is_told(said: bytes) -> None:
     def answer(connection: socket.socket) -> None:
-        connection.recv(65536)
+        read_request(connection)
         connection.sendall(said)
 
     with raw_server(answer) as port, pytest.raises(ResourceError, match="no policy answers there"):
@@ -300,7 +300,9 @@ def test_ten_thousand_spoilt_answers_are_refused_or_read_and_memory_stays(make: 
     def answer(connection: socket.socket) -> None:
         if make is OpenpiClient:
             handshake(connection)
-        connection.recv(65536)
+            connection.recv(65536)
+        else:
+            read_request(connection)
         spoilt = bytearray(whole)
         for place in rng.integers(0, len(spoilt) if rng.random() < 0.5 else 60, 3):
             spoilt[place] = rng.integers(0, 256)

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program, repeat_program
+from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
 
 from tests.programs import FOLD, changed, first_attempt, session_of, started
 from yamsim_cli.core.attempt.expert import sides
@@ -149,13 +149,13 @@ def test_crumpled_cloth_is_spread_out_by_hands_that_close_on_it(tmp_path: Path) 
         simulator, attempt = first_attempt(simulators)
         cloth = simulator.scene.cloths["napkin"]
         assert attempt.start is not None and np.ptp(cloth.points(attempt.start)[:, 2]) > 0.015
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
         assert done.outcome.success, done.outcome
         states = [cloth.points(state.qpos) for state in done.states]
         assert any(np.ptp(points[:, 2]) < 0.01 and _area(points) > 0.95 * 0.2**2 for points in states)
-        again = demonstrate_program(simulator, attempt)
+        again = demonstrate(simulator, attempt)
         assert np.array_equal(done.states[-1].qpos, again.states[-1].qpos)
-        open_fingers = demonstrate_program(simulator, attempt, grips=False)
+        open_fingers = demonstrate(simulator, attempt, grips=False)
         assert open_fingers.outcome.cause is Cause.SLIPPED
 
 
@@ -173,7 +173,7 @@ ONTO: dict[str, Any] = changed(
 def test_what_is_put_onto_cloth_lies_on_it_as_high_as_it_is_thick(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, ONTO)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
         assert done.outcome.success, done.outcome
         ended = done.states[-1].qpos
         assert attempt.start is not None
@@ -195,7 +195,7 @@ def test_thirds_lie_on_each_other_and_what_is_folded_in_part_is_folded_on(tmp_pa
     )
     with Simulators(session_of(tmp_path, thirds)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
         assert done.outcome.success, done.outcome
         assert len(done.states) > 100
         cloth = simulator.scene.cloths["napkin"]
@@ -209,7 +209,7 @@ def test_thirds_lie_on_each_other_and_what_is_folded_in_part_is_folded_on(tmp_pa
         )
         start = attempt.start.copy()
         start[cloth.qpos] = halfway[cloth.qpos]
-        on = demonstrate_program(simulator, replace(attempt, start=start))
+        on = demonstrate(simulator, replace(attempt, start=start))
         assert on.outcome.success, on.outcome
         assert len(on.states) < 0.7 * len(done.states)
 
@@ -222,7 +222,7 @@ def _area(points: np.ndarray) -> float:
 def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
         assert done.outcome.success, done.outcome
         states = done.states
         acting = Actions(
@@ -248,7 +248,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
             ctrl[(held[0] + held[-1]) // 2 :, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
         dropped = repeat_program(simulator, attempt, replace(acting, ctrl=ctrl), planned=False)
         assert not dropped.outcome.success
-        assert not demonstrate_program(simulator, attempt, grips=False).outcome.success
+        assert not demonstrate(simulator, attempt, grips=False).outcome.success
 
 
 @pytest.mark.parametrize(

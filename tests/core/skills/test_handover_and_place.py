@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.simulators import Simulators
@@ -34,7 +34,7 @@ TASK = changed(
 def test_a_bottle_is_handed_over_and_put_down(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, TASK)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate_program(simulator, attempt).outcome
+        outcome = demonstrate(simulator, attempt).outcome
     assert outcome.success, outcome.detail
 
 
@@ -63,7 +63,7 @@ CUBE = changed(
 def test_a_cube_is_handed_over_and_put_down_on_another_face(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, CUBE)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate_program(simulator, attempt).outcome
+        outcome = demonstrate(simulator, attempt).outcome
     assert outcome.success, outcome.detail
 
 
@@ -72,6 +72,6 @@ def test_what_is_too_wide_for_the_hand_is_told_with_both_widths(tmp_path: Path) 
     task = changed({("things", "cube", "of"): "054_softball"})
     with Simulators(session_of(tmp_path, task)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate_program(simulator, attempt).outcome
+        outcome = demonstrate(simulator, attempt).outcome
     assert not outcome.success
     assert "mm wide where it can be held, and the right hand opens 95.0 mm" in (outcome.detail or ""), outcome.detail

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.simulators import Simulators
@@ -152,7 +152,7 @@ SLOW = ("set_upright", "turn", "fold", "flatten")
 def test_a_skill_does_what_it_is_for(skill: str, tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, TASKS[skill])) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate_program(simulator, attempt).outcome
+        outcome = demonstrate(simulator, attempt).outcome
     assert outcome.success, (outcome.cause, outcome.detail, outcome.recoveries)
     assert outcome.margins is not None and outcome.margins.velocity < 1 and outcome.margins.torque < 1
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.simulators import Simulators
@@ -27,7 +27,7 @@ def simulators(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulators]
 
 def test_near_misses_of_a_good_goal_do_not_count(simulators: Simulators) -> None:
     simulator, attempt = first_attempt(simulators)
-    check = check_near_misses(simulator, demonstrate_program(simulator, attempt))
+    check = check_near_misses(simulator, demonstrate(simulator, attempt))
     assert check.ok and check.value == 0 and check.detail == "2 near misses, none counts"
 
 
@@ -36,7 +36,7 @@ def test_a_near_miss_that_counts_is_named(tmp_path: Path) -> None:
     task = changed({("near_misses",): [ahead], ("goal",): {"on": {"thing": "cube", "surface": "plate"}}})
     with Simulators(session_of(tmp_path, task)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        check = check_near_misses(simulator, demonstrate_program(simulator, attempt))
+        check = check_near_misses(simulator, demonstrate(simulator, attempt))
     assert check.ok is False and "of which these count: the cube 20 mm ahead" in check.detail
 
 
@@ -55,7 +55,7 @@ def test_each_near_miss_starts_from_the_success(tmp_path: Path) -> None:
     )
     with Simulators(session_of(tmp_path, task)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
         assert done.outcome.success, done.outcome
         check = check_near_misses(simulator, done)
     assert check.detail == "3 near misses, of which these count: the cube_2 60 mm higher"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.cli.run_cli import yamsim
 from tests.core.attempts import all_actions
@@ -35,7 +35,7 @@ def lines(session: Session) -> list[dict[str, Any]]:
     """The expert's first attempt as a leader arm would send it, at half its speed."""
     with Simulators(session) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate_program(simulator, attempt)
+        done = demonstrate(simulator, attempt)
         assert done.outcome.success
         actions, fingers = all_actions(done.states), simulator.scene.arm.fingers
     assert fingers is not None

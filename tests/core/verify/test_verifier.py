@@ -261,10 +261,8 @@ def test_an_episode_of_an_earlier_engine_is_repeated_by_its_actions_alone(datase
         found = verifier.run((0, dataset / "ep_000000"))
     assert found.agrees
     assert set(found.checks) == {ACTIONS}
-    said = (
-        f"it was made by engine revision 1 of yamsim {earlier['yamsim']}; this version's revision {ENGINE} makes other"
-    )
-    assert found.skipped[SEED].startswith(said)
+    said = f"engine revision 1 of yamsim {earlier['yamsim']}; this version's revision {ENGINE} makes other episodes"
+    assert said in found.skipped[SEED]
     assert found.skipped[IMAGES] == found.skipped[SEED]
     assert found.changed["engine"] == ("1", ENGINE)
 

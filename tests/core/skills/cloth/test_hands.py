@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from yamsim_cli.core.attempt.programs import demonstrate_program
+from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import FOLD, first_attempt, session_of
 from yamsim_cli.core.attempt.simulators import Simulators
@@ -17,8 +17,8 @@ def test_hands_that_come_too_high_feel_for_cloth(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(reach, "_HALF_PAD", reach._HALF_PAD + 0.0018)
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        felt = demonstrate_program(simulator, attempt)
+        felt = demonstrate(simulator, attempt)
         monkeypatch.setattr(hands, "_DEEPER", ())
-        missed = demonstrate_program(simulator, attempt)
+        missed = demonstrate(simulator, attempt)
     assert felt.outcome.success, felt.outcome.detail
     assert "missed its corner" in missed.outcome.detail
