@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.core.attempts import all_actions, planned
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators

@@ -1,4 +1,4 @@
-"""Draw tasks that are data at the start, middle and end of their expert's first success, into `docs/images/tasks/`.
+"""Draw tasks at the start, middle and end of their expert's first success, into `docs/images/tasks/`.
 
 python -m tools.task_pictures           # all that are shipped
 python -m tools.task_pictures tower     # or some
@@ -30,10 +30,9 @@ def main(names: list[str]) -> None:
     opener = Opener(os.environ, sys.stderr.write, str)
     # What draws is settled before anything imports MuJoCo.
     where = opener.use_gl(opener.locations())
-    from yamsim_cli.core.config.program_task import PROGRAM
     from yamsim_cli.core.task_proof.tasks_there import tasks_there
 
-    shipped = [task["name"] for task in tasks_there(where) if task["kind"] == PROGRAM]
+    shipped = [task["name"] for task in tasks_there(where)]
     _FOLDER.mkdir(exist_ok=True)
     for name in names or shipped:
         config = opener.config("default", where, task=name, size=_SIZE, quality="high")

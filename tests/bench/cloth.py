@@ -17,14 +17,14 @@ os.environ.setdefault("MUJOCO_GL", "off")
 
 import mujoco
 import numpy as np
-from yamsim_cli.core.attempt.engine import demonstrate
-from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
 
+from yamsim_cli.core.attempt.engine import demonstrate, repeat
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
+from yamsim_cli.core.episode.rules import REPEATED_RULES
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.tangles import crossings
 from yamsim_cli.core.opener import Opener
@@ -102,7 +102,7 @@ def fold(task: str, count: int, first: int, spoilt: int) -> None:
                 print(f"   the expert's fingers do not close: {stuck.cause or 'folded'}", flush=True)
                 for what, share in (("the same motion, fingers open", 0.0), ("let go half-way", 0.5)):
                     opened = _opened(simulator, done.states, share)
-                    spoilt_one = repeat_program(simulator, done.attempt, opened, planned=False).outcome
+                    spoilt_one = repeat(simulator, done.attempt, opened, REPEATED_RULES).outcome
                     said = "; ".join(measure.detail for measure in spoilt_one.measures if measure.detail)
                     print(f"   {what}: {spoilt_one.cause or 'folded'}, {said}", flush=True)
 

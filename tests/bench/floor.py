@@ -6,14 +6,13 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from yamsim_cli.core.attempt.simulated import Simulated
-from yamsim_cli.core.sim.rollout import simulate
-from yamsim_cli.core.tasks.plans import phases
 
 from tests.bench.setting import Stopwatch
 from tests.core.attempts import all_actions
+from yamsim_cli.core.attempt.engine import Simulated, repeat
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.files import publish_directory
 from yamsim_cli.core.images.jpeg import encode_jpeg
 
@@ -27,9 +26,7 @@ def floor_seconds(simulator: Simulator, done: Simulated, place: Path) -> dict[st
     config, scene = simulator.config, simulator.scene
     physics, drawing, encoding, writing = (Stopwatch() for _ in range(4))
     with physics:
-        held = [phases(config.task, config.grasp)]
-        start, actions = done.states[0].qpos, all_actions(done.states)
-        simulate(scene, start, actions, config.task.object.name, config.task.timing, held)
+        repeat(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
     data = mujoco.MjData(scene.model)
     width, height = config.image.size_px
     image = np.empty((height, width, 3), np.uint8)

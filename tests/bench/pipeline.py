@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from yamsim_cli.core.attempt.simulated import Simulated
-
 from tests.bench.floor import floor_seconds
 from tests.bench.pictures import Image, ssim
 from tests.bench.plain import PlainPipeline, plain_setting
 from tests.bench.setting import Stopwatch, setting
 from tests.core.attempts import planned
+from yamsim_cli.core.attempt.engine import Simulated
 from yamsim_cli.core.attempt.pictures import render
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.dataset.writing.opening import OpenMode

@@ -14,12 +14,12 @@ import mink
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from yamsim_cli.core.attempt.simulated import Simulated
-from yamsim_cli.core.sim.rollout import attach
 
 from tests.bench.setting import setting
 from tests.core.attempts import all_actions
+from yamsim_cli.core.attempt.engine import Simulated
 from yamsim_cli.core.config.pictures import RenderConfig
+from yamsim_cli.core.episode.grasps import attach
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.robot import bare_arm
 from yamsim_cli.core.session import Session
@@ -85,10 +85,11 @@ class PlainPipeline:
             joints = self._arm.q
 
     def _simulate_and_render(self, start: NDArray[np.float64], actions: Actions, out: Path) -> list[NDArray[np.uint8]]:
-        timing, carried = self._config.task.timing, self._config.task.object.name
+        timing = self._config.task.timing
         scene, model = self._scene, self._scene.model
         (out / "rgb").mkdir(parents=True)
         (out / "lowdim").mkdir()
+        carried = model.body(self._config.task.typical_cast.one("object")).id
         data = mujoco.MjData(model)
         scene.reset(data, start)
         images = []

@@ -18,7 +18,7 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.show.compose import at_home, task_home, write_scene
+from yamsim_cli.core.show.compose import at_home, task_start, write_scene
 
 pytestmark = pytest.mark.client
 
@@ -59,9 +59,8 @@ def scenes(
             loaded = load_config(RigConfig, "rigs", rig, locations)
             spec, model = at_home(Blueprint(loaded, studio, boards=boards), locations)
         else:
-            config = _config(name, make_config)
-            blueprint = task_blueprint(config, boards=boards)
-            spec, model = at_home(blueprint, locations, task_home(config))
+            config, home = task_start(Session(_config(name, make_config), locations))
+            spec, model = at_home(task_blueprint(config, boards=boards), locations, home)
         write_scene(spec, model, folder / name, as_zip=False, overwrite=False)
     return {name: folder / name / "scene.xml" for name in SCENES}
 
@@ -85,7 +84,7 @@ def episodes(
             holds=actions.magnet,
             welds=[f"{arm.prefix}grasp_weld" for arm in arms],
             hands=[f"{arm.prefix}link_6" for arm in arms],
-            item=config.task.object.name,
+            item=simulator.cast.one("object"),
             steps=config.task.timing.physics_steps_per_tick,
             frames=[state.qpos for state in states],
             arms=np.concatenate([arm.joint_qpos for arm in arms]),

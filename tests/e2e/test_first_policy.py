@@ -36,7 +36,7 @@ def test_its_policy_picks_the_banana(folder: Path) -> None:
     words[words.index("--n") + 1] = "4"
     run = yamsim(*words, "--min-success", "1", "--json", cwd=folder)
     assert run.code == 0, run.err
-    assert (run.json["stats"]["n_success"], run.json["stats"]["ended"]) == (4, {"done": 4})
+    assert (run.json["stats"]["n_success"], run.json["stats"]["ended"]) == (4, {"success": 4})
 
 
 def test_what_it_shows_has_the_form_of_what_comes(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Recordings of tasks that are data: killed and resumed, and made again bit for bit."""
+"""Recordings of tasks: killed and resumed, and made again bit for bit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 
 from tests.e2e.recorder import digest, episodes, run, start, wait_until
 from tests.programs import ONTO_PLATE, written
-from yamsim_cli.core.config.program_task import PROGRAM
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.record.collect import Notifier
@@ -25,7 +24,7 @@ from yamsim_cli.core.workers.stop import Stop
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
-SHIPPED = [task["name"] for task in tasks_there(Locations.find(os.environ)) if task["kind"] == PROGRAM]
+SHIPPED = [task["name"] for task in tasks_there(Locations.find(os.environ))]
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,9 @@ pytest.importorskip("kitchenbench", reason="needs yamsim[inspect]")
 from inspect_robots.rollout import derive_seed
 from kitchenbench import tasks
 from kitchenbench.sim import build_blueprint, make_success_checker
-from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.core.attempts import all_actions
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulators import Simulators

@@ -30,7 +30,10 @@ def open_base(size: str, *, images: bool, quality: str = "fast", task: str = _AN
         ResourceError: images are wanted, and nothing can render here.
     """
     given: dict[str, Any] = {"rig": STATION, "task": task, "size": parse_size(size), "quality": quality}
+    where = _OPENER.locations()
+    if "contact" in _OPENER.config("default", where, **given).task.valid_grasps:
+        # Actions of Inspect Robots command grippers, and no magnet.
+        given["grasp"] = "contact"
     if images:
         return _OPENER.open("default", parallel=False, **given)
-    where = _OPENER.locations()
     return Session(_OPENER.config("default", where, **given), where).without_meshes()

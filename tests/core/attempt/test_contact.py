@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from yamsim_cli.core.attempt.physics import repeat
-from yamsim_cli.core.episode.commands import path_actions
 from yamsim_cli.core.tasks.pickplace import SLIP_DISTANCE
 
 from tests.cli.run_cli import yamsim
@@ -20,6 +19,7 @@ from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.reader import dataset_config
+from yamsim_cli.core.episode.commands import path_actions
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import STATION
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.opener import Opener

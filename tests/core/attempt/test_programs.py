@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
+from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context

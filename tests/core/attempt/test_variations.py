@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 from yamsim_cli.core.attempt.physics import repeat
-from yamsim_cli.core.attempt.engine import demonstrate, with_room
 
 from tests.core.attempts import all_actions, planned
+from yamsim_cli.core.attempt.engine import demonstrate, with_room
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.pictures import render
 from yamsim_cli.core.attempt.runner import EpisodeRunner

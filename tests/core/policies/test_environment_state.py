@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.sim.closed_loop import ClosedLoop
 
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulators import Simulators

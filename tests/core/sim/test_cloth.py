@@ -9,9 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
 
 from tests.programs import FOLD, changed, first_attempt, session_of, started
+from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.simulators import Simulators

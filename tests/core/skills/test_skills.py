@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.skills.program import SKILLS
 

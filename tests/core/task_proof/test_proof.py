@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.resources import Locations

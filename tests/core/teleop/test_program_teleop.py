@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.cli.run_cli import yamsim
 from tests.core.attempts import all_actions
 from tests.core.teleop.demonstrated import write_stream
 from tests.core.teleop.tray import Tray
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.errors import ConfigError, SimulationError
 from yamsim_cli.core.session import Session

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from yamsim_cli.core.attempt.engine import demonstrate
 
 from tests.programs import FOLD, first_attempt, session_of
+from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.skills.cloth import hands, reach
 
