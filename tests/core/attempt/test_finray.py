@@ -7,11 +7,12 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.physics import repeat
 
 from tests.core.attempts import all_actions, planned
+from yamsim_cli.core.attempt.engine import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.breakdown import breakdown
@@ -25,7 +26,7 @@ _ASIDE = Layout({"strawberry": pose([0.60, -0.25, 0.0213]), "plate": pose([0.58,
 
 @pytest.fixture(scope="module")
 def simulator(make_config: Callable[..., RecordConfig], locations: Locations) -> Simulator:
-    changes = {("rig",): "single_finray", ("grasp",): "contact", ("task", "object"): "012_strawberry"}
+    changes = {("rig",): "single_finray", ("grasp",): "contact", ("task", "things", "object", "of"): "012_strawberry"}
     return Simulator(Session(make_config(changes), locations))
 
 
@@ -78,8 +79,7 @@ def test_driven_into_the_table_it_bends_and_comes_back(simulator: Simulator, tic
 def test_an_attempt_comes_out_the_same_from_its_actions(simulator: Simulator) -> None:
     done = planned(simulator, 7)
     assert done.outcome.success, done.outcome.detail
-    assert done.rollout is not None
-    again = repeat(simulator, done.attempt, all_actions(done.states), planned=True)
+    again = repeat(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
     for one, other in zip(done.states, again.states, strict=True):
         # With the fingers' bends.
         assert len(one.qpos) == 6 + 2 * (1 + 8) + 2 * 7

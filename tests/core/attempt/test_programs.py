@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
-from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
+from yamsim_cli.core.attempt.engine import demonstrate, repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
@@ -20,6 +20,7 @@ from yamsim_cli.core.dataset.checks.problem import Problems
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.dataset.records import CastRecord, to_json
 from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.images.jpeg import JpegReader
@@ -100,7 +101,7 @@ def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators
     assert done.outcome.success, done.outcome
     acted = [state.actions for state in done.states]
     whole = Actions(*(np.concatenate([getattr(one, part) for one in acted]) for part in ("ctrl", "magnet", "joints")))
-    again = repeat_program(simulator, attempt, whole, planned=True)
+    again = repeat(simulator, attempt, whole, EXPERT_RULES)
     assert again.outcome == replace(done.outcome, recoveries=())
     assert all(np.array_equal(a.qpos, b.qpos) for a, b in zip(done.states, again.states, strict=True))
 

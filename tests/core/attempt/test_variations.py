@@ -9,10 +9,9 @@ from dataclasses import asdict, replace
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.physics import repeat
 
 from tests.core.attempts import all_actions, planned
-from yamsim_cli.core.attempt.engine import demonstrate, with_room
+from yamsim_cli.core.attempt.engine import demonstrate, repeat, with_room
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.pictures import render
 from yamsim_cli.core.attempt.runner import EpisodeRunner
@@ -20,6 +19,7 @@ from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.lowdim import load_frame
+from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.robots.dynamics import Dynamics
@@ -63,7 +63,7 @@ def test_distractors_that_can_be_touched_are_not(visual: Simulator) -> None:
         for name in distractors:
             body = model.body(name).id
             assert model.geom_contype[model.geom_bodyid == body].any()
-        again = repeat(visual, done.attempt, all_actions(done.states), planned=True)
+        again = repeat(visual, done.attempt, all_actions(done.states), EXPERT_RULES)
         for one, two in zip(done.states, again.states, strict=True):
             np.testing.assert_array_equal(one.qpos, two.qpos)
     assert placed >= 10
@@ -113,9 +113,9 @@ def test_masses_and_friction_change_physics(make_config: Callable[..., RecordCon
         heavy = planned(simulator, 0)
         assert 2.0 <= heavy.attempt.variation.mass["banana"] <= 3.0
         actions, plain = all_actions(heavy.states), replace(heavy.attempt, variation=Variation())
-        light = repeat(simulator, plain, actions, planned=True)
+        light = repeat(simulator, plain, actions, EXPERT_RULES)
         assert not np.array_equal(light.states[-1].qpos, heavy.states[-1].qpos)
-        again = repeat(simulator, heavy.attempt, actions, planned=True)
+        again = repeat(simulator, heavy.attempt, actions, EXPERT_RULES)
         np.testing.assert_array_equal(again.states[-1].qpos, heavy.states[-1].qpos)
 
 
@@ -165,7 +165,7 @@ def test_arms_that_act_late_and_are_read_wrongly_do_the_same_again_whatever_was_
         one, other = planned(simulator, 0, 0), planned(simulator, 0, 1)
         seen = frames(simulator, one.attempt, one.states)
         # Of the second attempt, which the scene was varied as last, and of the first from its record.
-        again = repeat(simulator, one.attempt, all_actions(one.states), planned=True)
+        again = repeat(simulator, one.attempt, all_actions(one.states), EXPERT_RULES)
         told = frames(simulator, one.attempt, again.states)
     with Simulator(Session(config, locations)) as fresh:
         alone = planned(fresh, 0, 1)

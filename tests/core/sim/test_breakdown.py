@@ -13,6 +13,7 @@ import pytest
 from tests.core.attempts import planned
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.episode.rules import EndReason
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.breakdown import breakdown, keep_warnings_quiet
 from yamsim_cli.core.session import Session
@@ -23,6 +24,7 @@ ABSURD = """
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.attempt.runner import EpisodeRunner
+from yamsim_cli.core.episode.rules import EndReason
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
@@ -55,8 +57,8 @@ def test_an_attempt_that_holds_says_nothing_of_it(config: RecordConfig, location
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
     assert done.outcome.cause is not Cause.UNSTABLE
-    assert done.rollout
-    assert done.rollout.motion.breakdown is None
+    assert done.played is not None
+    assert done.played.end.reason is EndReason.ACTOR
 
 
 @pytest.fixture

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from tests.programs import FOLD, changed, first_attempt, session_of, started
-from yamsim_cli.core.attempt.engine import demonstrate, repeat_program
+from yamsim_cli.core.attempt.engine import demonstrate, repeat
 from yamsim_cli.core.attempt.expert import sides
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
+from yamsim_cli.core.episode.rules import EXPERT_RULES, REPEATED_RULES
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.folding import outline_area
 from yamsim_cli.core.geometry.tangles import crossings
@@ -232,7 +233,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
         assert held[0] > 0 and held[-1] < len(acting.magnet) - 1
         assert not acting.magnet[[0, -1]].any()
 
-        again = repeat_program(simulator, attempt, replace(acting, magnet=np.zeros_like(acting.magnet)), planned=True)
+        again = repeat(simulator, attempt, replace(acting, magnet=np.zeros_like(acting.magnet)), EXPERT_RULES)
         for one, other in zip(states, again.states, strict=True):
             assert np.array_equal(one.qpos, other.qpos)
             assert np.array_equal(one.actions.magnet, other.actions.magnet)
@@ -246,7 +247,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
         for arm in simulator.scene.arms:
             assert arm.fingers is not None
             ctrl[(held[0] + held[-1]) // 2 :, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
-        dropped = repeat_program(simulator, attempt, replace(acting, ctrl=ctrl), planned=False)
+        dropped = repeat(simulator, attempt, replace(acting, ctrl=ctrl), REPEATED_RULES)
         assert not dropped.outcome.success
         assert not demonstrate(simulator, attempt, grips=False).outcome.success
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.programs import changed, session_of
-from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.scene import Table
 from yamsim_cli.core.geometry.se3 import Array, tilt
 from yamsim_cli.core.session import Session
@@ -33,13 +32,8 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Session:
     return session_of(tmp_path_factory.mktemp("task"), THREE)
 
 
-def _task(session: Session) -> ProgramTask:
-    assert session.config.program is not None
-    return session.config.program
-
-
 def _places(session: Session, job: EpisodeJob) -> dict[str, Placed]:
-    task = _task(session)
+    task = session.config.task
     cast = draw_cast(task, job)
     found = draw_places(task, cast, lambda name, opened: BLOCK, session.config.table, job)
     assert isinstance(found, dict)
@@ -47,7 +41,7 @@ def _places(session: Session, job: EpisodeJob) -> dict[str, Placed]:
 
 
 def test_the_same_numbers_give_the_same_draw(three: Session) -> None:
-    job, task = EpisodeJob(4, 7), _task(three)
+    job, task = EpisodeJob(4, 7), three.config.task
     assert draw_cast(task, job) == draw_cast(task, job)
     assert draw_phrasing(task, job) == draw_phrasing(task, job)
     one, again = _places(three, job), _places(three, job)
@@ -57,7 +51,7 @@ def test_the_same_numbers_give_the_same_draw(three: Session) -> None:
 
 
 def test_no_object_is_drawn_twice_while_others_are_left(three: Session) -> None:
-    task = _task(three)
+    task = three.config.task
     casts = [draw_cast(task, EpisodeJob(0, k)) for k in range(30)]
     assert all(sorted(cast.kinds.values()) == ["cube_blue", "cube_green", "cube_red"] for cast in casts)
     assert len({tuple(cast.kinds.values()) for cast in casts}) > 3
@@ -65,7 +59,7 @@ def test_no_object_is_drawn_twice_while_others_are_left(three: Session) -> None:
 
 
 def test_what_is_said_is_said_in_training(three: Session) -> None:
-    task = _task(three)
+    task = three.config.task
     said = {draw_phrasing(task, EpisodeJob(0, k)) for k in range(20)}
     assert said == set(task.phrasings.training)
 
@@ -106,7 +100,7 @@ def test_a_gap_is_that_of_rectangles() -> None:
 def test_what_has_no_room_is_named(tmp_path_factory: pytest.TempPathFactory) -> None:
     tight = changed({("starts", "cube"): {"x": [0.30, 0.32], "y": [0.0, 0.02]}}, THREE)
     session = session_of(tmp_path_factory.mktemp("task"), tight)
-    task, job = _task(session), EpisodeJob(0, 0)
+    task, job = session.config.task, EpisodeJob(0, 0)
     cast = draw_cast(task, job)
     found = draw_places(task, cast, lambda name, opened: BLOCK, session.config.table, job)
     assert found in ("cube_2", "cube_3")
@@ -128,7 +122,7 @@ def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.Tem
     session = session_of(
         tmp_path_factory.mktemp("task"), on_it | {"goal": {"on": {"thing": "cube", "surface": "table"}}}
     )
-    task, job, table = _task(session), EpisodeJob(0, 3), session.config.table
+    task, job, table = session.config.task, EpisodeJob(0, 3), session.config.table
     assert isinstance(table, Table)
     placed = draw_places(task, draw_cast(task, job), lambda name, opened: BLOCK, table, job)
     assert isinstance(placed, dict) and placed["cube"].on == "plate"

@@ -48,7 +48,7 @@ def randomized(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 def sampled(config: RecordConfig, job: EpisodeJob = JOB, **changes: Any) -> Variation:
     ranges = config.randomization.model_copy(update=changes)
-    return sample_variation(ranges, job, len(config.scene.lights), (config.task.object, config.task.target), (6,))
+    return sample_variation(ranges, job, len(config.scene.lights), config.task.objects, (6,))
 
 
 def test_nothing_is_drawn_of_what_is_left_out(config: RecordConfig) -> None:
