@@ -25,7 +25,6 @@ pytestmark = [pytest.mark.client_heavy, pytest.mark.render]
 
 # `rd shardify` leaves out the last 12 of an episode's frames, of which it lacks the future.
 LEFT_OUT = 12
-ONE_ARM = 108
 
 Read = Callable[..., dict[str, Any]]
 
@@ -42,7 +41,8 @@ def read(client: Callable[[str], Interpreter], tmp_path: Path, locations: Locati
         found = interpreter.run(
             "read_raiden.py", checkout("YAMSIM_RAIDEN"), out, tmp_path / "raiden", arms, timeout_s=900
         )
-        return found | {"frames": frames(out / "0000")}
+        counts = {path.parent.name: len(list(path.iterdir())) for path in sorted(out.glob("*/lowdim"))}
+        return found | {"frames": frames(out / "0000"), "counts": counts}
 
     return run
 
@@ -68,8 +68,8 @@ def shares(found: dict[str, Any], locations: Locations) -> list[float]:
 
 def test_it_shards_shows_and_plays_one_arm(read: Read, one_arm: Path, locations: Locations) -> None:
     found = read(one_arm, "bimanual", RaidenOptions())
-    shards = found["shards"]
-    samples = 3 * (ONE_ARM - LEFT_OUT)
+    shards, counts = found["shards"], found["counts"]
+    samples = sum(counts.values()) - 3 * LEFT_OUT
     pictures = {f"{name}_t{k}": samples for name in ("scene_camera", "left_wrist_camera") for k in (-1, 0)}
     wanted = {f"{name}.jpg": n for name, n in pictures.items()} | {
         f"{name}.depth.png": n for name, n in pictures.items()
@@ -77,28 +77,31 @@ def test_it_shards_shows_and_plays_one_arm(read: Read, one_arm: Path, locations:
     once = dict.fromkeys(("lowdim.npz", "metadata.json", "language_instructions.json"), samples)
     assert shards["kinds"] == wanted | once
     assert shards["sequences"] == samples
-    assert shards["anchors"] == dict.fromkeys(("0000", "0001", "0002"), ONE_ARM - LEFT_OUT)
+    assert shards["anchors"] == {episode: count - LEFT_OUT for episode, count in counts.items()}
+    assert list(counts) == ["0000", "0001", "0002"]
     assert shards["sizes"] == [[384, 384, 3]]
     assert shards["controls"] == ["plan"]
     assert shards["said"] == ["pick up the banana and put it on the plate"]
-    assert found["visualized"]["pictures"] == 2 * ONE_ARM
+    assert found["visualized"]["pictures"] == 2 * counts["0000"]
     # The right arm, which is not there, stands still.
     assert shards["still"]
     assert all("right" in key for key in shards["still"])
-    np.testing.assert_allclose(shares(found, locations), (0.373, 0.464, 0.670), atol=0.01)
+    assert max(shares(found, locations)) < FASTEST
 
 
-def test_at_the_recorded_rate_it_would_play_faster_than_the_motors_turn(
+def test_at_the_recorded_rate_it_would_play_nearly_twice_as_fast(
     read: Read, one_arm: Path, locations: Locations
 ) -> None:
     found = read(one_arm, "bimanual", RaidenOptions(fps=None))
-    np.testing.assert_allclose(shares(found, locations), (0.711, 0.881, 1.260), atol=0.01)
+    played = np.array(shares(found, locations))
+    moved = np.array([_fastest(one_arm / f"ep_{k:06d}", locations) for k in range(3)])
+    np.testing.assert_allclose(played / moved, 30 / 15.625, rtol=0.01)
 
 
 def test_arrays_of_one_arm_leave_nothing_that_stands_still(read: Read, one_arm: Path) -> None:
     found = read(one_arm, "single", RaidenOptions(pictures="nearest", single=True))
     assert found["shards"]["still"] == []
-    assert found["shards"]["kinds"]["left_wrist_camera_t0.jpg"] == 3 * (ONE_ARM - LEFT_OUT)
+    assert found["shards"]["kinds"]["left_wrist_camera_t0.jpg"] == sum(found["counts"].values()) - 3 * LEFT_OUT
     assert not any("right" in key for key in found["shards"]["widths"])
     same(found["converted"], hand=0.0095)
 
@@ -121,9 +124,9 @@ def test_by_its_own_kinematics_the_hands_are_the_very_same_and_the_joints_come_b
     same(found["converted"], hand=0.004)
     for key in ("action", "actual_poses", "T_left_from_right", "joints", "action_joints"):
         assert found["converted"][key] == 0.0
-    assert found["shards"]["kinds"]["right_wrist_camera_t0.jpg"] == 179 - LEFT_OUT
+    assert found["shards"]["kinds"]["right_wrist_camera_t0.jpg"] == found["counts"]["0000"] - LEFT_OUT
     assert found["shards"]["still"] == []
-    assert found["visualized"]["pictures"] == 3 * 179
+    assert found["visualized"]["pictures"] == 3 * found["counts"]["0000"]
     off = np.concatenate([episode["off"] for episode in found["replay"].values()])
     assert off.max() < 0.002
     # Where its viewer has the right hand in the left base: T_left_from_right is the right way round.
