@@ -302,7 +302,8 @@ def test_an_unknown_name_lists_the_configs(locations):
     ("flags", "message"),
     [
         ({("arm",): ("--arm", "left")}, "--arm: arm 'left': rig 'single' has only a right one; leave `arm` out"),
-        ({("task",): ("--task", "handover"), ("rig",): ("--rig", "single")}, "--rig: the step `handover` takes two arms; use a rig with two"),
+        ({("task",): ("--task", "handover"), ("rig",): ("--rig", "single")},
+         "--rig: the step `handover` takes two arms; use a rig with two"),
         ({("grasp",): ("--grasp", "contact")}, "--grasp: grasp 'contact' needs a gripper with pads"),
         (
             {("rig",): ("--rig", "single_linear"), OBJECT: ("--object", "025_mug"),

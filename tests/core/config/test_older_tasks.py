@@ -1,4 +1,4 @@
-"""Tasks of the kinds `pickplace` and `handover`, in files and in the configs of datasets, are read as tasks of skills."""
+"""Tasks of the kinds `pickplace` and `handover`, in files and in datasets, are read as tasks of skills."""
 
 from __future__ import annotations
 
