@@ -120,7 +120,7 @@ def test_a_policy_that_plays_the_expert_succeeds(
     assert len(videos) == 4
     with av.open(str(videos[0])) as video:
         assert float(video.streams.video[0].average_rate or 0) == fps
-        assert 10 < sum(1 for _ in video.decode(video=0)) < found["overall"]["n_episodes"] * 130
+        assert 10 < sum(1 for _ in video.decode(video=0)) < 20 * fps
 
 
 def test_a_checkpoint_that_it_has_trained_is_evaluated_and_its_trials_recorded(
@@ -173,8 +173,8 @@ def test_it_records_the_expert_and_plays_it_again(open_lerobot: Callable[[str], 
         *robot,
         *("--robot.by_clock=false", "--teleop.type=yamsim_expert", "--teleop.robot_id=sim"),
         *("--dataset.repo_id=local/two", "--dataset.no_stamp=true", "--dataset.push_to_hub=false"),
-        # A busy machine has time for all of its 130 frames, too.
-        *("--dataset.num_episodes=2", "--dataset.episode_time_s=30", "--dataset.reset_time_s=1"),
+        # A busy machine has time for all of its 240 frames, too.
+        *("--dataset.num_episodes=2", "--dataset.episode_time_s=40", "--dataset.reset_time_s=1"),
         *("--dataset.single_task=put the banana on the plate", "--play_sounds=false"),
     )
     assert "trial 0: success" in told and "trial 1: success" in told
@@ -191,7 +191,7 @@ def test_it_records_the_expert_and_plays_it_again(open_lerobot: Callable[[str], 
         # It begins at rest, moves, and lets go; once it is done, it stays.
         assert np.abs(state[0] - action[0]).max() < 0.05
         assert np.ptp(action[:, 0]) > 0.1 and 0 <= action[:, 6].min() < action[:, 6].max() <= 1
-        assert len(action) > 130 and (action[130:] == action[129]).all()
+        assert len(action) > 240 and (action[240:] == action[239]).all()
     first = found["observation.images.scene_camera"]
     assert np.abs(first[0] - first[100]).max() > 0.2
 

@@ -15,17 +15,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from tests.cli.run_cli import yamsim
 from tests.e2e.browser import Browser, wait_until
+from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import task_viewpoint
-from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
 from yamsim_cli.core.teleop.loop import open_seat, run_page
 from yamsim_cli.core.types import EpisodeJob
@@ -135,12 +135,14 @@ def test_what_is_done_on_the_page_is_an_episode(
     make_config: Callable[..., RecordConfig], locations: Locations, browser: Browser, tmp_path: Path, screens: Path
 ) -> None:
     config = make_config({("image", "size_px"): [160, 120], ("render",): "fast"})
-    task, out = config.task, tmp_path / "d"
-    layout = sample_layout(config, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    out = tmp_path / "d"
+    with Simulator(Session(config, locations).without_meshes()) as simulator:
+        layout = sample(simulator, EpisodeJob(config.seed, 0)).layout
     assert layout
-    assert task.object.grasp
-    T_grasp = layout.T_in_world[task.object.name] @ task.object.grasp.T_pinch_in_object(False)
-    T_goal = layout.T_in_world[task.target.name]
+    banana = next(item for item in config.task.objects if item.name == "banana")
+    assert banana.grasp
+    T_grasp = layout.T_in_world["banana"] @ banana.grasp.T_pinch_in_object(False)
+    T_goal = layout.T_in_world["plate"]
     with driving(config, locations, out) as (url, driven):
 
         def go(place: tuple[float, float, float]) -> None:

@@ -133,8 +133,7 @@ def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: Simulato
     simulator = simulators.of(job)
     done = demonstrate(simulator, sample(simulator, job))
     assert done.outcome.success, done.outcome
-    scene, program = simulator.scene, simulator.config.program
-    assert program is not None and simulator.cast is not None
+    scene, goal = simulator.scene, simulator.config.task.goal
     data = mujoco.MjData(scene.model)
     world = SimWorld(scene.model, data, scene.arms, sides(simulator.config), list(scene.object_qpos))
     checker = make_success_checker(build_blueprint(SCENE, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
@@ -142,7 +141,7 @@ def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: Simulato
     for state in done.states[::5]:
         data.qpos[:] = state.qpos
         mujoco.mj_forward(scene.model, data)
-        ours = all(measure.holds for measure in program.goal.measures(world, simulator.cast))
+        ours = all(measure.holds for measure in goal.measures(world, simulator.cast))
         assert ours == checker(Queries(world)).success  # type: ignore[arg-type]
         agreed.append(ours)
     assert not agreed[0] and agreed[-1]

@@ -1,4 +1,4 @@
-"""Our own tasks as tasks of Inspect Robots: `yamsim/tower` and the others that are things, a goal and skills."""
+"""Our own tasks as tasks of Inspect Robots: `yamsim/tower` and all others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def own_task(name: str) -> Task:
     """One of our tasks: a scene whose trials differ by their seeds, and our own goal.
 
     Raises:
-        ConfigError: there is no such task, or it is not one of things, a goal and skills.
+        ConfigError: there is no such task.
     """
     session = open_base("64x48", images=False, task=name)
     task = session.config.task
@@ -47,9 +47,11 @@ fold_napkin_diagonal = partial(own_task, "fold_napkin_diagonal")
 fold_napkin_crumpled = partial(own_task, "fold_napkin_crumpled")
 fold_napkin_thirds = partial(own_task, "fold_napkin_thirds")
 hand_over_and_place = partial(own_task, "hand_over_and_place")
+handover = partial(own_task, "handover")
 hang_mug = partial(own_task, "hang_mug")
 lift_tray = partial(own_task, "lift_tray")
 onto_napkin = partial(own_task, "onto_napkin")
+pickplace = partial(own_task, "pickplace")
 set_upright = partial(own_task, "set_upright")
 sort_row = partial(own_task, "sort_row")
 swap = partial(own_task, "swap")

@@ -40,7 +40,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 @pytest.fixture
 def robot(tmp_path: Path, clock: Clock) -> Iterator[YamsimRobot]:
     config = YamsimRobotConfig(
-        id=tmp_path.name, calibration_dir=tmp_path, episode_time_s=5.0, reset_time_s=1.0, **SMALL
+        id=tmp_path.name, calibration_dir=tmp_path, episode_time_s=8.0, reset_time_s=1.0, **SMALL
     )
     made = make_robot_from_config(config)
     assert isinstance(made, YamsimRobot)
@@ -86,13 +86,13 @@ def test_it_goes_where_it_is_told(robot: YamsimRobot) -> None:
 def test_an_expert_does_each_episode_and_waits_between_them(
     robot: YamsimRobot, expert: YamsimExpert, clock: Clock, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As `lerobot-record` goes: 5 s of an episode, 1 s of setting up, twice."""
+    """As `lerobot-record` goes: 8 s of an episode, 1 s of setting up, twice."""
     caplog.set_level("INFO")
     robot.connect()
     assert list(expert.action_features) == KEYS
     waited: list[bool] = []
     for _ in range(2):
-        for length, waits in ((5.0, False), (1.0, True)):
+        for length, waits in ((8.0, False), (1.0, True)):
             began, still = clock.now, None
             while clock.now - began < length:
                 robot.get_observation()

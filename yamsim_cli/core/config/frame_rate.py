@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from .program_task import ProgramTiming
-from .task import Timing
 
-# By how much a control tick may be made longer or shorter for the sake of a frame rate: plans count ticks, so that they
-# become slower or faster with them, and motors have about 10 % to spare.
-_TICK_CHANGE = 0.07
+_TICK_CHANGE = 0.07  # share by which a control tick may become longer or shorter; skills count some waits in ticks
 
 
-def at_rate(timing: Timing | ProgramTiming, fps: float) -> dict[str, float | int]:
+def at_rate(timing: ProgramTiming, fps: float) -> dict[str, float | int]:
     """What of a timing is otherwise with so many frames a second: as many ticks a frame as fit best, a little longer or
     shorter.
 

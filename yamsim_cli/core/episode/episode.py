@@ -67,7 +67,7 @@ class Played:
         verdict: of the goal at the end; if the goal held then, but not for its hold time, of the last tick at which it
             did not hold. None without a goal.
         held_ticks: control ticks for which the goal had held without a break at the end.
-        margins: how near the arms came to their limits, and how still the things lay in the hands.
+        margins: how near the arms came to their limits, and how still the things lay in the hands; None if no tick passed.
         collision: the first forbidden contact, and when; None without one.
         T_at_start, T_at_end: thing -> pose (4, 4) in `world`.
         speeds: thing -> speed at the end, m/s.
@@ -77,7 +77,7 @@ class Played:
     end: End
     verdict: Verdict | None
     held_ticks: int
-    margins: Margins
+    margins: Margins | None
     collision: str | None
     T_at_start: dict[str, Array]
     T_at_end: dict[str, Array]
@@ -231,7 +231,7 @@ class Episode:
             end=self.end,
             verdict=verdict,
             held_ticks=self.held_ticks,
-            margins=self._monitor.margins(self._held.slip, self._held.tilt),
+            margins=self._monitor.margins(self._held.slip, self._held.tilt) if self.ticks else None,
             collision=self._monitor.collision,
             T_at_start=self._T_at_start,
             T_at_end=self._poses(),
