@@ -14,6 +14,7 @@ from yamsim_cli.core.scene.blueprint import task_blueprint
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.compose import WELD, mesh_sets
 from yamsim_cli.core.session import Session
+from yamsim_cli.core.sim.settle import AT_REST
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,7 @@ def test_settles_without_moving(simulator: Simulator, scene: CompiledScene, seed
     mujoco.mj_step(scene.model, data, 1000)
     assert data.ncon > 0
     np.testing.assert_allclose(data.qpos, before, atol=1e-3)
-    assert np.abs(data.qvel).max() < 1e-3
+    assert np.abs(data.qvel).max() < AT_REST
 
 
 def test_reset_leaves_no_trace_of_what_was_before(simulator: Simulator, scene: CompiledScene) -> None:

@@ -63,13 +63,10 @@ def test_each_near_miss_starts_from_the_success(tmp_path: Path) -> None:
 
 def test_the_share_in_reach_is_measured(simulators: Simulators, tmp_path: Path) -> None:
     simulator, _ = first_attempt(simulators)
-    task = simulator.config.program
-    assert task is not None
     assert check_reach(simulator).value == 1.0
     far = changed({("starts", "cube", "x"): [0.3, 1.1], ("starts", "cube", "y"): [0.0, 0.0]})
     with Simulators(session_of(tmp_path, far)) as others:
         other, _ = first_attempt(others)
-        assert other.config.program is not None
         check = check_reach(other)
     assert check.ok is False and check.value is not None and 0.2 < check.value < 0.6
     assert "cube" in check.detail and "at least 90% is needed" in check.detail

@@ -15,6 +15,7 @@ from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.import_thing.from_file import import_file
 from yamsim_cli.core.import_thing.ycb import import_ycb
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.skills.checked import check_config
 from yamsim_cli.core.thing_files.read import Told
 from yamsim_cli.core.things.wishes import Wishes
 
@@ -87,11 +88,12 @@ def test_a_shipped_config_is_what_import_writes(tmp_path: Path, locations: Locat
     assert made.path.read_text() == (repository / "configs/objects/058_golf_ball.yaml").read_text()
 
 
-def test_objects_and_targets_are_named_by_number_or_without(make_config: Callable[..., RecordConfig]) -> None:
-    by_id = make_config({("task", "object"): "013_apple", ("task", "target"): "024_bowl"})
-    assert by_id == make_config({("task", "object"): "apple", ("task", "target"): "bowl"})
-    assert by_id.task.language_task == "pick_place_apple"
-    assert by_id.task.language_prompt == "pick up the apple and put it in the bowl"
+def test_objects_and_targets_are_named_by_number_or_without(locations: Locations) -> None:
+    by_id = pickplace("013_apple", "024_bowl", locations)
+    assert by_id == pickplace("apple", "bowl", locations)
+    played = by_id.task.played_by(by_id.task.typical_cast)
+    assert played.language_task == "pick_place_apple"
+    assert played.language_prompt == "pick up the apple and put it in the bowl"
 
 
 @pytest.mark.parametrize(
@@ -101,12 +103,16 @@ def test_objects_and_targets_are_named_by_number_or_without(make_config: Callabl
         ("054_softball", "024_bowl", "object 'softball' is too wide to be picked up: 95 mm, and gripper crank of rig"),
         ("024_bowl", "029_plate", "object 'bowl' has no `grasp`"),
         ("013_apple", "014_lemon", "target 'lemon' has neither a floor nor a flat top"),
-        ("013_apple", "013_apple", "object and target are both 'apple'"),
+        ("013_apple", "013_apple", "the target may be called 'apple', as the object is"),
     ],
 )
-def test_what_cannot_be_done_is_told(
-    item: str, target: str, said: str, make_config: Callable[..., RecordConfig]
-) -> None:
+def test_what_cannot_be_done_is_told(item: str, target: str, said: str, locations: Locations) -> None:
     with pytest.raises(ConfigError) as caught:
-        make_config({("task", "object"): item, ("task", "target"): target})
+        pickplace(item, target, locations)
     assert said in str(caught.value)
+
+
+def pickplace(item: str, target: str, locations: Locations) -> RecordConfig:
+    roles = {"object": item, "target": target}
+    overrides = {("task", "things", role, "of"): ("test", name) for role, name in roles.items()}
+    return load_config(RecordConfig, "record", "default", locations, overrides, check_config)
