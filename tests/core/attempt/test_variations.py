@@ -69,6 +69,17 @@ def test_distractors_that_can_be_touched_are_not(visual: Simulator) -> None:
     assert placed >= 10
 
 
+def test_distractors_are_no_obstacles_whenever_the_expert_is_made(
+    visual: Simulator, make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    """Before the scene is varied for the first time, they stand in it where they were compiled."""
+    with Simulator(Session(make_config(VISUAL | MANY | SMALL), locations)) as early:
+        early.prepare()
+        one, other = planned(early, 0), planned(visual, 0)
+    assert one.attempt.places == other.attempt.places
+    assert one.outcome == other.outcome
+
+
 def test_distractors_stand_clear_of_everything(visual: Simulator, config: RecordConfig) -> None:
     clearance = 0.03
     rests = {item.name: item.rest_height for item in visual.config.randomization.extras}

@@ -46,8 +46,6 @@ def test_scenes_are_the_models_that_recordings_were_made_with(
 ) -> None:
     """The kept figures come from before arms and grippers were files of their own."""
     changes = {("rig",): rig, ("boards",): rig in ("single", "russet"), ("wrist",): True}
-    if rig == "single_linear":
-        changes["grasp",] = "contact"
     found = figures(build_scene(Session(make_config(changes), locations)).model)
     assert [name for name in KEPT[rig] if found[name] != KEPT[rig][name]] == []
 

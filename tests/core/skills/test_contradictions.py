@@ -35,6 +35,5 @@ def test_a_contradiction_is_named(
     goal: dict[str, Any], steps: list[Any], said: str | None, tmp_path: Path, locations: Locations
 ) -> None:
     session = session_of(tmp_path, changed({("rig",): STATION, ("goal",): goal, ("expert",): steps}))
-    assert session.config.program is not None
-    found = program_contradiction(session.config.program)
+    found = program_contradiction(session.config.task)
     assert (found is None) if said is None else (found is not None and said in found), found

@@ -37,7 +37,8 @@ class ExpertTools:
         geoms = [
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
-        self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms)
+        distractors = [item.name for item in config.randomization.extras]
+        self._obstacles = Obstacles(scene.model, scene.arms, list(scene.things), geoms, distractors)
 
     def reaches_place(self, place: Array) -> bool:
         """Return whether some hand that acts gets to a place (3,) in `world`, m, whatever it would touch there."""

@@ -53,10 +53,10 @@ class ArmDynamics:
         return torques
 
     def weight_torques(self, joints: Array, point: Array, weight: float) -> Array:
-        """Torques (n, 6) in N m that bear a weight in the hand.
+        """Torques (n, dof) in N m that bear a weight in the hand.
 
         Args:
-            joints: positions (n, 6), rad.
+            joints: positions (n, dof), rad.
             point: where the weight pulls (3,), in the pinch frame, m.
             weight: N.
         """
@@ -64,11 +64,11 @@ class ArmDynamics:
         jacobian = np.empty((3, self._model.nv))
         torques = np.empty_like(joints)
         for k, row in enumerate(joints):
-            data.qpos[:6] = row
+            data.qpos[self._qpos] = row
             mujoco.mj_kinematics(self._model, data)
             mujoco.mj_comPos(self._model, data)
             at = data.site_xpos[site] + data.site_xmat[site].reshape(3, 3) @ point
             mujoco.mj_jac(self._model, data, jacobian, None, at, self._model.site_bodyid[site])
             # The base stands upright in every rig, so its z axis is the world's.
-            torques[k] = weight * jacobian[2, :6]
+            torques[k] = weight * jacobian[2, self._dof]
         return torques

@@ -53,6 +53,7 @@ class Obstacles:
         model: the compiled scene.
         things: names of the things in it.
         fingers: geoms of each arm's fingers, in the order of `arms`.
+        absent: names of bodies that are no obstacles: distractors, which are placed once the motion is known.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class Obstacles:
         arms: Sequence[SceneArm],
         things: Sequence[str],
         fingers: Sequence[Ids],
+        absent: Sequence[str] = (),
     ) -> None:
         self._model = copy.copy(model)
         self._data = mujoco.MjData(self._model)
@@ -68,7 +70,7 @@ class Obstacles:
         root = model.body_rootid[model.geom_bodyid]
         self._arm_of = np.full(model.ngeom, -1)
         for k, arm in enumerate(arms):
-            self._arm_of[root == model.body(f"{arm.prefix}arm").id] = k
+            self._arm_of[root == model.body_rootid[model.body(arm.flange).id]] = k
         self._thing_of = np.full(model.ngeom, -1)
         for k, name in enumerate(things):
             self._thing_of[root == model.body(name).id] = k
@@ -76,6 +78,8 @@ class Obstacles:
         self._table = np.arange(model.ngeom) == model.geom(TABLE).id
         # Cloth gives way to whatever comes.
         self._model.flex_contype[:] = self._model.flex_conaffinity[:] = self._model.flex_selfcollide[:] = 0
+        away = np.isin(root, [model.body(name).id for name in absent])
+        self._model.geom_contype[away] = self._model.geom_conaffinity[away] = 0
         self._model.geom_margin[self._arm_of >= 0] = _ARM_DISTANCE
         self._model.geom_margin[self._thing_of >= 0] = _THING_DISTANCE
 

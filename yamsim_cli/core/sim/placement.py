@@ -77,8 +77,9 @@ class DistractorPlacer:
         body = model.body(name)
         mocap = int(body.mocapid[0])
         geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == body.id)
-        before = model.geom_margin[geoms].copy()
-        model.geom_margin[geoms] = clearance
+        before = model.geom_margin[geoms].copy(), model.body_margin[body.id].copy()
+        # MuJoCo skips pairs of bodies that are farther apart than the bodies' margins, which it sets when it compiles.
+        model.geom_margin[geoms] = model.body_margin[body.id] = clearance
         data.mocap_pos[mocap], data.mocap_quat[mocap] = model.body_pos[body.id], model.body_quat[body.id]
         try:
             for qpos in positions:
@@ -91,7 +92,7 @@ class DistractorPlacer:
                     return False
             return True
         finally:
-            model.geom_margin[geoms] = before
+            model.geom_margin[geoms], model.body_margin[body.id] = before
 
 
 def _discs(item: ObjectConfig, x: float, y: float, yaw: float) -> Array:
