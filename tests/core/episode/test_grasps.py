@@ -1,0 +1,224 @@
+"""How hands hold things: by a weld, by friction, or cloth by a constraint; and how still things lie in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.core.attempts import start_of
+from tests.programs import FOLD, first_attempt, session_of
+from yamsim_cli.core.attempt.expert import sides
+from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.episode.episode import Episode
+from yamsim_cli.core.episode.grasps import ClothGrasp, FrictionGrasp, WeldGrasp, attach, grasp_of, weld_holds
+from yamsim_cli.core.episode.held import SETTLED_TICKS, HeldThings
+from yamsim_cli.core.episode.rules import MAGNET_REACH, EpisodeRules
+from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.scene.compiled import CompiledScene, SceneArm
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.sim.world import world_of
+
+ON, OFF = [True], [False]
+
+
+@pytest.fixture(scope="module")
+def simulator(config: RecordConfig, locations: Locations) -> Simulator:
+    return Simulator(Session(config, locations))
+
+
+@pytest.fixture(scope="module")
+def friction(make_config: Callable[..., RecordConfig], locations: Locations) -> Simulator:
+    return Simulator(Session(make_config({("rig",): "single_linear", ("grasp",): "contact"}), locations))
+
+
+def at_hand(simulator: Simulator, below: float, thing: str = "banana") -> mujoco.MjData:
+    """The start with a thing's origin so far below the hand's pinch point, m."""
+    scene = simulator.scene
+    data = mujoco.MjData(scene.model)
+    scene.reset(data, start_of(simulator))
+    qpos, address = data.qpos.copy(), scene.object_qpos[thing]
+    qpos[address : address + 3] = data.site("pinch_site").xpos - (0.0, 0.0, below)
+    scene.reset(data, qpos)
+    return data
+
+
+def weld_of(scene: CompiledScene) -> tuple[SceneArm, int]:
+    assert scene.arm.weld is not None
+    return scene.arm, scene.arm.weld
+
+
+def test_the_grasp_follows_from_the_scene(simulator: Simulator, friction: Simulator, tmp_path: Path) -> None:
+    assert isinstance(grasp_of(simulator.scene, None), WeldGrasp)
+    assert isinstance(grasp_of(friction.scene, None), FrictionGrasp)
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        assert isinstance(grasp_of(first_attempt(simulators)[0].scene, None), ClothGrasp)
+
+
+def test_a_magnet_takes_what_is_near_and_lets_go_of_it(simulator: Simulator) -> None:
+    scene, data = simulator.scene, at_hand(simulator, 0.02)
+    (arm, weld), grasp = weld_of(scene), grasp_of(scene, MAGNET_REACH)
+    ctrl = data.ctrl.copy()
+    assert list(grasp.update(data, ctrl, OFF)) == [False] and not weld_holds(data, arm)
+    assert list(grasp.update(data, ctrl, ON)) == [True] and weld_holds(data, arm)
+    assert scene.model.eq_obj2id[weld] == scene.model.body("banana").id
+    assert list(grasp.update(data, ctrl, OFF)) == [False] and not weld_holds(data, arm)
+
+
+@pytest.mark.parametrize(("reach", "takes"), [(MAGNET_REACH, False), (None, True), (0.5, True)])
+def test_a_magnet_takes_nothing_out_of_its_reach(simulator: Simulator, reach: float | None, takes: bool) -> None:
+    scene, data = simulator.scene, at_hand(simulator, 0.12)
+    assert list(grasp_of(scene, reach).update(data, data.ctrl, ON)) == [takes]
+
+
+@pytest.mark.parametrize("thing", ["banana", "plate"])
+def test_a_magnet_takes_the_nearest_thing(simulator: Simulator, thing: str) -> None:
+    scene, data = simulator.scene, at_hand(simulator, 0.04, thing)
+    _, weld = weld_of(scene)
+    assert list(grasp_of(scene, None).update(data, data.ctrl, ON)) == [True]
+    assert scene.model.body(int(scene.model.eq_obj2id[weld])).name == thing
+
+
+def test_a_magnet_that_stays_on_keeps_what_it_holds(simulator: Simulator) -> None:
+    """However near something else comes meanwhile."""
+    scene, data = simulator.scene, at_hand(simulator, 0.03)
+    (_, weld), grasp = weld_of(scene), grasp_of(scene, None)
+    grasp.update(data, data.ctrl, ON)
+    plate, banana = scene.object_qpos["plate"], scene.object_qpos["banana"]
+    data.qpos[plate : plate + 3], data.qpos[banana + 2] = data.site("pinch_site").xpos, 0.5
+    mujoco.mj_forward(scene.model, data)
+    assert list(grasp.update(data, data.ctrl, ON)) == [True]
+    assert scene.model.eq_obj2id[weld] == scene.model.body("banana").id
+
+
+def test_attaching_moves_nothing(simulator: Simulator) -> None:
+    scene, data = simulator.scene, at_hand(simulator, 0.03)
+    arm, weld = weld_of(scene)
+    before = data.body("banana").xpos.copy()
+    attach(scene.model, arm, data, scene.model.body("banana").id)
+    data.eq_active[weld] = True
+    mujoco.mj_step(scene.model, data, 50)
+    mujoco.mj_kinematics(scene.model, data)
+    # The weld is soft: the weight of a banana pulls it down by less than 2 mm.
+    np.testing.assert_allclose(data.body("banana").xpos, before, atol=2e-3)
+
+
+def test_a_magnet_has_no_effect_where_friction_holds(friction: Simulator) -> None:
+    data = at_hand(friction, 0.02)
+    assert list(grasp_of(friction.scene, None).update(data, data.ctrl, ON)) == [False]
+    task, start = friction.config.task, start_of(friction)
+    episode = Episode(friction.scene, start, task.timing, ("right",), None)
+    for _ in range(3):
+        episode.step(start[friction.scene.arm.recorded_qpos][None], ON)
+    assert not episode.actions.magnet.any() and episode.held == (False,)
+
+
+def test_records_say_whether_a_weld_holds_and_not_what_was_commanded(simulator: Simulator) -> None:
+    scene, start = simulator.scene, start_of(simulator)
+    command = start[scene.arm.recorded_qpos][None]
+    far = Episode(scene, start, simulator.config.task.timing, ("right",), None, EpisodeRules())
+    far.step(command, ON)
+    near = Episode(
+        scene, at_hand(simulator, 0.03).qpos.copy(), simulator.config.task.timing, ("right",), None, EpisodeRules()
+    )
+    near.step(command, ON)
+    assert (far.actions.magnet[0, 0], near.actions.magnet[0, 0]) == (False, True)
+    assert (far.held, near.held) == ((False,), (True,))
+    assert near.world.holders("banana") == {"right"}
+
+
+def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp_path: Path) -> None:
+    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+        simulator, attempt = first_attempt(simulators)
+        scene, config = simulator.scene, simulator.config
+        assert attempt.start is not None
+        start, cloth, arm = attempt.start.copy(), scene.cloths["napkin"], scene.arm
+        assert arm.fingers is not None
+        data = mujoco.MjData(scene.model)
+        start[arm.fingers.qpos] = 0.004 * arm.fingers.sign
+        scene.reset(data, start)
+        site = data.site(f"{arm.prefix}pinch_site")
+        points = cloth.points(start).copy()
+        # The sheet in the plane between the pads, with a corner among them.
+        turned = site.xmat.reshape(3, 3)
+        flat = points - points[0]
+        along, across = flat[8] / np.linalg.norm(flat[8]), flat[72] / np.linalg.norm(flat[72])
+        placed = site.xpos + np.outer(flat @ along, turned[:, 0]) + np.outer(flat @ across, turned[:, 2])
+        start[cloth.qpos] = placed - cloth.rest
+        episode = Episode(scene, start, config.task.timing, sides(config), None)
+        # It is taken before it falls.
+        for opening, ticks, holds in ((0.004, 1, False), (-0.004, 10, True), (0.02, 5, False)):
+            command = np.array([start[one.recorded_qpos] for one in scene.arms])
+            command[0, -1] = opening
+            for _ in range(ticks):
+                episode.step(command, [False, False])
+            assert bool(episode.actions.magnet[-1, 0]) is holds, opening
+            assert episode.world.holders("napkin") == ({sides(config)[0]} if holds else frozenset())
+        # A weld there is none, whatever holds.
+        assert episode.held == (False, False)
+
+
+class InHand:
+    """A banana welded to the hand, which is put elsewhere in it by hand."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.scene, self.data = simulator.scene, at_hand(simulator, 0.03)
+        self.world = world_of(self.scene, self.data, sides(simulator.config))
+        self.things = HeldThings(self.scene, self.world)
+        self.grasp = grasp_of(self.scene, None)
+        self.address = self.scene.object_qpos["banana"]
+        self.place: Array = self.data.qpos[self.address : self.address + 3].copy()
+        self.R: Array = self.data.body("banana").xmat.reshape(3, 3).copy()
+
+    def watch(self, ticks: int, *, on: bool = True, moved: float = 0.0, tilted: float = 0.0) -> tuple[float, float]:
+        """Let ticks pass with the thing so far along x, m, and leaning so far, rad; return its slip and tilt."""
+        T = pose(self.place + np.array([moved, 0.0, 0.0]), rotation_from_vector([tilted, 0.0, 0.0]) @ self.R)
+        self.grasp.update(self.data, self.data.ctrl, [on])
+        self.data.qpos[self.address : self.address + 3] = T[:3, 3]
+        self.data.qpos[self.address + 3 : self.address + 7] = quat_from_rotation(T[:3, :3])
+        mujoco.mj_kinematics(self.scene.model, self.data)
+        mujoco.mj_collision(self.scene.model, self.data)
+        for _ in range(ticks):
+            self.things.watch()
+        return self.things.slip, self.things.tilt
+
+
+@pytest.fixture
+def in_hand(simulator: Simulator) -> InHand:
+    return InHand(simulator)
+
+
+def test_slip_is_how_far_a_settled_thing_moved_in_the_hand(in_hand: InHand) -> None:
+    assert in_hand.watch(SETTLED_TICKS) == (0.0, pytest.approx(0.0, abs=1e-6))
+    assert in_hand.watch(1, moved=0.005)[0] == pytest.approx(0.005, abs=1e-6)
+    # The largest counts.
+    assert in_hand.watch(3)[0] == pytest.approx(0.005, abs=1e-6)
+
+
+def test_what_moves_while_the_fingers_close_does_not_slip(in_hand: InHand) -> None:
+    in_hand.watch(SETTLED_TICKS - 1)
+    in_hand.watch(1, moved=0.01)
+    assert in_hand.watch(5, moved=0.01)[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_is_taken_anew_settles_anew(in_hand: InHand) -> None:
+    in_hand.watch(2 * SETTLED_TICKS)
+    in_hand.watch(1, on=False)
+    assert in_hand.watch(2 * SETTLED_TICKS, moved=0.02)[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_tilt_is_that_of_a_things_vertical_axis_since_it_was_taken(in_hand: InHand) -> None:
+    in_hand.watch(1, tilted=0.3)
+    assert in_hand.watch(1, tilted=0.3 + math.radians(10))[1] == pytest.approx(math.radians(10), abs=1e-6)
+    assert in_hand.watch(1, tilted=0.3)[1] == pytest.approx(math.radians(10), abs=1e-6)
+    in_hand.watch(1, on=False)
+    # Nothing is measured of what no hand holds.
+    assert in_hand.watch(1, on=False, tilted=1.0)[1] == pytest.approx(math.radians(10), abs=1e-6)
+    assert in_hand.watch(1, tilted=1.0)[1] == pytest.approx(math.radians(10), abs=1e-6)
