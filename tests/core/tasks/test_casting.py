@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.programs import changed, session_of
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.scene import Table
 from yamsim_cli.core.geometry.se3 import Array, tilt
 from yamsim_cli.core.session import Session
@@ -128,3 +129,29 @@ def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.Tem
     assert isinstance(placed, dict) and placed["cube"].on == "plate"
     apart = np.linalg.inv(placed["plate"].T) @ placed["cube"].T
     assert apart[:2, 3] == pytest.approx((0.05, 0.0), abs=1e-9)
+
+
+def test_places_fill_their_regions_evenly_although_things_need_room(config: RecordConfig) -> None:
+    """Drawing again for want of room does not push the object out of the middle of its region."""
+    halves = {"banana": (0.10, 0.03, 0.02), "plate": (0.13, 0.13, 0.01)}
+    blocks = {name: np.array([[-x, -y, -z], [x, y, z]]) for name, (x, y, z) in halves.items()}
+    task = config.task.model_copy(update={"starts": config.starts})
+    drawn: dict[str, list[Array]] = {name: [] for name in blocks}
+    for number in range(1000):
+        found = draw_places(
+            task, task.typical_cast, lambda name, opened: blocks[name], config.table, EpisodeJob(5, number)
+        )
+        assert isinstance(found, dict)
+        for name, placed in found.items():
+            drawn[name].append(placed.T)
+    for role, name in (("object", "banana"), ("target", "plate")):
+        start, places = task.starts[role], np.array(drawn[name])
+        for axis, (low, high) in enumerate((start.x, start.y)):
+            assert low <= places[:, axis, 3].min() < low + 0.02
+            assert high - 0.02 < places[:, axis, 3].max() <= high
+        turns = np.degrees(np.arctan2(places[:, 1, 0], places[:, 0, 0]))
+        assert start.yaw_deg[0] <= turns.min() < start.yaw_deg[0] + 5
+        assert start.yaw_deg[1] - 5 < turns.max() <= start.yaw_deg[1]
+    x = np.array(drawn["banana"])[:, 0, 3]
+    counts, _ = np.histogram(x, bins=5, range=task.starts["object"].x)
+    assert counts.min() > 1000 / 5 * 0.85
