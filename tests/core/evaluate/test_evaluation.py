@@ -57,6 +57,11 @@ def trial(config: RecordConfig, locations: Locations) -> Iterator[Callable[..., 
     yield run
 
 
+def rest(config: RecordConfig) -> int:
+    """How many control ticks everything stands still after a policy is done, if the goal never holds."""
+    return config.task.timing.settle_ticks + config.task.hold_ticks
+
+
 def outcomes(report: dict[str, Any]) -> list[Any]:
     return [(trial["trial"], trial["seed"], trial["outcome"], [*trial["layout"].items()]) for trial in report["trials"]]
 
@@ -110,28 +115,31 @@ def test_the_closed_loop_is_the_simulation_bit_for_bit(config: RecordConfig, loc
         assert episode.actions.magnet.any()
 
 
-def test_the_weld_does_not_reach_across_the_table(trial: Callable[..., TrialResult]) -> None:
+def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: Callable[..., TrialResult]) -> None:
     """A policy that asks for it all the time, far from the object, holds nothing."""
     result = trial("sample_policies.py:Faulty", attempt=4)
-    assert (result.ended, result.ticks) == (Ended.DONE, 6)
+    assert (result.ended, result.ticks) == (Ended.DONE, 6 + rest(config))
     assert result.actions is not None
     assert not result.actions.magnet.any()
 
 
-def test_what_is_still_held_at_the_end_is_let_go(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    """Held over the plate is not put onto it."""
+def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    """Once the policy is done everything stands still, and what a hand holds over the plate is not put onto it."""
     (tmp_path / "holder.py").write_text(
         "from yamsim_cli.core.evaluate.builtin_policies import Scripted\n\n\nclass Holder(Scripted):\n"
         "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
-        "        return {**action, 'done': self._tick == 30}\n"
+        "        return {**action, 'done': action['magnet'].any() and not self._magnet[self._tick].any()}\n"
     )
     with TrialRunner(Session(config, locations), PolicyChoice("holder.py:Holder", tmp_path)) as runner:
         result = runner.run(EpisodeJob(0, 0))
     assert result.actions is not None
-    assert (result.ended, result.ticks) == (Ended.DONE, 30 + config.task.timing.settle_ticks)
-    assert result.actions.magnet[29].all()
-    assert not result.actions.magnet[30:].any()
-    assert not result.outcome.success
+    done = -1 - rest(config)
+    assert result.ended is Ended.DONE
+    assert result.actions.magnet[done:].all()
+    assert (result.actions.ctrl[done:] == result.actions.ctrl[done]).all()
+    assert result.outcome.dxy_m is not None and result.outcome.dxy_m < 0.01
+    assert (result.outcome.success, result.outcome.cause) == (False, "goal")
+    assert result.outcome.detail == "on(banana, plate): the right hand holds it"
 
 
 @pytest.mark.parametrize(
@@ -178,7 +186,7 @@ def test_a_fork_that_a_policy_leaves_behind_answers_for_no_trial(
     config = make_config({("episodes",): 4, ("workers",): 1})
     found = evaluate(Session(config, locations), PolicyChoice("sample_policies.py:Forker", SAMPLES), lambda *_: None)
     assert [result.attempt.job.attempt for result in found.results] == [0, 1, 2, 3]
-    assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3)}
+    assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3 + rest(config))}
 
 
 @pytest.mark.slow
@@ -246,7 +254,7 @@ def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult
 def test_a_policy_sees_what_it_asks_for(strict: RecordConfig, locations: Locations) -> None:
     with TrialRunner(Session(strict, locations), PolicyChoice("sample_policies.py:Seeing", SAMPLES)) as runner:
         result = runner.run(EpisodeJob(0, 0))
-    assert (result.ended, result.ticks, result.error) == (Ended.DONE, 1, "")
+    assert (result.ended, result.ticks, result.error) == (Ended.DONE, 1 + rest(strict), "")
 
 
 def test_an_observation_says_where_everything_is(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:

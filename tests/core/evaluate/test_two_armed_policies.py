@@ -99,8 +99,9 @@ def test_numbers_are_the_left_arms_first(left: RecordConfig, locations: Location
     # No hand was near the banana.
     assert result.actions is not None
     assert not result.actions.magnet.any()
-    assert result.actions.ctrl.shape == (10, scene.model.nu)
-    assert (result.actions.magnet.shape, result.actions.joints.shape) == ((10, 2), (10, 2, 7))
+    ticks = 10 + left.task.timing.settle_ticks + left.task.hold_ticks
+    assert result.actions.ctrl.shape == (ticks, scene.model.nu)
+    assert (result.actions.magnet.shape, result.actions.joints.shape) == ((ticks, 2), (ticks, 2, 7))
 
 
 def test_the_wrist_cameras_are_those_of_the_arms_that_act(handover: RecordConfig, left: RecordConfig) -> None:

@@ -13,12 +13,12 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.physics import repeat
 
 from tests.core.attempts import all_actions, planned
 from tests.core.export.conftest import jpeg
 from tests.core.rendered import SMALL, write_rendered_dataset
 from tests.core.unrendered import change_frame, write_dataset
+from yamsim_cli.core.attempt.engine import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.actions import recorded_actions
