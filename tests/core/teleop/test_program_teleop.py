@@ -15,6 +15,7 @@ from tests.core.teleop.tray import Tray
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.episode.rules import EndRule
 from yamsim_cli.core.errors import ConfigError, SimulationError
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
@@ -66,6 +67,21 @@ def test_a_stream_that_reaches_the_goal_is_a_success(
     assert handed_in.outcome.success, handed_in.outcome
     assert [measure.what for measure in handed_in.outcome.measures] == ["on(cube, plate)"]
     assert handed_in.attempt.phrasing == said
+
+
+def test_what_is_not_recorded_goes_on_once_the_goal_holds(
+    session: Session, lines: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    driven = DrivenScene(session, Tray(), end=EndRule.SUCCESS)
+    play(driven, [line for line in lines if "event" not in line], tmp_path)
+    for _ in range(20):
+        driven.tick()
+    assert driven.status.goal == "the goal holds"
+    joints = driven.data.qpos[:6].copy()
+    driven.aim_joints(joints + 0.2)
+    for _ in range(20):
+        driven.tick()
+    assert np.abs(driven.data.qpos[:6] - joints).max() > 0.1
 
 
 def test_attempts_have_casts_and_scenes_of_their_own(session: Session) -> None:
