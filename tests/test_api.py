@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import yamsim_cli
+from tests.core.unrendered import frame_count
 from tests.e2e.test_record_summarize import digest
 from tests.pages import snippet
 from yamsim_cli.core.errors import ConfigError, UsageError
@@ -31,8 +32,11 @@ def test_the_readmes_example_records_an_episode(repository: Path, tmp_path: Path
     )
     assert done.returncode == 0, done.stderr
     assert "1 episode from 1 attempts in my_dataset" in done.stdout
-    assert re.search(r"57 frames, \d\.\d mm off", done.stdout)
-    assert (tmp_path / "my_dataset" / "ep_000000" / "rgb" / "right_wrist_camera" / "000056.jpg").is_file()
+    episode = tmp_path / "my_dataset" / "ep_000000"
+    frames = frame_count(episode)
+    assert re.search(rf"^{frames} frames, \d\.\d mm off$", done.stdout, re.MULTILINE)
+    pictures = sorted((episode / "rgb" / "right_wrist_camera").iterdir())
+    assert [file.name for file in pictures] == [f"{k:06d}.jpg" for k in range(frames)]
 
 
 @pytest.mark.slow

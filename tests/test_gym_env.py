@@ -77,8 +77,9 @@ def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: Recor
         if over:
             break
     assert (rewards, over, truncated, info["success"], info["holds"]) == (1.0, True, False, True, False)
-    # Let go after 72 ticks, it falls first.
-    assert 80 <= tick < 114
+    # It holds still at first, and the arm goes back afterwards.
+    released = int(np.flatnonzero(all_actions(done.states).magnet)[-1]) + 1
+    assert released + config.task.hold_ticks < tick <= sum(len(state.actions.ctrl) for state in done.states)
 
 
 def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
@@ -137,7 +138,7 @@ def test_joints_of_things_are_told(tmp_path: Path) -> None:
 
 
 def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("yamsim_cli.core.evaluate.stepped.STARTS", 1)
+    monkeypatch.setattr("yamsim_cli.core.evaluate.stepped.MAX_STARTS", 1)
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
     env = gymnasium.make(ENV_ID, task=str(written(tmp_path, tight)))
     with pytest.raises(SimulationError, match="none of 1 trials from 0 of seed 3 on has a start"):
@@ -145,7 +146,10 @@ def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.Monk
     env.close()
 
 
-def test_doing_nothing_is_truncated(env: Any) -> None:
+def test_doing_nothing_is_truncated(config: RecordConfig) -> None:
+    """After as long as the task allows, or as many ticks as were asked for."""
+    assert gymnasium.make(ENV_ID).unwrapped._task.rules.max_ticks == config.task.most_ticks == 625
+    env = gymnasium.make(ENV_ID, max_ticks=228)
     observation, _ = env.reset(seed=1)
     action = np.append(observation["joints"], 0.0).astype(np.float32)
     for _ in range(227):

@@ -86,6 +86,11 @@ def change_frame(directory: Path, number: int, *, rehash: bool, **changes: Any) 
         change_record(directory, files=files | {name: sha256_bytes(data)})
 
 
+def frame_count(directory: Path) -> int:
+    """How many frames an episode has, as its own record says."""
+    return int(json.loads((directory / EPISODE).read_text())["frames"])
+
+
 def read_frame(directory: Path, number: int) -> dict[str, Any]:
     """One frame of an episode."""
     return load_frame((directory / lowdim_name(number)).read_bytes())

@@ -32,7 +32,7 @@ def report(name: str, good: str) -> dict[str, Any]:
             **figures,
             "policy_s": policy_s,
             "chunks": {"chunks": 7, "actions": 56, "stale": 5, "waited_s": 0.25},
-            "by_instance": [{"instance": "banana to plate", **figures, "policy_s": policy_s}],
+            "by_instance": [{"instance": "banana, plate", **figures, "policy_s": policy_s}],
         },
         "trials": [
             {"trial": k, "seed": 3, "outcome": {"success": one == "1"}, "layout": {"banana": [0.1 * k, 0.0]}}
@@ -101,5 +101,5 @@ def test_the_leaderboard_has_the_best_first_and_breaks_out_of_nothing() -> None:
     page = leaderboard_page([one, other], [compare(one, other)], "Made by a test.")
     assert "<script>" not in page
     assert page.index(">better<") < page.index("&lt;script&gt;worse")
-    for text in ("3 of 4", "1 of 4", "10.0 ms", "20.0 ms", "0.25 s", "McNemar", "banana to plate"):
+    for text in ("3 of 4", "1 of 4", "10.0 ms", "20.0 ms", "0.25 s", "McNemar", "banana, plate"):
         assert text in page.replace("\N{NO-BREAK SPACE}", " ")

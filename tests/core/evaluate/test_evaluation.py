@@ -18,7 +18,7 @@ from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import OutcomeRecord
-from yamsim_cli.core.episode.rules import EpisodeRules
+from yamsim_cli.core.episode.rules import EndRule, EpisodeRules
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_run, shown, summary
@@ -57,20 +57,30 @@ def trial(config: RecordConfig, locations: Locations) -> Iterator[Callable[..., 
     yield run
 
 
+def rest(config: RecordConfig) -> int:
+    """How many control ticks everything stands still after a policy is done, if the goal never holds."""
+    return config.task.timing.settle_ticks + config.task.hold_ticks
+
+
 def outcomes(report: dict[str, Any]) -> list[Any]:
-    return [(trial["trial"], trial["seed"], trial["outcome"], [*trial["layout"].items()]) for trial in report["trials"]]
+    """Trial by trial; of a failure its cause alone, since a policy waits until all is at rest once more."""
+    return [
+        (trial["trial"], trial["seed"], outcome if outcome["success"] else outcome["cause"], [*trial["layout"].items()])
+        for trial in report["trials"]
+        for outcome in [trial["outcome"]]
+    ]
 
 
 @pytest.mark.slow
 def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConfig, locations: Locations) -> None:
-    """Every number of every trial, failures too, whatever the workers."""
+    """Every number of every success, and why the others fail, whatever the workers."""
     batch = run_batch(Session(strict, locations), (0.05,), lambda *_: None)
-    found = evaluate(Session(strict, locations), PolicyChoice("scripted", SAMPLES), lambda *_: None)
+    found = evaluate(Session(strict, locations), PolicyChoice("scripted", SAMPLES, end=EndRule.ACTOR), lambda *_: None)
     report = json.loads(json.dumps(summary(found, strict, (0.05,))))
     batch = json.loads(json.dumps(batch))
     assert 0 < report["stats"]["n_success"] < N
     assert outcomes(report) == outcomes(batch)
-    for key in ("n", "n_success", "success_rate", "wilson95", "rates", "dxy_m", "causes"):
+    for key in ("n", "n_success", "success_rate", "wilson95", "rates", "causes"):
         assert report["stats"][key] == batch[key], key
     assert set(report["stats"]["ended"]) == {"done"}
 
@@ -110,28 +120,31 @@ def test_the_closed_loop_is_the_simulation_bit_for_bit(config: RecordConfig, loc
         assert episode.actions.magnet.any()
 
 
-def test_the_weld_does_not_reach_across_the_table(trial: Callable[..., TrialResult]) -> None:
+def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: Callable[..., TrialResult]) -> None:
     """A policy that asks for it all the time, far from the object, holds nothing."""
     result = trial("sample_policies.py:Faulty", attempt=4)
-    assert (result.ended, result.ticks) == (Ended.DONE, 6)
+    assert (result.ended, result.ticks) == (Ended.DONE, 6 + rest(config))
     assert result.actions is not None
     assert not result.actions.magnet.any()
 
 
-def test_what_is_still_held_at_the_end_is_let_go(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    """Held over the plate is not put onto it."""
+def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+    """Once the policy is done everything stands still, and what a hand holds over the plate is not put onto it."""
     (tmp_path / "holder.py").write_text(
         "from yamsim_cli.core.evaluate.builtin_policies import Scripted\n\n\nclass Holder(Scripted):\n"
         "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
-        "        return {**action, 'done': self._tick == 30}\n"
+        "        return {**action, 'done': action['magnet'].any() and not self._magnet[self._tick].any()}\n"
     )
     with TrialRunner(Session(config, locations), PolicyChoice("holder.py:Holder", tmp_path)) as runner:
         result = runner.run(EpisodeJob(0, 0))
     assert result.actions is not None
-    assert (result.ended, result.ticks) == (Ended.DONE, 30 + config.task.timing.settle_ticks)
-    assert result.actions.magnet[29].all()
-    assert not result.actions.magnet[30:].any()
-    assert not result.outcome.success
+    done = -1 - rest(config)
+    assert result.ended is Ended.DONE
+    assert result.actions.magnet[done:].all()
+    assert (result.actions.ctrl[done:] == result.actions.ctrl[done]).all()
+    assert result.outcome.dxy_m is not None and result.outcome.dxy_m < 0.01
+    assert (result.outcome.success, result.outcome.cause) == (False, "goal")
+    assert result.outcome.detail == "on(banana, plate): the right hand holds it"
 
 
 @pytest.mark.parametrize(
@@ -178,7 +191,7 @@ def test_a_fork_that_a_policy_leaves_behind_answers_for_no_trial(
     config = make_config({("episodes",): 4, ("workers",): 1})
     found = evaluate(Session(config, locations), PolicyChoice("sample_policies.py:Forker", SAMPLES), lambda *_: None)
     assert [result.attempt.job.attempt for result in found.results] == [0, 1, 2, 3]
-    assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3)}
+    assert {(result.ended, result.ticks) for result in found.results} == {(Ended.DONE, 3 + rest(config))}
 
 
 @pytest.mark.slow
@@ -246,7 +259,7 @@ def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult
 def test_a_policy_sees_what_it_asks_for(strict: RecordConfig, locations: Locations) -> None:
     with TrialRunner(Session(strict, locations), PolicyChoice("sample_policies.py:Seeing", SAMPLES)) as runner:
         result = runner.run(EpisodeJob(0, 0))
-    assert (result.ended, result.ticks, result.error) == (Ended.DONE, 1, "")
+    assert (result.ended, result.ticks, result.error) == (Ended.DONE, 1 + rest(strict), "")
 
 
 def test_an_observation_says_where_everything_is(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from tests.core.unrendered import write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.episode.rules import EndRule
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.evaluation import evaluate, summary
@@ -64,7 +65,7 @@ def test_the_plans_actions_do_what_the_batch_does(
 ) -> None:
     config: RecordConfig = request.getfixturevalue(name)
     batch = run_batch(Session(config, locations), (0.05,), lambda *_: None)
-    found = evaluate(Session(config, locations), PolicyChoice("scripted", HERE), lambda *_: None)
+    found = evaluate(Session(config, locations), PolicyChoice("scripted", HERE, end=EndRule.ACTOR), lambda *_: None)
     report = json.loads(json.dumps(summary(found, config, (0.05,))))
     assert report["stats"]["n_success"] == 2
     assert [trial["outcome"] for trial in report["trials"]] == [trial["outcome"] for trial in batch["trials"]]
@@ -99,8 +100,9 @@ def test_numbers_are_the_left_arms_first(left: RecordConfig, locations: Location
     # No hand was near the banana.
     assert result.actions is not None
     assert not result.actions.magnet.any()
-    assert result.actions.ctrl.shape == (10, scene.model.nu)
-    assert (result.actions.magnet.shape, result.actions.joints.shape) == ((10, 2), (10, 2, 7))
+    ticks = 10 + left.task.timing.settle_ticks + left.task.hold_ticks
+    assert result.actions.ctrl.shape == (ticks, scene.model.nu)
+    assert (result.actions.magnet.shape, result.actions.joints.shape) == ((ticks, 2), (ticks, 2, 7))
 
 
 def test_the_wrist_cameras_are_those_of_the_arms_that_act(handover: RecordConfig, left: RecordConfig) -> None:

@@ -29,7 +29,6 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
 
-FRAMES = 94
 CAMERAS = ("scene_camera", "left_wrist_camera", "right_wrist_camera")
 SIDES = ("left", "right")
 DRIVES = [f"{side}_{name}" for side in SIDES for name in (*(f"joint{k}" for k in range(1, 7)), "gripper")]
@@ -77,7 +76,7 @@ def test_raidens_schema_holds_for_two_arms(raiden: Path) -> None:
 
 def test_raidens_joints_and_commands_are_the_left_arms_first(two_armed: Path, raiden: Path) -> None:
     was, found = recorded(two_armed), exported(raiden)
-    assert len(found) == FRAMES
+    assert len(found) == len(was)
     shares = np.ones(14)
     shares[[6, 13]] = 1 / 0.037524
     for key in ("joints", "action_joints"):
@@ -139,7 +138,7 @@ def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(tw
 def test_raidens_frames_take_points_of_the_right_base_to_the_left_one(two_armed: Path, raiden: Path) -> None:
     """As its visualizer uses it, on the hand of the right arm."""
     was, found = recorded(two_armed), exported(raiden)
-    for k in (0, 60, 93):
+    for k in (0, 60, len(found) - 1):
         hand = np.append(found[k]["actual_poses"][13:16], 1.0)
         in_left_base = (found[k]["T_left_from_right"] @ hand)[:3]
         np.testing.assert_allclose(in_left_base, was[k]["ee_pose"][1, :3, 3], atol=1e-6)
@@ -158,7 +157,7 @@ def test_two_arms_at_30_hz(two_armed: Path, raiden: Path, locations: Locations, 
     export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(pictures="nearest"))
     assert differences(tmp_path / "out", arms=2) == []
     was, found = exported(raiden), exported(tmp_path / "out")
-    assert len(found) == 179
+    assert (len(found) - 1) / 30 <= (len(was) - 1) * 0.064 < len(found) / 30
     for k, frame in ((0, 0), (48, 25), (96, 50), (144, 75)):
         for key in ("joints", "action", "actual_poses", "action_joints", "T_left_from_right"):
             np.testing.assert_array_equal(found[k][key], was[frame][key])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.core.export.conftest import CAMERAS, EPISODES, picture
-from tests.core.unrendered import SIZE
+from tests.core.unrendered import SIZE, frame_count
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
 from yamsim_cli.core.export.source import open_source
 from yamsim_cli.core.export.videos import export_mp4, export_sheet
@@ -20,6 +20,11 @@ from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.core.resources import Locations
 
 CLOSE = 6.0
+
+
+def frames_of(dataset: Path) -> list[int]:
+    """How many frames each episode has."""
+    return [frame_count(dataset / f"ep_{k:06d}") for k in range(EPISODES)]
 
 
 def ignore(done: int, total: int) -> None:
@@ -31,12 +36,13 @@ def test_each_episode_becomes_a_video_of_its_cameras_side_by_side(
 ) -> None:
     av = pytest.importorskip("av", reason="yamsim[video] is not installed")
     done = export_mp4(open_source(dataset, None, locations), tmp_path / "out", (), ignore)
-    assert (done.episodes, done.frames) == (EPISODES, EPISODES * 57)
+    frames = frames_of(dataset)
+    assert (done.episodes, done.frames) == (EPISODES, sum(frames))
     assert sorted(path.name for path in done.path.iterdir()) == [f"ep_{k:06d}.mp4" for k in range(EPISODES)]
     with av.open(str(done.path / "ep_000002.mp4")) as container:
         images = list(container.decode(video=0))
-    assert [image.time for image in images] == pytest.approx([k * 0.064 for k in range(57)])
-    for k in (0, 30, 56):
+    assert [image.time for image in images] == pytest.approx([k * 0.064 for k in range(frames[2])])
+    for k in (0, 30, frames[2] - 1):
         wanted = np.concatenate([picture(camera, 2, k) for camera in CAMERAS], axis=1)
         assert np.abs(images[k].to_ndarray(format="rgb24").astype(float) - wanted).mean() < CLOSE
 
@@ -61,8 +67,8 @@ def test_a_sheet_has_a_row_for_each_episode_from_first_frame_to_last(
     sheet = decode_jpeg(out.read_bytes())
     assert sheet is not None
     assert sheet.shape == (EPISODES * 64, 3 * 96, 3)
-    for row in range(EPISODES):
-        for column, k in enumerate((0, 28, 56)):
+    for row, frames in enumerate(frames_of(dataset)):
+        for column, k in enumerate((0, int(np.round((frames - 1) / 2)), frames - 1)):
             # Below the label.
             cell = sheet[row * 64 + 40 : row * 64 + 64, column * 96 + 8 : column * 96 + 88]
             wanted = picture("scene_camera", row, k)[10:].reshape(-1, 3).mean(0)
@@ -86,10 +92,10 @@ def test_a_sheet_that_cannot_be_is_refused_before_the_work(dataset: Path, locati
 
 def test_a_damaged_episode_leaves_no_sheet(dataset: Path, locations: Locations, tmp_path: Path) -> None:
     source = open_source(dataset, "0", locations)
-    image = dataset / "ep_000000" / "rgb" / "scene_camera" / "000056.jpg"
+    image = dataset / "ep_000000" / "rgb" / "scene_camera" / f"{frame_count(dataset / 'ep_000000') - 1:06d}.jpg"
     moved = move_aside(image)
     try:
-        with pytest.raises(DatasetError, match=r"000056\.jpg cannot be read"):
+        with pytest.raises(DatasetError, match=rf"{image.name} cannot be read"):
             export_sheet(source, tmp_path / "sheet.jpg", (), ignore)
     finally:
         moved.rename(image)
@@ -112,7 +118,7 @@ def test_rerun_reads_back_images_joints_poses_and_frusta(dataset: Path, location
     from yamsim_cli.core.export.rrd import export_rerun
 
     done = export_rerun(open_source(dataset, "0-1", locations), tmp_path / "out", ignore)
-    assert (done.episodes, done.frames) == (2, 114)
+    assert (done.episodes, done.frames) == (2, sum(frames_of(dataset)[:2]))
     files = sorted(done.path.iterdir())
     assert [file.name for file in files] == ["ep_000000.rrd", "ep_000001.rrd"]
     rerun = Path(sys.executable).with_name("rerun")

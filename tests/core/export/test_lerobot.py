@@ -12,6 +12,7 @@ import pytest
 
 from tests.core.export.conftest import CAMERAS, EPISODES
 from tests.core.export.lerobot_files import check_numbers, jpegs, recorded, rows
+from tests.core.unrendered import frame_count
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.export import lerobot_schema
 from yamsim_cli.core.export.lerobot import export_lerobot
@@ -23,16 +24,20 @@ from yamsim_cli.core.resources import Locations
 av = pytest.importorskip("av", reason="yamsim[lerobot] is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="yamsim[lerobot] is not installed")
 
-FRAMES = 57
 # H.264 of smooth pictures against the JPEGs it was made of, mean of an image's pixels, of 255.
 CLOSE = 5.0
+
+
+def frames_of(dataset: Path) -> list[int]:
+    """How many frames each episode has."""
+    return [frame_count(dataset / f"ep_{k:06d}") for k in range(EPISODES)]
 
 
 @pytest.fixture(scope="module")
 def export(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("lerobot") / "out"
     done = export_lerobot(open_source(dataset, None, locations), out, lambda *_: None)
-    assert (done.episodes, done.frames) == (EPISODES, EPISODES * FRAMES)
+    assert (done.episodes, done.frames) == (EPISODES, sum(frames_of(dataset)))
     return out
 
 
@@ -85,7 +90,8 @@ def test_episodes_say_where_their_frames_and_images_are(
             start, end = (episodes[f"videos/{key}/{name}_timestamp"][k] for name in ("from", "to"))
             with av.open(str(root / info["video_path"].format(video_key=key, **place))) as container:
                 images = [image for image in container.decode(video=0) if start - 1e-6 < image.time < end - 1e-6]
-            np.testing.assert_allclose([image.time - start for image in images], np.arange(FRAMES) * 0.064, atol=1e-9)
+            times = np.arange(last - first) * 0.064
+            np.testing.assert_allclose([image.time - start for image in images], times, atol=1e-9)
             shown = np.array([image.to_ndarray(format="rgb24") for image in images], float)
             assert np.abs(shown - pictures[first:last]).mean(axis=(1, 2, 3)).max() < CLOSE
     if which == "split":
@@ -96,7 +102,7 @@ def test_episodes_say_where_their_frames_and_images_are(
 def test_the_whole_is_described(export: Path, dataset: Path) -> None:
     info = json.loads((export / "meta" / "info.json").read_text())
     counts = [info[f"total_{name}"] for name in ("episodes", "frames", "tasks")]
-    assert (info["codebase_version"], info["fps"], counts) == ("v3.0", 15.625, [3, 171, 1])
+    assert (info["codebase_version"], info["fps"], counts) == ("v3.0", 15.625, [3, sum(frames_of(dataset)), 1])
     assert info["splits"] == {"train": "0:3"}
     assert {key: feature["shape"] for key, feature in info["features"].items()} == {
         **{f"observation.images.{camera}": [16, 24, 3] for camera in CAMERAS},
@@ -190,15 +196,16 @@ def test_statistics_are_those_of_the_data(export: Path, dataset: Path) -> None:
     joints = np.array([frame["joints"] for episode in recorded(dataset) for frame in episode], np.float64)
     for name in ("min", "max", "mean", "std"):
         np.testing.assert_allclose(stats["observation.state"][name], getattr(joints, name)(0), atol=1e-9)
-    assert stats["observation.state"]["count"] == [EPISODES * FRAMES]
+    assert stats["observation.state"]["count"] == [len(joints)]
     pixels = jpegs(dataset, "scene_camera")[:, ::4, ::4].reshape(-1, 3) / 255
     shown = stats["observation.images.scene_camera"]
     for name in ("min", "max", "mean", "std"):
         np.testing.assert_allclose(np.ravel(shown[name]), getattr(pixels, name)(0), atol=1e-9)
     assert np.shape(shown["q99"]) == (3, 1, 1)
     row = rows(export, "meta/episodes/*/*.parquet")
-    np.testing.assert_allclose(row["stats/observation.state/mean"][1], joints[FRAMES : 2 * FRAMES].mean(0))
-    assert row["stats/action/count"] == [[FRAMES]] * EPISODES
+    first, second, _ = frames_of(dataset)
+    np.testing.assert_allclose(row["stats/observation.state/mean"][1], joints[first : first + second].mean(0))
+    assert row["stats/action/count"] == [[frames] for frames in frames_of(dataset)]
 
 
 def test_counted_pixels_give_exact_quantiles() -> None:

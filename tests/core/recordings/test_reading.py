@@ -123,16 +123,17 @@ def test_another_rigs_csv_is_refused_with_the_columns(locations: Locations, sing
         read_csv(path, load_config(RigConfig, "rigs", "russet", locations))
 
 
-@pytest.fixture(scope="module", params=["single", "russet"])
+@pytest.fixture(scope="module", params=[("single", 2), ("single", 7), ("russet", 2)], ids=str)
 def recorded(
     request: pytest.FixtureRequest,
     locations: Locations,
     make_config: Callable[..., RecordConfig],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[RecordConfig, Path]:
-    """An episode of one arm, and a hand-over's of two."""
-    task = {"single": "pickplace", "russet": "handover"}[request.param]
-    config = make_config({("rig",): request.param, ("task",): task})
+    """An episode of one arm, by frames of so many control ticks, and a hand-over's of two."""
+    rig, every = request.param
+    task = {"single": "pickplace", "russet": "handover"}[rig]
+    config = make_config({("rig",): rig, ("task",): task, ("task", "timing"): {"ticks_per_frame": every}})
     path = tmp_path_factory.mktemp("recorded") / "dataset"
     write_dataset(path, config, locations, 1)
     return config, path
@@ -146,14 +147,16 @@ def test_an_episodes_motion_has_a_command_a_tick_and_joints_at_frames(
     (again,) = read_motions([path / "ep_000000"], config.rig, locations)
     frames = open_episode(path / "ep_000000").frames()
     np.testing.assert_allclose(np.diff(motion.times), 0.032, atol=1e-9)
-    assert len(motion.times) == 2 * len(frames)
+    every = config.task.timing.ticks_per_frame
+    assert len(motion.times) == sum(len(frame["sim_ctrl"]) for frame in frames)
     for k, (arm, same) in enumerate(zip(motion.arms, again.arms, strict=True)):
         assert arm.commands is not None
         drives = slice(7 * k, 7 * k + 6)
         for number, frame in enumerate(frames):
-            np.testing.assert_allclose(arm.joints[2 * number], frame["joints"][drives], atol=1e-6)
-            np.testing.assert_allclose(arm.commands[2 * number], frame["ctrl"][drives], atol=1e-6)
-        assert np.isnan(arm.joints[1::2]).all()
+            np.testing.assert_allclose(arm.joints[every * number], frame["joints"][drives], atol=1e-6)
+            np.testing.assert_allclose(arm.commands[every * number], frame["ctrl"][drives], atol=1e-6)
+        between = np.arange(len(arm.joints)) % every != 0
+        assert np.isnan(arm.joints[between]).all()
         np.testing.assert_array_equal(arm.joints, same.joints)
     assert find_faults(motion, config.rig) == []
 

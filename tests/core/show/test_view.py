@@ -12,11 +12,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.tasks.pickplace import sample_layout
 
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
 from tests.programs import FOLD, ONTO_PLATE, first_attempt, session_of
+from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
@@ -28,7 +29,6 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.view import PERIOD, LivePictures, live_rig, live_task
-from yamsim_cli.core.tasks.randomness import Stream, generator
 from yamsim_cli.core.types import EpisodeJob
 from yamsim_cli.core.viewers.address import PageAddress
 from yamsim_cli.core.viewers.live import LiveRig
@@ -165,9 +165,11 @@ def test_another_margin_moves_arms_and_boards_together(live: LiveRig) -> None:
 
 def test_a_task_stands_as_its_seed_says(config: RecordConfig, locations: Locations) -> None:
     live = live_task(Session(config, locations))
-    layout = sample_layout(config, generator(EpisodeJob(config.seed, 0), Stream.LAYOUT))
+    with Simulator(Session(config, locations)) as simulator:
+        layout = sample(simulator, EpisodeJob(config.seed, 0)).layout
     assert layout
     positions, _ = live.body_poses()
+    assert set(layout.T_in_world) == {"banana", "plate"}
     for name, T in layout.T_in_world.items():
         assert np.allclose(positions[live.model.body(name).id], T[:3, 3], atol=1e-3)
     assert [live.model.cam(k).name for k in range(live.model.ncam)] == ["scene_camera", "right_wrist_camera"]

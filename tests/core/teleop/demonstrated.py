@@ -16,15 +16,14 @@ TICK = 0.032
 
 
 def planned_lines(config: RecordConfig, locations: Locations, attempt: int, began: float = 0.0) -> list[dict[str, Any]]:
-    """One recorded attempt: the joints, grippers and magnets of the scripted plan, tick by tick, at half its speed."""
+    """One recorded attempt: the joints, grippers and magnets of the expert, tick by tick, at half its speed."""
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, config.seed, attempt)
         assert done.outcome.success
     actions = all_actions(done.states)
     joints, magnet = actions.joints, actions.magnet.tolist()
-    settle = config.task.timing.settle_ticks
     lines: list[dict[str, Any]] = [{"t": began, "event": "start"}]
-    for k, (row, holds) in enumerate(zip(joints[:-settle], magnet[:-settle], strict=True)):
+    for k, (row, holds) in enumerate(zip(joints, magnet, strict=True)):
         t = round(began + 2 * k * TICK, 6)
         if len(holds) > 1:
             lines.append({"t": t, "joints": row.ravel().tolist()})
@@ -32,7 +31,7 @@ def planned_lines(config: RecordConfig, locations: Locations, attempt: int, bega
         else:
             (*angles, opening), (on,) = row[0].tolist(), holds
             lines.append({"t": t, "joints": angles, "gripper": max(0.0, opening), "magnet": on})
-    lines.append({"t": round(began + (2 * len(joints[:-settle]) + 15) * TICK, 6), "event": "stop"})
+    lines.append({"t": round(began + (2 * len(joints) + 15) * TICK, 6), "event": "stop"})
     return lines
 
 

@@ -15,7 +15,8 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.core.teleop.demonstrated import planned_lines, write_stream
-from tests.core.teleop.test_teleop import Tray, play, run
+from tests.core.teleop.test_teleop import play, run
+from tests.core.teleop.tray import Tray
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
@@ -55,11 +56,11 @@ def test_what_was_driven_before_a_kill_is_handed_in_as_if_it_had_been_stopped(
     assert found.attempt.places == stopped.attempt.places
     assert np.array_equal(found.attempt.start, stopped.attempt.start)
     n = len(left.ticks)
-    assert len(found.actions.ctrl) == len(stopped.actions.ctrl)
-    assert np.array_equal(found.actions.ctrl[:n], stopped.actions.ctrl[:n])
-    assert np.array_equal(found.actions.magnet, stopped.actions.magnet)
+    assert len(taken.actions.ctrl) == len(tray.actions.ctrl)
+    assert np.array_equal(taken.actions.ctrl[:n], tray.actions.ctrl[:n])
+    assert np.array_equal(taken.actions.magnet, tray.actions.magnet)
     # Then the arm stands still, where the living one still slows down.
-    assert np.allclose(found.actions.joints[n:], stopped.actions.joints[n:], atol=0.1)
+    assert np.allclose(taken.actions.joints[n:], tray.actions.joints[n:], atol=0.1)
 
 
 def test_a_recording_killed_while_it_came_to_rest_rests_as_long(
@@ -74,7 +75,7 @@ def test_a_recording_killed_while_it_came_to_rest_rests_as_long(
     assert (len(left.ticks), left.stopped) == (41, 31)
     following, tray = driven_in(tmp_path, config, locations)
     following.take_up(left)
-    assert len(tray.attempts[0].actions.ctrl) == 31 + config.task.timing.settle_ticks
+    assert len(tray.actions.ctrl) == 31 + config.task.timing.settle_ticks + config.task.hold_ticks
 
 
 def test_the_file_goes_with_its_recording(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
@@ -124,7 +125,7 @@ def test_a_recording_ends_at_its_limit(config: RecordConfig, locations: Location
     run(driven, 0.2)
     assert "stopped after 1 s" in driven.status.message
     driven.settle()
-    assert len(tray.attempts[0].actions.ctrl) == 31 + config.task.timing.settle_ticks
+    assert len(tray.actions.ctrl) == 31 + config.task.timing.settle_ticks + config.task.hold_ticks
     assert not driven.recording
 
 

@@ -11,19 +11,12 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.core.teleop.demonstrated import planned_lines, write_stream
+from tests.core.teleop.tray import Tray
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.teleop.desk import DrivenAttempt
 from yamsim_cli.core.teleop.driven_scene import DrivenScene
-
-
-class Tray:
-    next_attempt = 0
-
-    def hand_in(self, driven: DrivenAttempt) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")

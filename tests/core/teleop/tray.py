@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from yamsim_cli.core.teleop.desk import DrivenAttempt
+from tests.core.attempts import all_actions
+from yamsim_cli.core.attempt.engine import Simulated
+from yamsim_cli.core.types import Actions
 
 
 class Tray:
     """Takes what is handed in, and leaves it."""
 
     def __init__(self) -> None:
-        self.attempts: list[DrivenAttempt] = []
+        self.attempts: list[Simulated] = []
 
     @property
     def next_attempt(self) -> int:
         return len(self.attempts)
 
-    def hand_in(self, driven: DrivenAttempt) -> None:
+    def hand_in(self, driven: Simulated) -> None:
         self.attempts.append(driven)
+
+    @property
+    def actions(self) -> Actions:
+        """What acted in the first attempt that was handed in."""
+        return all_actions(self.attempts[0].states)

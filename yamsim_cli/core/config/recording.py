@@ -187,8 +187,9 @@ class RecordConfig(Config):
 
     @property
     def acting(self) -> tuple[int, ...]:
-        """Numbers, in the rig, of the arms that do the task: the one that picks first, the one that places last."""
-        return self.rig.recorded if self.task.arms == "all" else (self.first_arm,)
+        """Numbers, in the rig, of the arms that do the task: the one that begins it is first."""
+        alone = self.task.arms == "one" or self.second_arm == self.first_arm
+        return (self.first_arm,) if alone else (self.first_arm, self.second_arm)
 
     @property
     def first_arm(self) -> int:

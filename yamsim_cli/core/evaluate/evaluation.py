@@ -66,9 +66,9 @@ def evaluate(
 
 
 def instance_of(session: Session, job: EpisodeJob) -> str:
-    """Which things a trial is with, in a few words."""
-    cast = cast_for(session, job)
-    return ", ".join(f"{role} {kind}" for role, kind in sorted(cast.kinds.items())) or session.config.task.name
+    """Return which things a trial is with, in a few words."""
+    kinds = cast_for(session, job).kinds
+    return ", ".join(name if name == kind else f"{name} {kind}" for name, kind in sorted(kinds.items()))
 
 
 def by_instance(evaluation: Evaluation) -> list[dict[str, Any]]:

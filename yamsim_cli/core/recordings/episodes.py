@@ -56,9 +56,10 @@ def _by_ticks(times: Array, joints: Array, frames: list[dict[str, Any]], rig: Ri
     order = np.concatenate([np.arange(rig.drives) + arm * rig.drives for arm in rig.recorded])
     starts, commands, measured = [], [], []
     for k, ticks in enumerate(told):
-        # The last frame's ticks are as long as those before it.
-        until = times[k + 1] if k + 1 < len(times) else times[k] + (times[k] - times[k - 1])
-        starts += list(times[k] + (until - times[k]) * np.arange(len(ticks)) / len(ticks))
+        # The last frame may have fewer ticks than those before it; they are as long.
+        if k + 1 < len(times):
+            tick = (times[k + 1] - times[k]) / len(ticks)
+        starts += list(times[k] + tick * np.arange(len(ticks)))
         commands += list(ticks[:, order].reshape(len(ticks), len(rig.arms), rig.drives))
         measured += [joints[k], *np.full((len(ticks) - 1, *joints[k].shape), np.nan)]
     return np.array(starts), np.array(measured), np.array(commands)

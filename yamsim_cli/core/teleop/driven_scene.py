@@ -171,8 +171,7 @@ class DrivenScene(WatchedState):
         """Record from the attempt's beginning: everything goes back to where it was at first."""
         with self.lock:
             self.settle()
-            self._begin()
-            self._recording = True
+            self._begin(recording=True)
             if self._journal:
                 self._journal.begin(self._attempt)
             self.message = "recording"
@@ -219,7 +218,7 @@ class DrivenScene(WatchedState):
     def take_up(self, left: Unfinished) -> None:
         """Hand in what a killed session left; what it had not come to, to let go and to rest, is done now."""
         with self.lock:
-            self._put(self._stage.again(left.job, left.start))
+            self._put(self._stage.again(left.job, left.start), self._rules)
             for tick in left.ticks:
                 self._episode.step(tick.ctrl, tick.magnet, tick.asked)
             for k, arm in enumerate(self._arms):
@@ -280,14 +279,16 @@ class DrivenScene(WatchedState):
         """One control tick; whoever calls keeps the time."""
         self.tick()
 
-    def _begin(self) -> None:
-        """Put the scene into its attempt's layout, at rest, with open fingers."""
-        self._put(self._stage.begin(EpisodeJob(self._config.seed, self._inbox.next_attempt)))
+    def _begin(self, *, recording: bool = False) -> None:
+        """Put the scene into its attempt's layout, at rest, with open fingers. Only a recording ends by itself."""
+        attempt = self._stage.begin(EpisodeJob(self._config.seed, self._inbox.next_attempt))
+        self._put(attempt, self._rules if recording else EpisodeRules())
+        self._recording = recording
 
-    def _put(self, attempt: Attempt) -> None:
+    def _put(self, attempt: Attempt, rules: EpisodeRules) -> None:
         """Put the scene to an attempt's start, at rest."""
         self._attempt = attempt
-        self._episode = self._stage.set_up(attempt, self._rules)
+        self._episode = self._stage.set_up(attempt, rules)
         self.model, self.data = self._stage.scene.model, self._episode.data
         self._recording, self._settling = False, 0
 

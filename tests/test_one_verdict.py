@@ -1,0 +1,386 @@
+"""The same actions get the same verdict at the same control tick, whoever lets them act.
+
+The actions are those of a task's expert, as they are, taken back, taken back too soon and delayed. Numbers are rounded
+to float32 first, since some of the ways in take no others.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from tests.core.attempts import all_actions
+from tests.core.teleop.tray import Tray
+from yamsim_cli.core.attempt.engine import demonstrate, repeat
+from yamsim_cli.core.attempt.episodes import open_episode
+from yamsim_cli.core.attempt.sampling import sample
+from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.documents.document import dump_yaml, load_yaml
+from yamsim_cli.core.episode.rules import EndRule, EpisodeRules
+from yamsim_cli.core.evaluate.choice import PolicyChoice
+from yamsim_cli.core.evaluate.policy_trial import TrialRunner
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.skills.checked import check_config
+from yamsim_cli.core.teleop.driven_scene import DrivenScene
+from yamsim_cli.core.types import Actions, Attempt, EpisodeJob
+from yamsim_cli.station import Station, StationSettings
+
+End = Literal["success", "actor"]
+
+# Ways in whose packages are not installed.
+ABSENT = {
+    way
+    for way, packages in {"gymnasium": ["gymnasium"], "inspect": ["inspect_robots", "kitchenbench"]}.items()
+    if not all(map(importlib.util.find_spec, packages))
+}
+
+STATION = "yam_station_linear_4310_d405"
+JOB = EpisodeJob(seed=0, attempt=0)
+TICK_HZ = 30  # control ticks a second, those of Inspect Robots' embodiment, for every way in
+
+# Control ticks that a trial may take beyond twice those of the expert.
+SPARE_TICKS = 40
+
+PLAYER = """
+import numpy as np
+
+
+class Player:
+    images = ()
+
+    def __init__(self):
+        self._played = np.load({file!r})
+
+    def reset(self):
+        self._tick = 0
+
+    def __call__(self, observation):
+        tick, self._tick = self._tick, self._tick + 1
+        return {{"ctrl": self._played["ctrl"][tick], "magnet": self._played["magnet"][tick]}}
+"""
+
+
+@dataclass(frozen=True)
+class Played:
+    """Commands of a trial, tick by tick: of drives (n, arms, drives), and whether magnets are on (n, arms)."""
+
+    ctrl: np.ndarray
+    magnet: np.ndarray
+
+    def __getitem__(self, ticks: slice) -> Played:
+        return Played(self.ctrl[ticks], self.magnet[ticks])
+
+    def __add__(self, other: Played) -> Played:
+        return Played(np.concatenate([self.ctrl, other.ctrl]), np.concatenate([self.magnet, other.magnet]))
+
+    def __len__(self) -> int:
+        return len(self.ctrl)
+
+    @property
+    def back(self) -> Played:
+        """The same motion in reverse."""
+        return self[::-1]
+
+    def still(self, ticks: int) -> Played:
+        """The last command for as many ticks."""
+        last = self[-1:]
+        return Played(np.repeat(last.ctrl, ticks, axis=0), np.repeat(last.magnet, ticks, axis=0))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a trial succeeded, and after how many control ticks that was known."""
+
+    success: bool
+    tick: int
+
+
+@dataclass
+class Case:
+    """A task, the start of one trial, and what its expert does there.
+
+    Attributes:
+        file: config of a recording of the task.
+        base: the expert's commands.
+        limit: control ticks that a trial may take.
+    """
+
+    file: Path
+    session: Session
+    simulator: Simulator
+    attempt: Attempt
+    base: Played
+    limit: int
+
+    @property
+    def hold(self) -> int:
+        return self.session.config.task.hold_ticks
+
+    def padded(self, played: Played) -> Played:
+        """The same for as long as a trial may take."""
+        assert len(played) <= self.limit
+        return played + played.still(self.limit - len(played))
+
+    def actions(self, played: Played) -> Actions:
+        ctrl = np.zeros((len(played), self.simulator.scene.model.nu))
+        ctrl[:, self.simulator.scene.drives] = played.ctrl
+        return Actions(ctrl, played.magnet, played.ctrl)
+
+    def held_ticks(self, played: Played) -> list[int]:
+        """For how many ticks the goal has held, after each tick."""
+        episode, held = open_episode(self.simulator, self.attempt, EpisodeRules()), []
+        for ctrl, magnet in zip(played.ctrl, played.magnet, strict=True):
+            episode.step(ctrl, magnet)
+            held.append(episode.held_ticks)
+        return held
+
+
+def by_repeat(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+    rules = EpisodeRules(EndRule(end), max_ticks=case.limit)
+    done = repeat(case.simulator, case.attempt, case.actions(played), rules)
+    assert done.played is not None and done.outcome.success == done.played.success
+    return Verdict(done.outcome.success, done.played.end.tick)
+
+
+def by_eval(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+    np.savez(folder / "played.npz", ctrl=played.ctrl.reshape(len(played), -1), magnet=played.magnet)
+    (folder / "player.py").write_text(PLAYER.format(file=str(folder / "played.npz")))
+    with TrialRunner(case.session, PolicyChoice("player.py:Player", folder, end=EndRule(end))) as runner:
+        result = runner.run(JOB)
+    assert result.error == ""
+    return Verdict(result.outcome.success, result.ticks)
+
+
+def by_gymnasium(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+    import gymnasium
+
+    import yamsim_cli.gym_env
+
+    env = gymnasium.make(yamsim_cli.gym_env.ENV_ID, config=str(case.file), end=end)
+    env.reset(seed=JOB.seed, options={"trial": JOB.attempt})
+    over, ticks = False, 0
+    while not over:
+        action = np.append(played.ctrl[ticks], played.magnet[ticks]).astype(np.float32)
+        _, reward, terminated, truncated, info = env.step(action)
+        over, ticks = terminated or truncated, ticks + 1
+    env.close()
+    assert reward == info["success"]
+    return Verdict(bool(info["success"]), ticks)
+
+
+def by_station(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+    """As programs of real stations let it act, a tick at a time."""
+    with Station(StationSettings(config=str(case.file)), pictures=False, end=end) as station:
+        assert station.begin(JOB.seed, JOB.attempt) == JOB.attempt
+        for ctrl, magnet in zip(played.ctrl, played.magnet, strict=True):
+            station.command(np.append(ctrl, magnet))
+            station.tick()
+        return Verdict(station.judge() == "", round(station.time * TICK_HZ))
+
+
+def by_inspect(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+    """The judge of Inspect Robots' embodiment, who knows no other rule than the first success."""
+    assert end == "success"
+    from yamsim_cli.kitchenbench.judges import OwnJudge
+    from yamsim_cli.kitchenbench.motion import Motion
+    from yamsim_cli.kitchenbench.own import realize_own
+
+    own = realize_own(case.session, JOB.seed)
+    motion = Motion(own, 1)
+    judge = OwnJudge(own, motion)
+    reached = False
+    with own.simulator:
+        for ctrl, magnet in zip(played.ctrl, played.magnet, strict=True):
+            motion.episode.step(ctrl, magnet)
+            reached, _ = judge.look()
+            if reached:
+                break
+    return Verdict(reached, motion.episode.ticks)
+
+
+class PlayedArm:
+    """Stands in for an arm that a person drives, and is told what to do tick by tick."""
+
+    def __init__(self, played: Played, number: int) -> None:
+        self._played, self._number, self._tick = played, number, -1
+
+    def step(self, qpos: np.ndarray) -> np.ndarray:
+        self._tick = min(self._tick + 1, len(self._played) - 1)
+        return self.asked
+
+    @property
+    def asked(self) -> np.ndarray:
+        ctrl: np.ndarray = self._played.ctrl[self._tick, self._number]
+        return ctrl
+
+    @property
+    def magnet(self) -> bool:
+        return bool(self._played.magnet[self._tick, self._number])
+
+    @magnet.setter
+    def magnet(self, on: bool) -> None: ...
+
+    def reset(self, stand: object) -> None: ...
+
+    def release(self) -> None: ...
+
+    def halt(self) -> None: ...
+
+
+def by_teleop(case: Case, played: Played, end: End, folder: Path) -> Verdict:
+    """As a person's recording, which the task's time limit does not end."""
+    tray = Tray()
+    driven = DrivenScene(case.session, tray, end=EndRule(end))
+    driven.start()
+    driven._stage.arms = tuple(PlayedArm(played, k) for k in range(played.ctrl.shape[1]))  # type: ignore[assignment]
+    for _ in range(len(played)):
+        if not tray.attempts:
+            driven.tick()
+    if not tray.attempts:
+        driven.stop()
+        driven.settle()
+        return Verdict(tray.attempts[0].outcome.success, case.limit)
+    (handed_in,) = tray.attempts
+    assert handed_in.played is not None
+    return Verdict(handed_in.outcome.success, handed_in.played.end.tick)
+
+
+Way = Callable[[Case, Played, End, Path], Verdict]
+
+WAYS: dict[str, Way] = {
+    "eval": by_eval,
+    "gymnasium": by_gymnasium,
+    "station": by_station,
+    "inspect": by_inspect,
+    "teleop": by_teleop,
+}
+
+
+def task_file(name: str, folder: Path, locations: Locations, limit: int | None = None) -> Path:
+    """The file of a task as it is shipped, by the ticks of every way in, and with another time limit."""
+    task: dict[str, Any] = load_yaml(locations.config_file("tasks", name)).data
+    timing = {"physics_steps_per_tick": 16} | task.get("timing", {})
+    task["timing"] = timing | {"timestep": 1 / (TICK_HZ * timing["physics_steps_per_tick"])}
+    if limit is not None:
+        # Between two ticks, so that rounding does not matter.
+        task["time_limit_s"] = (limit - 0.5) / TICK_HZ
+    file = folder / f"{name}.yaml"
+    file.write_text(dump_yaml(task))
+    return file
+
+
+def opened(name: str, rig: str, folder: Path, locations: Locations, limit: int | None = None) -> tuple[Path, Session]:
+    """A recording's config, and its session without meshes."""
+    config: dict[str, Any] = load_yaml(locations.config_file("record", "default")).data
+    config |= {"task": str(task_file(name, folder, locations, limit)), "rig": rig, "wrist": True}
+    file = folder / "record.yaml"
+    file.write_text(dump_yaml(config))
+    made = load_config(RecordConfig, "record", str(file), locations, check=check_config)
+    return file, Session(made, locations).without_meshes()
+
+
+def rounded(actions: Actions, drives: np.ndarray) -> Played:
+    return Played(actions.ctrl[:, drives].astype(np.float32).astype(float), np.asarray(actions.magnet, bool))
+
+
+#: Tasks with the rigs on which they are done: by weld, and by friction.
+STIFF = [
+    pytest.param(("pickplace", "single"), id="pickplace"),
+    pytest.param(("tower", STATION), id="tower", marks=pytest.mark.slow),
+    pytest.param(("drawer", STATION), id="drawer", marks=pytest.mark.slow),
+    pytest.param(("handover", "russet"), id="handover", marks=pytest.mark.slow),
+]
+#: One with cloth, which a motion in reverse need not take hold of again.
+CLOTH = pytest.param(("fold_napkin", STATION), id="fold_napkin", marks=pytest.mark.slow)
+
+
+@pytest.fixture(scope="module")
+def case(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, locations: Locations
+) -> Iterator[Case]:
+    name, rig = request.param
+    folder = tmp_path_factory.mktemp(name)
+    _, session = opened(name, rig, folder, locations)
+    with Simulators(session) as simulators:
+        simulator = simulators.of(JOB)
+        done = demonstrate(simulator, sample(simulator, JOB))
+        assert done.outcome.success, done.outcome
+        base = rounded(all_actions(done.states), simulator.scene.drives)
+    limit = 2 * len(base) + SPARE_TICKS
+    file, session = opened(name, rig, folder, locations, limit)
+    assert session.config.task.most_ticks == limit
+    with Simulators(session) as simulators:
+        simulator = simulators.of(JOB)
+        yield Case(file, session, simulator, sample(simulator, JOB), base, limit)
+
+
+def same_everywhere(case: Case, played: Played, end: End, folder: Path, *, but: tuple[str, ...] = ()) -> Verdict:
+    """The verdict that every way in gives.
+
+    Args:
+        but: ways in that know no such trial.
+    """
+    padded = case.padded(played)
+    verdict = by_repeat(case, padded, end, folder)
+    found = {name: way(case, padded, end, folder) for name, way in WAYS.items() if name not in {*but, *ABSENT}}
+    assert found == dict.fromkeys(found, verdict)
+    return verdict
+
+
+@pytest.mark.parametrize("case", [*STIFF, CLOTH], indirect=True)
+def test_the_experts_actions(case: Case, tmp_path: Path) -> None:
+    verdict = same_everywhere(case, case.base, "success", tmp_path)
+    held = case.held_ticks(case.base)
+    assert verdict == Verdict(True, 1 + next(k for k, ticks in enumerate(held) if ticks == case.hold))
+
+
+@pytest.mark.parametrize("case", [*STIFF, CLOTH], indirect=True)
+def test_what_was_done_and_is_undone_again(case: Case, tmp_path: Path) -> None:
+    """It was a success when the goal had held, and is none where whoever acts says when it is over."""
+    undone = case.base + case.base.back
+    first = same_everywhere(case, undone, "success", tmp_path)
+    assert first.success and first.tick <= len(case.base)
+    last = same_everywhere(case, undone, "actor", tmp_path, but=("inspect",))
+    assert last == Verdict(False, case.limit)
+
+
+@pytest.mark.parametrize("case", STIFF, indirect=True)
+def test_a_goal_that_holds_too_short_a_time(case: Case, tmp_path: Path) -> None:
+    begins = case.held_ticks(case.base).index(1)
+    short = case.base[: begins + 1]
+    undone = short + short.back
+    assert 0 < max(case.held_ticks(case.padded(undone))) < case.hold
+    verdict = same_everywhere(case, undone, "success", tmp_path)
+    assert verdict == Verdict(False, case.limit)
+
+
+@pytest.mark.parametrize("case", STIFF, indirect=True)
+def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: Case, tmp_path: Path) -> None:
+    """Only the task's time limit tells the two apart, which ends what a person records no more than a person does."""
+
+    def waiting(ticks: int) -> Played:
+        return (case.base[:1].still(ticks) + case.base)[: case.limit + 1]
+
+    def reached(ticks: int) -> int:
+        done = repeat(case.simulator, case.attempt, case.actions(waiting(ticks)), EpisodeRules(EndRule.SUCCESS))
+        assert done.played is not None
+        return done.played.end.tick
+
+    # The goal may be reached a little sooner or later after a wait, in which things go on settling.
+    about = case.limit - by_repeat(case, case.padded(case.base), "success", tmp_path).tick
+    ticks = next(ticks for ticks in range(about - 3, about + 4) if reached(ticks) == case.limit)
+    late = next(late for late in range(ticks, ticks + 4) if reached(late) == case.limit + 1)
+    in_time = same_everywhere(case, waiting(ticks)[: case.limit], "success", tmp_path)
+    assert in_time == Verdict(True, case.limit)
+    too_late = same_everywhere(case, waiting(late)[: case.limit], "success", tmp_path, but=("teleop",))
+    assert too_late == Verdict(False, case.limit)
