@@ -9,12 +9,20 @@ import numpy as np
 from yamsim_cli.core.attempt.engine import Simulated, demonstrate
 from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.types import Actions, EpisodeJob, StepState
 
 
 def planned(simulator: Simulator, seed: int, attempt: int = 0) -> Simulated:
     """What the task's expert makes of an attempt."""
     return demonstrate(simulator, sample(simulator, EpisodeJob(seed, attempt)))
+
+
+def start_of(simulator: Simulator, seed: int = 0) -> Array:
+    """MuJoCo's positions (nq,) at the start of a seed's first attempt."""
+    start = sample(simulator, EpisodeJob(seed, 0)).start
+    assert start is not None
+    return start
 
 
 def all_actions(states: Sequence[StepState]) -> Actions:

@@ -165,14 +165,16 @@ class Opener:
         overrides: dict[KeyPath, tuple[str, Any]] = {
             path: (self.spell(setting), given[setting]) for setting, path in sets.items() if setting not in within
         }
-        if given.get("task") is not None and given.get("rig") is None and (rig := self._own_rig(given["task"], where)):
-            overrides["rig",] = (self.spell("task"), rig)
+        if (
+            given.get("task") is not None
+            and given.get("rig") is None
+            and (own_rig := self._own_rig(given["task"], where))
+        ):
+            overrides["rig",] = own_rig
         if within:
             # Where a task has them depends on what it is.
             task = load_config(RecordConfig, "record", name, where, overrides).task
-            overrides |= {
-                self._within(task, setting, sets[setting]): (self.spell(setting), given[setting]) for setting in within
-            }
+            overrides |= {self._within(task, setting): (self.spell(setting), given[setting]) for setting in within}
         if fps is not None:
             overrides |= self._at_rate(fps, self.config(name, where, **given).task.timing)
 
@@ -183,11 +185,8 @@ class Opener:
 
         return load_config(RecordConfig, "record", name, where, overrides, check_all)
 
-    def _within(self, task: ProgramTask, setting: str, path: KeyPath) -> KeyPath:
-        """Where a config has a setting of its task.
-
-        Args:
-            path: where it has the setting of a task with an object and a target.
+    def _within(self, task: ProgramTask, setting: str) -> KeyPath:
+        """Return where a recording's config has a setting of its task.
 
         Raises:
             UsageError: the task has no such thing.
@@ -215,17 +214,19 @@ class Opener:
             raise UsageError(f"{self.spell('fps')}: {error}") from None
         return {("task", "timing", key): (self.spell("fps"), value) for key, value in changed.items()}
 
-    def _own_rig(self, task: str | dict[str, Any], where: Locations) -> str | None:
-        """The rig that a task says it is done on; None if it says none."""
+    def _own_rig(self, task: str | dict[str, Any], where: Locations) -> tuple[str, str] | None:
+        """Return where a task names the rig that it is done on, and the rig; None if it names none."""
         from .config.loader import model_of
         from .config.program_task import PROGRAM
+        from .documents.document import Document
 
         try:
-            data = model_of("tasks").read(where.config_file("tasks", task)).data if isinstance(task, str) else task
+            read = model_of("tasks").read
+            document = read(where.config_file("tasks", task)) if isinstance(task, str) else Document(task, "task")
         except ConfigError:
             return None  # Loading the whole config says so, and who asked for it.
-        rig = data.get("rig") if data.get("kind") == PROGRAM else None
-        return rig if isinstance(rig, str) else None
+        rig = document.data.get("rig") if document.data.get("kind") == PROGRAM else None
+        return (document.place(("rig",)), rig) if isinstance(rig, str) else None
 
     def rig(
         self,

@@ -1,18 +1,23 @@
 from typing import Any
 
 import pytest
-from yamsim_cli.core.config.task import TaskConfig
 
 from yamsim_cli.core.config.loader import KINDS, load_config, model_of, parse_config, validate_file
+from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError, UsageError, YamsimError
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.skills.checked import check_config
 
 SHIPPED = [(kind, name) for kind in KINDS for name in Locations.find({}).config_names(kind)]
 # Robots are files beside each other, and are written down by their names.
 BY_NAME = ("robots", "grippers")
+
+# Where a recording of pickplace has what `--object`, `--target` and `--threshold` set.
+OBJECT, TARGET = (("task", "things", role, "of") for role in ("object", "target"))
+RADIUS = ("task", "goal", "on", "radius")
 
 PUCK = """\
 mesh: {set: ycb, file: puck.stl, origin: [0, 0, 0], rgba: [1, 1, 1, 1]}
@@ -56,7 +61,7 @@ def record(tmp_path, locations):
             text = text.replace(old, new)
         path = tmp_path / "mine.yaml"
         path.write_text(text)
-        return load_config(RecordConfig, "record", str(path), locations, overrides)
+        return load_config(RecordConfig, "record", str(path), locations, overrides, check_config)
 
     return load
 
@@ -197,10 +202,11 @@ def test_an_unknown_reference_names_where_it_stands_and_what_there_is(record, lo
 def test_an_unknown_object_of_a_named_task_is_found_in_the_tasks_file(tmp_path, record, locations):
     text = locations.config_file("tasks", "pickplace").read_text()
     task = tmp_path / "mytask.yaml"
-    task.write_text(text.replace("object: 011_banana", "object: 011_bananna"))
-    line = text[: text.index("object: 011_banana")].count("\n") + 1
+    task.write_text(text.replace("of: 011_banana", "of: 011_bananna"))
+    line = text[: text.index("of: 011_banana")].count("\n") + 1
     message = refusal(record, None, {("task",): ("--task", str(task))})
-    assert f"{task}:{line}: task.object: unknown object '011_bananna'; did you mean '011_banana'? valid: " in message
+    place = f"{task}:{line}: task.things.object.of"
+    assert f"{place}: unknown object '011_bananna'; did you mean '011_banana'? valid: " in message
 
 
 def test_a_reference_to_a_file_that_is_not_there_is_named(record):
@@ -228,19 +234,17 @@ def test_a_flag_names_another_config(record):
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_flag_reaches_inside_a_reference_even_one_that_a_flag_named(record, locations, tmp_path, order):
     task = tmp_path / "mytask.yaml"
-    task.write_text(
-        locations.config_file("tasks", "pickplace").read_text().replace("max_height: 0.10", "max_height: 0.3")
-    )
-    flags = [(("task",), ("--task", str(task))), (("task", "success", "threshold"), ("--threshold", 0.123))]
+    task.write_text(locations.config_file("tasks", "pickplace").read_text().replace("for_s: 0.25", "for_s: 0.5"))
+    flags = [(("task",), ("--task", str(task))), (RADIUS, ("--threshold", 0.123))]
     config = record(None, dict(flags[::order]))
     assert config.task.name == "mytask"
-    assert (config.task.success.threshold, config.task.success.max_height) == (0.123, 0.3)
+    assert (config.task.target_predicate.radius, config.task.goal.for_s) == (0.123, 0.5)
 
 
 def test_a_flag_inside_a_reference_may_be_a_reference(record, tmp_path):
     (tmp_path / "puck.yaml").write_text(PUCK)
-    config = record(None, {("task", "target"): ("--target", str(tmp_path / "puck.yaml"))})
-    assert config.task.target.name == "puck"
+    config = record(None, {TARGET: ("--target", str(tmp_path / "puck.yaml"))})
+    assert [item.name for item in config.task.things["target"].of] == ["puck"]
 
 
 @pytest.mark.parametrize(
@@ -253,7 +257,7 @@ def test_a_flag_inside_a_reference_may_be_a_reference(record, tmp_path):
             101,
             "--jpeg-quality: 101 is not valid: must be less than or equal",
         ),
-        (("task", "success", "threshold"), "--threshold", -1, "--threshold: -1 is not valid: must be greater than 0"),
+        (RADIUS, "--threshold", -1, "--threshold: -1 is not valid: must lie in 0.."),
         (("image", "size_px"), "--size", [8, 480], "--size: 8 is not valid: must be greater than or equal to 16"),
     ],
 )
@@ -268,7 +272,7 @@ def test_an_unknown_reference_by_flag_names_the_flag(record):
 
 @pytest.mark.parametrize("value", ["5", "", "[1, 2]", "true"])
 def test_a_flag_below_something_that_is_no_mapping_leaves_the_file_to_blame(record, value):
-    message = refusal(record, {"task: pickplace": f"task: {value}"}, {("task", "success", "threshold"): ("--t", 0.1)})
+    message = refusal(record, {"task: pickplace": f"task: {value}"}, {RADIUS: ("--t", 0.1)})
     assert "mine.yaml:4: task: " in message
     assert "must be a valid dictionary" in message
 
@@ -290,7 +294,7 @@ def test_faults_of_the_yaml_itself_come_through(tmp_path, locations):
 
 
 def test_an_unknown_name_lists_the_configs(locations):
-    message = refusal(load_config, TaskConfig, "tasks", "pickplaec", locations)
+    message = refusal(load_config, ProgramTask, "tasks", "pickplaec", locations)
     assert message.startswith("unknown task 'pickplaec'; did you mean 'pickplace'? valid: ")
 
 
@@ -298,17 +302,19 @@ def test_an_unknown_name_lists_the_configs(locations):
     ("flags", "message"),
     [
         ({("arm",): ("--arm", "left")}, "--arm: arm 'left': rig 'single' has only a right one; leave `arm` out"),
-        ({("task",): ("--task", "handover")}, "--task: task 'handover' needs two arms, and rig 'single' has one"),
+        ({("task",): ("--task", "handover"), ("rig",): ("--rig", "single")},
+         "--rig: the step `handover` takes two arms; use a rig with two"),
         ({("grasp",): ("--grasp", "contact")}, "--grasp: grasp 'contact' needs a gripper with pads"),
         (
-            {("rig",): ("--rig", "single_linear"), ("task", "object"): ("--object", "025_mug"),
+            {("rig",): ("--rig", "single_linear"), OBJECT: ("--object", "025_mug"),
              ("grasp",): ("--grasp", "weld"), ("randomization",): ("--randomize", "default")},
             "--object: distractors and the task's objects must all differ: mug, plate",
         ),
-        ({("task", "object"): ("--object", "054_softball")}, "--object: object 'softball' is too wide to be picked up"),
-        ({("task", "object"): ("--object", "029_plate")}, "--object: object 'plate' has no `grasp`"),
-        ({("task", "target"): ("--target", "011_banana")}, "--target: object and target are both 'banana'"),
-        ({("task", "target"): ("--target", "013_apple")}, "--target: target 'apple' has neither a floor"),
+        ({OBJECT: ("--object", "024_bowl")}, "--object: object 'bowl' has no `grasp`"),
+        ({OBJECT: ("--object", "054_softball")}, "--object: object 'softball' is too wide to be picked up"),
+        ({OBJECT: ("--object", "029_plate")}, "--object: the target may be called 'plate', as the object is"),
+        ({TARGET: ("--target", "011_banana")}, "--target: the target may be called 'banana', as the object is"),
+        ({TARGET: ("--target", "013_apple")}, "--target: target 'apple' has neither a floor"),
     ],
 )  # fmt: skip
 def test_values_that_do_not_fit_together_blame_the_flag_that_was_given(record, flags, message):
@@ -331,8 +337,8 @@ def mixed(tmp_path, locations):
 
 
 def test_the_gripper_of_an_arm_that_does_nothing_does_not_matter(record, mixed):
-    mug = {("task", "object"): ("--object", "025_mug")}
-    assert record(None, mixed | mug).task.object.name == "mug"
+    mug = {OBJECT: ("--object", "025_mug")}
+    assert [item.name for item in record(None, mixed | mug).task.things["object"].of] == ["mug"]
     assert record(None, mixed | {("grasp",): ("--grasp", "contact")}).grasp == "contact"
     left = {("arm",): ("--arm", "left")}
     message = refusal(record, None, mixed | mug | left, kind=UsageError)
@@ -346,16 +352,16 @@ def test_the_gripper_of_an_arm_that_does_nothing_does_not_matter(record, mixed):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("threshold: 0.05", "threshold: 0,05",
-         "success.threshold: '0,05' is not valid: a number has a decimal point; write 0.05"),
+        ("radius: 0.05", "radius: '0,05'",
+         "goal.on.radius: '0,05' is not valid: a number has a decimal point; write 0.05"),
         ("seed: 0", "seed: 1,5", "seed: '1,5' is not valid: a number has a decimal point; write 1.5"),
-        ("x: [0.30, 0.55]", "x: 0.4", "sampling.x: 0.4 is not valid: give [low, high]"),
-        ("x: [0.30, 0.55]", "x: [0.4]", "sampling.x: has 1 value; give [low, high]"),
+        ("x: [0.30, 0.55]", "x: 0.4", "starts.object.x: 0.4 is not valid: give [low, high]"),
+        ("x: [0.30, 0.55]", "x: [0.4]", "starts.object.x: has 1 value; give [low, high]"),
         ("x: [0.30, 0.55]", "x: [0,30, 0,55]",
-         "sampling.x: has 4 values; give [low, high]; a number has a decimal point, not a comma"),
-        ("x: [0.30, 0.55]", "x: [0.1, 0.2, 0.3]", "sampling.x: has 3 values; give [low, high]"),
-        ("x: [0.30, 0.55]", "x: [0.55, 0.30]", "sampling.x: [0.55, 0.3] is not valid: a range is [low, high]"),
-        ("heights:", "start_joints: 0\nheights:", "start_joints: 0 is not valid: give a list"),
+         "starts.object.x: has 4 values; give [low, high]; a number has a decimal point, not a comma"),
+        ("x: [0.30, 0.55]", "x: [0.1, 0.2, 0.3]", "starts.object.x: has 3 values; give [low, high]"),
+        ("x: [0.30, 0.55]", "x: [0.55, 0.30]", "starts.object.x: [0.55, 0.3] is not valid: a range is [low, high]"),
+        ("starts:", "start_joints: 0\nstarts:", "start_joints: 0 is not valid: give a list"),
         ("size_px: [640, 480]", "size_px: 640", "image.size_px: 640 is not valid: give a list of 2"),
     ],
 )  # fmt: skip
@@ -363,7 +369,7 @@ def test_what_a_number_or_a_list_has_to_look_like(tmp_path, locations, old, new,
     kind = "record" if ("seed" in old or "size" in old) else "tasks"
     text = locations.config_file(kind, "default" if kind == "record" else "pickplace").read_text()
     assert old in text
-    (tmp_path / "mine.yaml").write_text(text.replace(old, new))
+    (tmp_path / "mine.yaml").write_text(text.replace(old, new, 1))
     found = refusal(validate_file, model_of(kind), tmp_path / "mine.yaml", locations)
     assert f": {message}" in found
     assert "tuple" not in found

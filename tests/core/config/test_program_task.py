@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from yamsim_cli.core.config.task import TaskConfig
 
 from tests.programs import changed, session_of, written
 from yamsim_cli.core.config.loader import load_config, parse_config
@@ -211,7 +210,7 @@ BAD = {
 
 
 def _load(file: Path, locations: Locations) -> object:
-    return load_config(TaskConfig, "tasks", str(file), locations, check=check_config)
+    return load_config(ProgramTask, "tasks", str(file), locations, check=check_config)
 
 
 @pytest.mark.parametrize("fault", BAD)
@@ -306,8 +305,7 @@ ONE_ARM: dict[str, Any] = changed(
 
 
 def test_a_thing_may_have_the_name_of_its_object(tmp_path: Path) -> None:
-    task = session_of(tmp_path, ONE_ARM).config.program
-    assert task is not None
+    task = session_of(tmp_path, ONE_ARM).config.task
     cast = task.cast_of({"object": (1,), "target": (0,)})
     assert dict(cast.things) == {"object": ("cube_blue",), "target": ("plate",)}
     assert dict(cast.kinds) == {"cube_blue": "cube_blue", "plate": "plate"}
@@ -337,8 +335,8 @@ def test_on_one_arm_first_and_second_are_the_same(tmp_path: Path) -> None:
 def test_what_is_said_has_the_names_of_what_is_there(tmp_path: Path) -> None:
     config = session_of(tmp_path, ONE_ARM, rig="yam_station_linear_4310_d405", arm="left").config
     assert config.program is not None
-    assert config.program.language_prompt == "by the left, not the right: cube red on it"
-    played = config.program.played_by(config.program.cast_of({"object": (1,), "target": (0,)}))
+    assert config.task.language_prompt == "by the left, not the right: cube red on it"
+    played = config.task.played_by(config.task.cast_of({"object": (1,), "target": (0,)}))
     assert played.phrasings.training == ("by the left, not the right: cube blue on it",)
     assert played.language_task == "put_cube_blue"
 
@@ -370,23 +368,23 @@ def test_a_weld_needs_fingers_that_open_wide_enough(tmp_path: Path) -> None:
 
 
 def test_the_scored_predicate_has_its_radius_changed(tmp_path: Path) -> None:
-    task = session_of(tmp_path, ONE_ARM).config.program
-    assert task is not None and task.target_predicate is not None
+    task = session_of(tmp_path, ONE_ARM).config.task
+    assert task.target_predicate is not None
     on = task.target_predicate
     assert (on.thing, on.surface, on.radius) == ("object", "target", 0.05)
     nearer = task.with_radius(0.02)
     assert nearer.target_predicate is not None and nearer.target_predicate.radius == 0.02
     assert nearer.model_copy(update={"goal": task.goal}) == task
-    plain = session_of(tmp_path, changed({})).config.program
-    assert plain is not None and plain.target_predicate is None
+    plain = session_of(tmp_path, changed({})).config.task
+    assert plain.target_predicate is None
     with pytest.raises(ConflictError, match="no `on` with a `radius` in its goal"):
         plain.with_radius(0.02)
 
 
 def test_flags_reach_into_a_task_with_their_roles(tmp_path: Path) -> None:
     given = {"object": "cube_green", "target": "bin", "threshold": 0.03}
-    task = session_of(tmp_path, ONE_ARM, **given).config.program
-    assert task is not None and task.target_predicate is not None
+    task = session_of(tmp_path, ONE_ARM, **given).config.task
+    assert task.target_predicate is not None
     assert [item.name for item in task.objects] == ["cube_green", "bin"]
     assert task.target_predicate.radius == 0.03
     with pytest.raises(UsageError, match=r"--object: task 'small' has no role 'object' .*; its roles: plate, cube"):
@@ -411,4 +409,4 @@ def test_another_rig_is_taken_where_one_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", Locations.find(os.environ).config_names("tasks"))
 def test_every_task_of_ours_is_valid(name: str, locations: Locations) -> None:
-    load_config(TaskConfig, "tasks", name, locations, check=check_config)
+    load_config(ProgramTask, "tasks", name, locations, check=check_config)

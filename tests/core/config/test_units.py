@@ -24,21 +24,17 @@ Replace = Callable[[str, str, str], str]
 
 # Kind/name, what stands there, what someone might write instead, and what the message has to say.
 SLIPS = [
-    ("tasks/pickplace", "x: [0.30, 0.55]", "x: [300, 550]", ("sampling.x[0]: 300", "in mm? Then give 0.3")),
-    ("tasks/pickplace", "x: [0.30, 0.55]", "x: [30, 55]", ("sampling.x[0]: 30", "in cm? Then give 0.3")),
-    ("tasks/pickplace", "min_separation: 0.15", "min_separation: 150", ("in mm? Then give 0.15",)),
-    ("tasks/pickplace", "  clearance: 0.01", "  clearance: 10", ("in mm? Then give 0.01",)),
+    ("tasks/pickplace", "x: [0.30, 0.55]", "x: [300, 550]", ("starts.object.x[0]: 300", "in mm? Then give 0.3")),
+    ("tasks/pickplace", "x: [0.30, 0.55]", "x: [30, 55]", ("starts.object.x[0]: 30", "in cm? Then give 0.3")),
+    ("tasks/pickplace", "apart: 0.01", "apart: 10", ("starts.object.apart: 10", "in mm? Then give 0.01")),
     ("tasks/pickplace", "[-90, 90]", "[-1.5708, 1.5708]", ("hardly a turn", "in radians? Then give [-90, 90]")),
-    ("tasks/pickplace", "[-180, 180]", "[-3.14, 3.14]", ("hardly a turn", "in radians? Then give [-180, 180]")),
-    ("tasks/pickplace", "[-180, 180]", "[-1800, 1800]", ("target_yaw_deg[0]: -1800", "-360..360 degrees")),
-    ("tasks/pickplace", "heights:", "start_joints: [0, 106, 1, 1, 0, 0]\nheights:", ("start_joints[1]: 106", "1.85")),
-    ("tasks/pickplace", "approach: 0.06", "approach: 60", ("heights.approach: 60", "in mm? Then give 0.06")),
-    ("tasks/pickplace", "release: 0.012", "release: 12", ("heights.release: 12", "in mm? Then give 0.012")),
-    ("tasks/pickplace", "timestep: 0.002", "timestep: 2", ("timing.timestep: 2", "in ms? Then give 0.002")),
-    ("tasks/pickplace", "threshold: 0.05", "threshold: 50", ("success.threshold: 50", "in mm? Then give 0.05")),
-    ("tasks/pickplace", "max_speed: 0.05", "max_speed: 50", ("success.max_speed: 50", "in mm/s? Then give 0.05")),
-    ("tasks/handover", "x: 0.25", "x: 250", ("exchange.x: 250", "in mm? Then give 0.25")),
-    ("tasks/handover", "clear: 0.08", "clear: 80", ("exchange.clear: 80", "in mm? Then give 0.08")),
+    ("tasks/pickplace", "[-90, 90]", "[-3.14, 3.14]", ("hardly a turn", "in radians? Then give [-180, 180]")),
+    ("tasks/pickplace", "[-90, 90]", "[-1800, 1800]", ("object.yaw_deg[0]: -1800", "-360..360 degrees")),
+    ("tasks/pickplace", "starts:", "start_joints: [0, 106, 1, 1, 0, 0]\nstarts:", ("start_joints[1]: 106", "1.85")),
+    ("tasks/pickplace", "starts:", "timing: {timestep: 2}\nstarts:", ("timing.timestep: 2", "in ms? Then give 0.002")),
+    ("tasks/pickplace", "radius: 0.05", "radius: 50", ("goal.on.radius: 50", "in mm? Then give 0.05")),
+    ("tasks/pickplace", "time_limit_s: 20", "time_limit_s: 20000", ("time_limit_s: 20000", "in ms? Then give 20")),
+    ("tasks/pickplace", "move: [0, 0.15, 0]", "move: [0, 150, 0]", ("near_misses[0].move[1]: 150", "Then give 0.15")),
     ("rigs/russet", "margin: 0.591", "margin: 591", ("margin: 591", "0..3 m", "in mm? Then give 0.591")),
     ("rigs/russet", "margin: 0.591", "margin: 59.1", ("margin: 59.1", "in cm? Then give 0.591")),
     ("rigs/single", "29.230769", "0.029230769", ("marker_length_mm: 0.029", "in m? Then give 29.23")),
@@ -99,7 +95,7 @@ def test_what_was_recorded_stays_valid(make_config: Callable[..., RecordConfig],
     odd = data | {"task": data["task"] | {"start_joints": [0, 106, 109, -78, 0, 0]}}
     odd["scene"] = data["scene"] | {"scene_camera": data["scene"]["scene_camera"] | {"fovy_deg": 1.2}}
     odd["rig"]["margin"] = 591.0
-    odd["task"]["sampling"]["object_yaw_deg"] = [-1.5708, 1.5708]
+    odd["task"]["starts"]["object"]["yaw_deg"] = [-1.5708, 1.5708]
     odd["rig"]["arms"][0]["board"]["position_mm"] = [0.1, 0, 0]
     odd["rig"]["arms"][0]["mount"]["x_mm"] = [0.0, 0.2]
     again = parse_config(RecordConfig, dump_yaml(odd), "config.yaml", locations, as_recorded=True)

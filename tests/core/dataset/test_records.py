@@ -103,8 +103,6 @@ def test_an_attempt_is_written_down_with_its_outcome():
             dxy=0.2,
             dz=-0.01,
             speed=0.3,
-            position_error=0.001,
-            tilt=0.02,
             margins=Margins(velocity=0.5, torque=0.4, joint=0.2, slip=0.001, tilt=0.01),
         ),
     )
@@ -120,8 +118,8 @@ def test_an_attempt_is_written_down_with_its_outcome():
             "dxy_m": 0.2,
             "dz_m": -0.01,
             "speed_mps": 0.3,
-            "plan_error_m": 0.001,
-            "tilt_rad": 0.02,
+            "plan_error_m": None,
+            "tilt_rad": None,
             "margins": {
                 "velocity_share": 0.5,
                 "torque_share": 0.4,

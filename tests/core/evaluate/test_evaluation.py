@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from yamsim_cli.core.sim.closed_loop import ClosedLoop
 
 from tests.core.attempts import all_actions, planned
 from tests.core.unrendered import write_dataset
+from yamsim_cli.core.attempt.episodes import open_episode
 from yamsim_cli.core.attempt.frames import frames
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import OutcomeRecord
+from yamsim_cli.core.episode.rules import EpisodeRules
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.evaluate.choice import PolicyChoice
 from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_run, shown, summary
@@ -40,7 +41,7 @@ def _line_of(code: str) -> int:
 @pytest.fixture(scope="module")
 def strict(make_config: Callable[..., RecordConfig]) -> RecordConfig:
     """So strict that the plan fails now and then."""
-    changes = {("task", "success", "threshold"): 0.003, ("episodes",): N, ("seed",): 2, ("workers",): 2}
+    changes = {("task", "goal", "on", "radius"): 0.003, ("episodes",): N, ("seed",): 2, ("workers",): 2}
     return make_config(changes | {("wrist",): True, ("image", "size_px"): [48, 36]})
 
 
@@ -100,13 +101,13 @@ def test_the_closed_loop_is_the_simulation_bit_for_bit(config: RecordConfig, loc
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0, 3)
         assert done.attempt.start is not None
-        loop = ClosedLoop(simulator.scene, done.attempt.start, config.task.object.name, config.task.timing)
+        episode = open_episode(simulator, done.attempt, EpisodeRules())
         for state in done.states:
-            np.testing.assert_array_equal(loop.data.qpos, state.qpos)
+            np.testing.assert_array_equal(episode.data.qpos, state.qpos)
             for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
-                loop.step(ctrl[simulator.scene.drives], magnet)
-        np.testing.assert_array_equal(loop.actions.magnet, all_actions(done.states).magnet)
-        assert loop.actions.magnet.any()
+                episode.step(ctrl[simulator.scene.drives], magnet)
+        np.testing.assert_array_equal(episode.actions.magnet, all_actions(done.states).magnet)
+        assert episode.actions.magnet.any()
 
 
 def test_the_weld_does_not_reach_across_the_table(trial: Callable[..., TrialResult]) -> None:

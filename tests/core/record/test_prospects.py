@@ -60,8 +60,8 @@ def test_ten_that_fail_in_one_way_are_enough_where_no_start_is_better(
     message = str(caught.value)
     assert message == (
         "task 'pickplace' cannot work as it is: its first 10 attempts all failed in one way, and 100 more would start "
-        "no better; 10 unreachable (failed for the 9th time); look at `sampling`, `heights`, and where the rig's arm "
-        "stands; then record with --overwrite, or to another --out"
+        "no better; 10 unreachable (failed for the 9th time); look at `starts`, the steps of `expert`, and where "
+        "the rig's arms stand; then record with --overwrite, or to another --out"
     )
 
 
@@ -93,7 +93,7 @@ def test_one_success_or_another_cause_among_the_first_is_hope(recording: Recordi
     assert recording.causes().count("unreachable") > 40
 
     def mixed(job: EpisodeJob) -> EpisodePayload:
-        cause = Cause.KNOCKED if job.attempt == 5 else Cause.UNREACHABLE
+        cause = Cause.SLIPPED if job.attempt == 5 else Cause.UNREACHABLE
         return failing(cause, but=lambda attempt: attempt >= 50)(job)
 
     recording.path = recording.path.with_name("mixed")
@@ -139,33 +139,25 @@ def test_a_lone_episode_is_given_as_many_attempts(recording: Recording) -> None:
     assert (report.episodes, report.attempts) == (1, 61)
 
 
-BOX = ("task", "sampling", "x")
+FAR = {("task", "starts", role, "x"): [0.80, 1.05] for role in ("object", "target")}
+FARTHER_AND_FARTHER = {("task", "starts", role, "x"): [0.55, 1.00] for role in ("object", "target")}
 
 
 @pytest.mark.parametrize(
     ("changes", "cause", "wanted"),
     [
-        ({BOX: [0.80, 1.05]}, Cause.UNREACHABLE, True),
-        # Of its starts, not quite one in five has both in reach.
-        ({BOX: [0.55, 1.00]}, Cause.UNREACHABLE, False),
+        (FAR, Cause.UNREACHABLE, True),
+        (FARTHER_AND_FARTHER, Cause.UNREACHABLE, False),
         ({}, Cause.UNREACHABLE, False),
+        pytest.param({("rig",): "bimanual", ("arm",): "left", **FAR}, Cause.UNREACHABLE, True, marks=pytest.mark.slow),
         pytest.param(
-            {("rig",): "bimanual", ("arm",): "left", BOX: [0.80, 1.05]},
-            Cause.UNREACHABLE,
-            True,
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            {("rig",): "russet", ("task",): "handover", BOX: [0.80, 1.05]},
-            Cause.UNREACHABLE,
-            True,
-            marks=pytest.mark.slow,
+            {("rig",): "russet", ("task",): "handover", **FAR}, Cause.UNREACHABLE, True, marks=pytest.mark.slow
         ),
         ({("rig",): "russet", ("task",): "handover"}, Cause.UNREACHABLE, False),
-        ({("task", "sampling", "min_separation"): 0.9}, Cause.NO_LAYOUT, True),
-        ({("task", "sampling", "min_separation"): 0.3}, Cause.NO_LAYOUT, False),
+        ({("task", "starts", "target", "apart"): 0.9}, Cause.NO_LAYOUT, True),
+        ({("task", "starts", "target", "apart"): 0.1}, Cause.NO_LAYOUT, False),
         # Which is for physics to say.
-        ({BOX: [0.80, 1.05]}, Cause.KNOCKED, False),
+        (FAR, Cause.SLIPPED, False),
     ],
 )
 def test_starts_tell_whether_anything_is_in_reach(

@@ -5,33 +5,30 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.tasks.pickplace import sample_layout
 
+from tests.core.attempts import start_of
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
-from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import task_blueprint
-from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.compose import WELD, mesh_sets
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.types import Layout
 
 
 @pytest.fixture(scope="module")
-def scene(make_config: Callable[..., RecordConfig], locations: Locations) -> CompiledScene:
-    return build_scene(Session(make_config({("wrist",): True}), locations))
+def simulator(make_config: Callable[..., RecordConfig], locations: Locations) -> Simulator:
+    return Simulator(Session(make_config({("wrist",): True}), locations))
 
 
-def _layout(config: RecordConfig, seed: int) -> Layout:
-    layout = sample_layout(config, np.random.default_rng(seed))
-    assert layout is not None
-    return layout
+@pytest.fixture(scope="module")
+def scene(simulator: Simulator) -> CompiledScene:
+    return simulator.scene
 
 
-def _start(scene: CompiledScene, config: RecordConfig, seed: int) -> mujoco.MjData:
-    data = mujoco.MjData(scene.model)
-    scene.start(data, _layout(config, seed), start_stands(config))
+def _start(simulator: Simulator, seed: int) -> mujoco.MjData:
+    data = mujoco.MjData(simulator.scene.model)
+    simulator.scene.reset(data, start_of(simulator, seed))
     return data
 
 
@@ -40,19 +37,25 @@ def test_size_of_the_model(scene: CompiledScene) -> None:
     assert (scene.model.nq, scene.model.nu) == (8 + 7 + 7, 7)
 
 
-def test_weld_starts_inactive(scene: CompiledScene, config: RecordConfig) -> None:
-    assert not _start(scene, config, 0).eq_active[scene.arm.weld]
+def test_weld_starts_inactive(simulator: Simulator, scene: CompiledScene) -> None:
+    assert not _start(simulator, 0).eq_active[scene.arm.weld]
     assert scene.model.equality(WELD).id == scene.arm.weld
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_nothing_is_in_contact_at_the_start(scene: CompiledScene, config: RecordConfig, seed: int) -> None:
-    assert _start(scene, config, seed).ncon == 0
+def test_only_things_and_table_touch_at_the_start(simulator: Simulator, scene: CompiledScene, seed: int) -> None:
+    data = _start(simulator, seed)
+    assert data.ncon > 0
+    assert not scene.forbidden(data.contact.geom).any()
+    bodies = {scene.model.body(scene.model.geom_bodyid[geom]).name for geom in data.contact.geom.ravel()}
+    assert bodies == {"world", "banana", "plate"}
+    table = scene.model.geom("table").id
+    assert (data.contact.geom == table).any(axis=1).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_settles_without_moving(scene: CompiledScene, config: RecordConfig, seed: int) -> None:
-    data = _start(scene, config, seed)
+def test_settles_without_moving(simulator: Simulator, scene: CompiledScene, seed: int) -> None:
+    data = _start(simulator, seed)
     before = data.qpos.copy()
     mujoco.mj_step(scene.model, data, 1000)
     assert data.ncon > 0
@@ -60,10 +63,10 @@ def test_settles_without_moving(scene: CompiledScene, config: RecordConfig, seed
     assert np.abs(data.qvel).max() < 1e-3
 
 
-def test_reset_leaves_no_trace_of_what_was_before(scene: CompiledScene, config: RecordConfig) -> None:
-    fresh, used = _start(scene, config, 1), _start(scene, config, 2)
+def test_reset_leaves_no_trace_of_what_was_before(simulator: Simulator, scene: CompiledScene) -> None:
+    fresh, used = _start(simulator, 1), _start(simulator, 2)
     mujoco.mj_step(scene.model, used, 300)
-    scene.start(used, _layout(config, 1), start_stands(config))
+    scene.reset(used, start_of(simulator, 1))
     for data in (fresh, used):
         mujoco.mj_step(scene.model, data, 100)
     assert (fresh.qpos == used.qpos).all()
@@ -78,8 +81,8 @@ def test_table_is_clear_of_the_arm(scene: CompiledScene) -> None:
     assert nearest > 0.05
 
 
-def test_what_falls_is_caught(scene: CompiledScene, config: RecordConfig) -> None:
-    data = _start(scene, config, 0)
+def test_what_falls_is_caught(simulator: Simulator, scene: CompiledScene) -> None:
+    data = _start(simulator, 0)
     address = scene.object_qpos["banana"]
     data.qpos[address : address + 3] = (0.45, 0.6, 0.2)
     mujoco.mj_step(scene.model, data, 2000)
@@ -98,8 +101,8 @@ def test_banana_collides_as_two_capsules(scene: CompiledScene) -> None:
     assert [g.type[0] for g in solid] == [mujoco.mjtGeom.mjGEOM_CAPSULE] * 2
 
 
-def test_a_banana_dropped_onto_the_plate_stays_there(scene: CompiledScene, config: RecordConfig) -> None:
-    data = _start(scene, config, 0)
+def test_a_banana_dropped_onto_the_plate_stays_there(simulator: Simulator, scene: CompiledScene) -> None:
+    data = _start(simulator, 0)
     plate, banana = scene.object_qpos["plate"], scene.object_qpos["banana"]
     data.qpos[banana : banana + 3] = data.qpos[plate : plate + 3]
     data.qpos[banana + 2] += 0.06
@@ -114,8 +117,8 @@ def test_cameras(scene: CompiledScene, config: RecordConfig) -> None:
     assert config.wrist is False
 
 
-def test_wrist_camera_looks_along_the_fingers(scene: CompiledScene, config: RecordConfig) -> None:
-    data = _start(scene, config, 0)
+def test_wrist_camera_looks_along_the_fingers(simulator: Simulator) -> None:
+    data = _start(simulator, 0)
     camera, hand = data.cam("right_wrist_camera"), data.body("link_6").xmat.reshape(3, 3)
     forward = -camera.xmat.reshape(3, 3)[:, 2]
     assert forward @ hand[:, 2] == pytest.approx(0.6)

@@ -20,7 +20,8 @@ from yamsim_cli.core.resources import Locations, Meshes
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.core.scene.classic import classic_xml
 from yamsim_cli.core.scene.scene_files import scene_files
-from yamsim_cli.core.show.compose import at_home, task_home
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.show.compose import at_home, task_start
 
 Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
 
@@ -45,8 +46,8 @@ def composed(make_config: Callable[..., RecordConfig], locations: Locations) -> 
         if task is None:
             studio = load_config(SceneConfig, "scenes", "studio", locations)
             return at_home(Blueprint(load_config(RigConfig, "rigs", rig, locations), studio), where)
-        config = make_config({("rig",): rig, ("task",): task, ("grasp",): grasp})
-        return at_home(task_blueprint(config), where, task_home(config))
+        config, home = task_start(Session(make_config({("rig",): rig, ("task",): task, ("grasp",): grasp}), where))
+        return at_home(task_blueprint(config), where, home)
 
     return compose
 

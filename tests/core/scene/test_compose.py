@@ -22,7 +22,7 @@ from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.scene_files import scene_files, zip_bytes
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.show.compose import at_home, task_home, write_scene
+from yamsim_cli.core.show.compose import at_home, task_start, write_scene
 
 RIGS = ("single", "bimanual", "russet")
 MOVE = np.array([0.1, 0.2, 0.3])
@@ -60,6 +60,14 @@ def _compiled(name: str, locations: Locations, studio: SceneConfig) -> tuple[muj
     return model, data
 
 
+def _task(
+    config: RecordConfig, locations: Locations, *, background: bool = True
+) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """A composed task, as its first attempt begins."""
+    config, home = task_start(Session(config, locations))
+    return at_home(task_blueprint(config, background=background), locations, home)
+
+
 def _in_plain_mujoco(scene: Path) -> str:
     done = subprocess.run(
         [sys.executable, "-I", "-c", PLAIN_MUJOCO, str(scene)], cwd="/", capture_output=True, text=True, check=False
@@ -80,13 +88,13 @@ def test_a_composed_folder_runs_in_plain_mujoco(
 
 
 def test_a_composed_task_runs_in_plain_mujoco(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    spec, model = at_home(task_blueprint(config), locations, task_home(config))
+    spec, model = _task(config, locations)
     write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
     assert _in_plain_mujoco(tmp_path / "scene" / "scene.xml") == "22 7"
 
 
 def test_what_is_written_is_what_was_compiled(config: RecordConfig, locations: Locations) -> None:
-    spec, model = at_home(task_blueprint(config), locations, task_home(config))
+    spec, model = _task(config, locations)
     files = scene_files(spec, model, "4")
     read = mujoco.MjModel.from_xml_string(files.pop("scene.xml").decode(), files)
     for field in (
@@ -214,7 +222,7 @@ def test_the_background_can_be_left_out_and_a_tasks_table_stays(
     background: bool, config: RecordConfig, locations: Locations, studio: SceneConfig, tmp_path: Path
 ) -> None:
     _, rig = at_home(Blueprint(_rig("bimanual", locations), studio, background=background), locations)
-    spec, task = at_home(task_blueprint(config, background=background), locations, task_home(config))
+    spec, task = _task(config, locations, background=background)
     for model in (rig, task):
         assert set(_surroundings(model).values()) == {background}, _surroundings(model)
     assert {"table", "post_0", "post_4"} <= _geoms(task)
@@ -295,7 +303,7 @@ def test_the_arms_rest_in_keyframe_home(
         start = (0.0, 1.047, 1.047, 0.0, 0.0, 0.0)
     else:
         config = make_config({("rig",): name, ("grasp",): grasp})
-        _, model = at_home(task_blueprint(config), locations, task_home(config))
+        _, model = _task(config, locations)
         start = config.task.start_joints
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -315,7 +323,7 @@ def test_a_scene_held_by_friction_steps_as_its_recording_does(
 ) -> None:
     config = make_config({("rig",): "single_linear", ("grasp",): "contact"})
     recorded = build_scene(Session(config, locations)).model.opt
-    _, model = at_home(task_blueprint(config), locations, task_home(config))
+    _, model = _task(config, locations)
     for field in (name for name in dir(recorded) if not name.startswith("_")):
         np.testing.assert_array_equal(getattr(model.opt, field), getattr(recorded, field), err_msg=field)
     assert model.opt.impratio == 10
@@ -325,6 +333,6 @@ def test_a_task_between_two_arms_can_be_composed(
     make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path
 ) -> None:
     config = make_config({("rig",): "bimanual"})
-    spec, model = at_home(task_blueprint(config), locations, task_home(config))
+    spec, model = _task(config, locations)
     write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
     assert _in_plain_mujoco(tmp_path / "scene" / "scene.xml") == "30 14"

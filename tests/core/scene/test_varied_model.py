@@ -62,8 +62,7 @@ def changed(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> set[
 def test_nothing_stays_of_an_attempt(model: mujoco.MjModel, varied: VariedModel, config: RecordConfig) -> None:
     before = numbers(model)
     for k in range(5):
-        objects = (config.task.object, config.task.target)
-        varied.apply(sample_variation(config.randomization, EpisodeJob(0, k), 2, objects, ()))
+        varied.apply(sample_variation(config.randomization, EpisodeJob(0, k), 2, config.task.objects, ()))
         varied.place("mug", (0.6, 0.2, 0.0, 1.0))
         assert changed(before, numbers(model))
     varied.apply(Variation())
@@ -72,9 +71,8 @@ def test_nothing_stays_of_an_attempt(model: mujoco.MjModel, varied: VariedModel,
 
 def test_only_mass_and_friction_touch_physics(model: mujoco.MjModel, varied: VariedModel, config: RecordConfig) -> None:
     before = numbers(model)
-    objects = (config.task.object, config.task.target)
     ranges = config.randomization.model_copy(update={"mass": None, "friction": None})
-    varied.apply(sample_variation(ranges, EpisodeJob(0, 0), 2, objects, ()))
+    varied.apply(sample_variation(ranges, EpisodeJob(0, 0), 2, config.task.objects, ()))
     looks = ("light_", "mat_", "cam_", "geom_matid", "geom_group", "ambient", "diffuse")
     assert all(name.startswith(looks) for name in changed(before, numbers(model)))
 

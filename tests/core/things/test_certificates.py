@@ -106,11 +106,15 @@ def recording(make_config: Callable[..., RecordConfig], tmp_path: Path, location
     return made
 
 
+def plate_of(job: Recording) -> ObjectConfig:
+    return job.config.task.things["target"].of[0]
+
+
 def test_what_has_failed_is_not_recorded(
     make_config: Callable[..., RecordConfig], tmp_path: Path, locations: Locations
 ) -> None:
     job = recording(make_config, tmp_path, locations)
-    path = store_certificate(tmp_path / "assets", job.config.task.target, load_lock(locations), BAD, {})
+    path = store_certificate(tmp_path / "assets", plate_of(job), load_lock(locations), BAD, {})
     with pytest.raises(ResourceError, match=r"plate has failed its certificate: rest\.moves; mend it and run"):
         job.run()
     assert not job.path.exists()
@@ -122,6 +126,6 @@ def test_of_what_has_changed_a_recording_warns(
     make_config: Callable[..., RecordConfig], tmp_path: Path, locations: Locations
 ) -> None:
     job = recording(make_config, tmp_path, locations)
-    store_certificate(tmp_path / "assets", changed(job.config.task.target), load_lock(locations), GOOD, {})
+    store_certificate(tmp_path / "assets", changed(plate_of(job)), load_lock(locations), GOOD, {})
     job.run()
     assert [text for text in job.warnings if "certificate of plate" in text] != []

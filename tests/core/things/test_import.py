@@ -40,8 +40,8 @@ def test_an_own_stl_becomes_an_object_by_name(
     assert sorted(item.inertia.diagonal) == pytest.approx(moments, rel=1e-3)
     assert [part.type for part in item.collision] == ["box"]
     assert not item.needs_meshes
-    config = make_config({("task", "object"): str(made.path)})
-    assert config.task.object == item
+    config = make_config({("task", "things", "object", "of"): str(made.path)})
+    assert config.task.things["object"].of == (item,)
     assert config.task.language_prompt == "pick up the brick and put it on the plate"
     with pytest.raises(UsageError, match="exists; move it away"):
         import_file(tmp_path / "drawn.stl", Told(), Wishes("brick"), where, None)

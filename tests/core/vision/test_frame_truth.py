@@ -9,18 +9,17 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.tasks.pickplace import sample_layout
 
+from tests.core.attempts import start_of
+from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.truth_files import KeypointRecord, Visibility
 from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.images.label_images import decode_labels, encode_labels
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.replica import Replica
-from yamsim_cli.core.types import Stand
 from yamsim_cli.core.vision.frame_truth import FrameTruth, instance_boxes, is_seen, measure_frame
 from yamsim_cli.core.vision.labels import Keypoint, SceneLabels, scene_labels
 from yamsim_cli.core.vision.renderer import SceneRenderer
@@ -35,17 +34,20 @@ POSES = ([0, 1.92, 2.22, -1.55, 0, 0], [0.9, 1.2, 1.5, -0.5, 0.4, 1.0], [-1.2, 1
 
 @dataclass
 class Stage:
-    """A scene to be measured: `truth` is of what it shows now."""
+    """A scene to be measured: `truth` is of what it shows now. `start` is MuJoCo's positions at the start."""
 
     replica: Replica
     renderer: SceneRenderer
     labels: SceneLabels
     config: RecordConfig
+    start: Array
 
     def pose(self, joints: list[float]) -> None:
-        layout = sample_layout(self.config, np.random.default_rng(0))
-        assert layout is not None
-        self.replica.show(self.replica.scene.start_qpos(layout, [Stand(np.array(joints), 0.0375)]))
+        qpos, arm = self.start.copy(), self.replica.scene.arm
+        assert arm.fingers is not None
+        qpos[arm.joint_qpos] = joints
+        qpos[arm.fingers.qpos] = 0.0375 * arm.fingers.sign
+        self.replica.show(qpos)
 
     def truth(self, camera: str = CAMERA) -> FrameTruth:
         scene = self.replica.scene
@@ -77,10 +79,11 @@ class Stage:
 @pytest.fixture(scope="module")
 def stage(make_config: Callable[..., RecordConfig], locations: Locations) -> Iterator[Stage]:
     config = make_config({("wrist",): True, ("boards",): True, ("image", "size_px"): SIZE, ("render",): "fast"})
-    scene = build_scene(Session(config, locations))
-    labels = scene_labels(scene.model, config.rig, ("banana", "plate"), boards=True)
-    with SceneRenderer(scene.model, SIZE) as renderer:
-        stage = Stage(Replica(scene), renderer, labels, config)
+    simulator = Simulator(Session(config, locations))
+    model = simulator.scene.model
+    labels = scene_labels(model, config.rig, ("banana", "plate"), boards=True)
+    with SceneRenderer(model, SIZE) as renderer:
+        stage = Stage(simulator.replica, renderer, labels, config, start_of(simulator))
         stage.pose(POSES[0])
         yield stage
 

@@ -10,15 +10,16 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-from yamsim_cli.core.tasks.pickplace import sample_layout
 
+from tests.core.attempts import start_of
 from yamsim_cli.core.assets import AssetStore, load_lock
+from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.config.program_task import Role
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
-from yamsim_cli.core.planning.arm_tools import start_stands
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
@@ -31,9 +32,14 @@ SIZE = (640, 480)
 
 
 @pytest.fixture(scope="module")
-def scene(make_config: Callable[..., RecordConfig], locations: Locations) -> CompiledScene:
+def simulator(make_config: Callable[..., RecordConfig], locations: Locations) -> Simulator:
     # Round enough for the middle of what is drawn to be that of a ball.
-    return build_scene(Session(make_config({("wrist",): True, ("render", "slices"): 32}), locations))
+    return Simulator(Session(make_config({("wrist",): True, ("render", "slices"): 32}), locations))
+
+
+@pytest.fixture(scope="module")
+def scene(simulator: Simulator) -> CompiledScene:
+    return simulator.scene
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +49,14 @@ def renderer(scene: CompiledScene) -> Iterator[SceneRenderer]:
 
 
 @pytest.fixture(scope="module")
-def replica(scene: CompiledScene, config: RecordConfig) -> Replica:
-    return replica_of(scene, config)
+def replica(simulator: Simulator) -> Replica:
+    return replica_of(simulator)
 
 
-def replica_of(scene: CompiledScene, config: RecordConfig) -> Replica:
+def replica_of(simulator: Simulator) -> Replica:
     """The scene with objects where a seed puts them, ready to be drawn."""
-    layout = sample_layout(config, np.random.default_rng(0))
-    assert layout is not None
-    data = mujoco.MjData(scene.model)
-    scene.start(data, layout, start_stands(config))
-    replica = Replica(scene)
-    replica.show(data.qpos)
-    return replica
+    simulator.replica.show(start_of(simulator))
+    return simulator.replica
 
 
 def test_images_have_the_size_asked_for(renderer: SceneRenderer, replica: Replica, scene: CompiledScene) -> None:
@@ -168,11 +169,10 @@ def test_a_fine_picture_shows_the_same_at_the_same_place(
     """Averaged from one half again as large, which for odd sizes has to be rounded."""
     changes = {("image", "size_px"): list(size), ("render", "supersampling"): 1.5}
     config = make_config(changes)
-    scene = build_scene(Session(config, locations))
-    replica = replica_of(scene, config)
+    replica = replica_of(Simulator(Session(config, locations)))
     pictures, ids, depths = [], [], []
     for fine in (None, config.render.fine_size(size)):
-        with SceneRenderer(scene.model, size, fine) as renderer:
+        with SceneRenderer(replica.scene.model, size, fine) as renderer:
             pictures.append(renderer.render(replica.data, "scene_camera").astype(float))
             ids.append(renderer.segment(replica.data, "scene_camera"))
             depths.append(renderer.depth(replica.data, "scene_camera"))
@@ -229,14 +229,15 @@ def shadows_on(
     for shadow_map in (config.render.shadow_map_px, 0):
         render = config.render.model_copy(update={"shadow_map_px": shadow_map})
         where = replace(locations, meshes=meshes or {})
-        scene = build_scene(Session(config.model_copy(update={"render": render}), where))
+        simulator = Simulator(Session(config.model_copy(update={"render": render}), where))
+        model = simulator.scene.model
         if all_cast:
-            scene.model.geom_castshadow[:] = 1
-        replica = replica_of(scene, config)
-        with SceneRenderer(scene.model, SIZE, render.fine_size(SIZE)) as renderer:
+            model.geom_castshadow[:] = 1
+        replica = replica_of(simulator)
+        with SceneRenderer(model, SIZE, render.fine_size(SIZE)) as renderer:
             pictures.append(renderer.render(replica.data, "scene_camera").astype(int))
             ids = renderer.segment(replica.data, "scene_camera")
-    geoms = [scene.model.geom(name).id for name in names]
+    geoms = [model.geom(name).id for name in names]
     dark = ((pictures[1] - pictures[0]).mean(axis=2) > 10) & np.isin(ids, geoms)
     return cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=8)[2][1:, cv2.CC_STAT_AREA]
 
@@ -273,9 +274,12 @@ def test_the_plate_does_not_speckle_itself(
 ) -> None:
     """Where its scan casts a shadow, light that grazes it leaves dots on it."""
     config = make_config({("render",): preset})
-    mesh = config.task.target.mesh.model_copy(update={"castshadow": True})
-    target = config.task.target.model_copy(update={"mesh": mesh})
-    casting = config.model_copy(update={"task": config.task.model_copy(update={"target": target})})
+    (plate,) = config.task.things["target"].of
+    assert plate.mesh is not None
+    mesh = plate.mesh.model_copy(update={"castshadow": True})
+    target = Role(of=(plate.model_copy(update={"mesh": mesh}),), named="object")
+    things = {**config.task.things, "target": target}
+    casting = config.model_copy(update={"task": config.task.model_copy(update={"things": things})})
     dots, speckles = (
         int((shadows_on(["plate_look"], one, locations, meshes=scans) <= 3).sum()) for one in (config, casting)
     )

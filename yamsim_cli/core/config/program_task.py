@@ -350,6 +350,7 @@ class ProgramTask(Config):
                         "objects, or leave `named` out",
                         ("things", role, "named"),
                         ("things", role, "of", k),
+                        ("things", other, "of"),
                     )
         return self
 

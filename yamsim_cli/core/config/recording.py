@@ -96,8 +96,7 @@ class RecordConfig(Config):
             raise ConflictError(
                 f"distractors and the task's objects must all differ: {', '.join(names)}",
                 ("randomization", "distractors"),
-                ("task", "object"),
-                ("task", "target"),
+                *(("task", "things", role, "of") for role in self.task.things),
                 ("task",),
             )
         return self

@@ -63,10 +63,14 @@ def kind_instead(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[s
         kinds: kind -> its model.
     """
     keys = set(data) - {"name"}
-    # Several kinds share some keys, so at least half of them have to be the wanted kind's.
-    if 2 * len(keys & set(kinds[wanted].model_fields)) >= len(keys):
+    # Several kinds share some keys, so at least half of them have to be the wanted kind's, and one that it requires.
+    fields = kinds[wanted].model_fields
+    required = {name for name, info in fields.items() if info.is_required()} - {"name"}
+    if 2 * len(keys & set(fields)) >= len(keys) and (keys & required or not required):
         return None
-    return next((kind for kind, model in kinds.items() if keys and keys <= set(model.model_fields)), None)
+    return next(
+        (kind for kind, model in kinds.items() if kind != wanted and keys and keys <= set(model.model_fields)), None
+    )
 
 
 def models_in(annotation: Any) -> list[type[BaseModel]]:

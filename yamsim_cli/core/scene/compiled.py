@@ -232,10 +232,6 @@ class CompiledScene:
         # Cloth has no geoms, and says -1: everything may touch it.
         return found & (geoms >= 0).all(axis=1) if self.cloths else found
 
-    def start(self, data: mujoco.MjData, layout: Layout, stands: Sequence[Stand]) -> None:
-        """Reset `data` wholly and put all in place: bit for bit the same however `data` was used before."""
-        self.reset(data, self.start_qpos(layout, stands))
-
     def start_qpos(self, layout: Layout, stands: Sequence[Stand]) -> Array:
         """MuJoCo's positions (nq,) with the arms and their fingers where they stand, and the objects placed."""
         qpos: Array = self.model.qpos0.copy()
@@ -258,6 +254,8 @@ class CompiledScene:
 
     def reset(self, data: mujoco.MjData, qpos: Array, told: Array | None = None) -> None:
         """Reset `data` wholly and put everything at rest at `qpos` (nq,), every drive told to hold its place.
+
+        The result is the same bit for bit, however `data` was used before.
 
         Args:
             told: what drives have been told all along (nu,) where that is something else; it acts where they act late.
