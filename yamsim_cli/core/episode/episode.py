@@ -67,7 +67,8 @@ class Played:
         verdict: of the goal at the end; if the goal held then, but not for its hold time, of the last tick at which it
             did not hold. None without a goal.
         held_ticks: control ticks for which the goal had held without a break at the end.
-        margins: how near the arms came to their limits, and how still the things lay in the hands; None if no tick passed.
+        margins: how near the arms came to their limits, and how still the things lay in the hands; None if no tick
+            passed.
         collision: the first forbidden contact, and when; None without one.
         T_at_start, T_at_end: thing -> pose (4, 4) in `world`.
         speeds: thing -> speed at the end, m/s.
