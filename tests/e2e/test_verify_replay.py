@@ -100,7 +100,9 @@ def test_trials_are_filmed_failures_first(
     names = [f"trial_{failed[0]:06d}_off_target.mp4", "trial_000000_success.mp4"]
     assert [Path(film["path"]).name for film in run.json["videos"]] == names
     assert sorted(path.name for path in (tmp_path / "films").iterdir()) == sorted(names)
-    with Simulator(Session(make_config({}), locations).without_meshes()) as simulator:
+    with Simulator(
+        Session(make_config({("task", "goal", "on", "radius"): 0.0044}), locations).without_meshes()
+    ) as simulator:
         lengths = [len(planned(simulator, 2, number).states) for number in (failed[0], 0)]
     for name, length in zip(names, lengths, strict=True):
         with av.open(str(tmp_path / "films" / name)) as container:
