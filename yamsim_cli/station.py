@@ -91,7 +91,7 @@ class Station(Closing):
         return self._timing.tick
 
     def begin(self, seed: int = 0, trial: int = 0) -> int:
-        """Put everything to the start of a trial, that of `pickplace batch --seed SEED`.
+        """Put everything to the start of a trial, that of `yamsim trials --seed SEED`.
 
         Returns:
             Its number: the first from `trial` on that has a start.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -12,9 +13,14 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.cli.serve_cli import shown
+from tests.core.attempts import planned
 from tests.e2e.browser import Browser, wait_until
-from tests.e2e.test_record_summarize import digest
+from tests.e2e.test_record_summarize import digest, frames
+from yamsim_cli.core.attempt.simulator import Simulator
+from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.lowdim import load_frame
+from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.session import Session
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
@@ -71,7 +77,7 @@ def test_an_episode_drawn_anew_shows_what_was_recorded(dataset: Path, tmp_path: 
         assert (run.code, run.json["rendered"]) == (0, bool(extra)), run.err
         with av.open(str(tmp_path / f"{name}.mp4")) as container:
             films.append(np.array([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)], float))
-    assert films[0].shape == films[1].shape == (57, 72, 96, 3)
+    assert films[0].shape == films[1].shape == (frames(dataset)[0], 72, 96, 3)
     assert np.abs(films[0] - films[1]).mean() < 4
     assert np.abs(films[0][0] - films[0][40]).mean() > 2, "nothing moves"
     wrist = ("--render", "--camera", "right_wrist_camera", "--size", "64x48")
@@ -79,7 +85,9 @@ def test_an_episode_drawn_anew_shows_what_was_recorded(dataset: Path, tmp_path: 
     assert (run.json["size"], run.json["cameras"]) == ([64, 48], ["right_wrist_camera"])
 
 
-def test_trials_are_filmed_failures_first(tmp_path: Path) -> None:
+def test_trials_are_filmed_failures_first(
+    make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path
+) -> None:
     av = pytest.importorskip("av", reason="yamsim[video] is not installed")
     config = tmp_path / "small.yaml"
     text = (Path(__file__).parents[2] / "configs" / "record" / "default.yaml").read_text()
@@ -92,15 +100,19 @@ def test_trials_are_filmed_failures_first(tmp_path: Path) -> None:
     names = [f"trial_{failed[0]:06d}_off_target.mp4", "trial_000000_success.mp4"]
     assert [Path(film["path"]).name for film in run.json["videos"]] == names
     assert sorted(path.name for path in (tmp_path / "films").iterdir()) == sorted(names)
-    for name in names:
+    with Simulator(
+        Session(make_config({("task", "goal", "on", "radius"): 0.0044}), locations).without_meshes()
+    ) as simulator:
+        lengths = [len(planned(simulator, 2, number).states) for number in (failed[0], 0)]
+    for name, length in zip(names, lengths, strict=True):
         with av.open(str(tmp_path / "films" / name)) as container:
-            assert sum(1 for _ in container.decode(video=0)) == 57
+            assert sum(1 for _ in container.decode(video=0)) == length
     again = yamsim(*batch, "--video", tmp_path / "films")
     assert (again.code, "is not empty; move it aside with --overwrite" in again.message) == (2, True)
     run = yamsim(*batch, "--video", tmp_path / "reel.mp4", "--video-trials", "2")
     assert run.code == 0, run.err
     with av.open(str(tmp_path / "reel.mp4")) as container:
-        assert sum(1 for _ in container.decode(video=0)) == 114
+        assert sum(1 for _ in container.decode(video=0)) == sum(lengths)
 
 
 def test_a_browser_shows_the_episode_and_its_slider_seeks(dataset: Path, browser: Browser) -> None:

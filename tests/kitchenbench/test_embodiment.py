@@ -172,7 +172,7 @@ def test_what_is_inside_is_counted_by_volume(base: Any) -> None:
     for lifted in (0.005, 0.30):
         middle = (low + high) / 2
         motion.data.qpos[address : address + 3] = middle[0], middle[1], low[2] + lifted
-        motion.refresh()
+        mujoco.mj_forward(realized.simulator.scene.model, motion.data)
         shares.append(world.contained_fraction("knife_1", "compartment_knife"))
     assert shares[0] > 0.9 and shares[1] == 0.0
     realized.simulator.close()

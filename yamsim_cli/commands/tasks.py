@@ -117,4 +117,4 @@ def check(
 
 
 def _row(item: Mapping[str, Any]) -> list[str]:
-    return [item["name"], ", ".join(item["things"]), ", ".join(item["skills"] or [item["kind"]]), item["prompt"]]
+    return [item["name"], ", ".join(item["things"]), ", ".join(item["skills"]), item["prompt"]]

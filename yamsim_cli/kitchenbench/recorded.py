@@ -1,4 +1,4 @@
-"""The benchmark's scenes as tasks that are data: for recordings, which then need the benchmark no more."""
+"""The benchmark's scenes as tasks of ours: for recordings, which then need the benchmark no more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Films of trials, for `pickplace batch` and `eval`."""
+"""Films of trials, for `trials` and `eval`."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ class YamsimRobotConfig(RobotConfig):
         fps: control ticks a second: the `--dataset.fps` of what is recorded.
         size: width and height of pictures, px.
         cameras: names of those that are shown, in order.
-        seed, trial: where things start: as in that trial of `yamsim pickplace batch --seed SEED`, and in the next ones.
+        seed, trial: where things start: as in that trial of `yamsim trials --seed SEED`, and in the next ones.
         by_clock: whether time passes by the clock; otherwise a frame passes with each action, so that a busy machine
             changes nothing in what happens.
         episode_time_s, reset_time_s: how long LeRobot records an episode, and lets people set up the next one: at the

@@ -1,4 +1,4 @@
-"""Whether a task that is data has a start at all: its first attempts, sampled."""
+"""Whether a task has a start at all: its first attempts, sampled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tasks of the kinds `pickplace` and `handover`, as they were written before, as tasks that are data."""
+"""Tasks of the kinds `pickplace` and `handover`, as they were written before, as programs."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from ..goals.world import TABLE
 from .things.scaled import scaled
 from .things.thing import ObjectConfig
 
-#: What tasks that are data say as their `kind`.
+#: What tasks say as their `kind`.
 PROGRAM = "program"
 
 # How a hand holds a thing: by a constraint, by friction, or cloth by a constraint and everything else by friction.
@@ -221,7 +221,7 @@ class ProgramTiming(Config):
 
 
 class ProgramTask(Config):
-    """A task that is data.
+    """A task: things, starts, a goal, and an expert made of skills.
 
     Attributes:
         rig: what it is done on where nobody says otherwise.

@@ -29,7 +29,7 @@ Side = Literal["left", "right"]
 
 
 class RecordConfig(Config):
-    """What `yamsim record` and `yamsim pickplace batch` run.
+    """What `yamsim record` and `yamsim trials` run.
 
     Attributes:
         arm: which of two arms does the task, or begins it; a rig's only arm does it in any case.

@@ -32,7 +32,7 @@ DAMAGED = ".damaged"
 
 EPISODE_FORMAT = "yamsim-episode"
 DATASET_FORMAT = "yamsim-dataset"
-# Of tasks with an object and a target; of tasks that are data, with any number of things; and of imported recordings.
+# Of recordings of engine 1 with an object and a target; of tasks with any number of things; of imported recordings.
 FORMAT_VERSION = 1
 PROGRAM_FORMAT_VERSION = 2
 REAL_FORMAT_VERSION = 3

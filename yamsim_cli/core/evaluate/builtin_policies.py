@@ -1,4 +1,4 @@
-"""Policies that come with yamsim: the plan itself, standing still, and a dataset's actions."""
+"""Policies that come with yamsim: a task's expert, standing still, and a dataset's actions."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Trial:
 
     @functools.cached_property
     def demonstrated(self) -> Simulated:
-        """What the task's planner makes of the attempt."""
+        """What the task's expert makes of the attempt."""
         return demonstrate(self._simulator, self.attempt)
 
 
@@ -81,10 +81,10 @@ class _Playback:
 
 
 class Scripted(_Playback):
-    """Does what the plan does that `pickplace batch` and `record` make: it knows where everything is."""
+    """Does what a task's expert does in `trials` and `record`: it knows where everything is."""
 
     def begin(self, trial: Trial) -> Array | None:
-        """Take over the plan's actions, and its start."""
+        """Take over the expert's actions, and its start."""
         states = trial.demonstrated.states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
         self._play(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)

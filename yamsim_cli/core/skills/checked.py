@@ -1,4 +1,4 @@
-"""Whether a task that is data can be: its program, and where its things start."""
+"""Whether a task can be: its program, and where its things start."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or 
 
 
 def check_config(config: Config) -> None:
-    """Make sure that a config's task can be, if it is a task or a recording of one that is data.
+    """Make sure that a config's task can be, if it is a task or a recording of one.
 
     Raises:
         ConflictError: it cannot; its path is where, from the config.

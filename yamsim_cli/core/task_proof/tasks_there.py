@@ -23,7 +23,7 @@ def tasks_there(locations: Locations) -> list[dict[str, Any]]:
 
 
 def task_there(name: str, locations: Locations) -> dict[str, Any]:
-    """What one task is: name, kind, rig, prompt, things, skills, goal, path; of a task that is data more.
+    """What one task is: name, kind, rig, prompt, things, skills, goal, counts, phrasings, starts and so on, and path.
 
     Raises:
         ConfigError: there is none of that name, or its file is not valid.

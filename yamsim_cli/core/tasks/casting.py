@@ -1,4 +1,4 @@
-"""An attempt of a task that is data, sampled: who plays which role, what is said, and where everything starts."""
+"""An attempt, sampled: who plays which role, what is said, and where everything starts."""
 
 from __future__ import annotations
 
