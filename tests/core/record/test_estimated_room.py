@@ -19,22 +19,22 @@ from yamsim_cli.core.skills.program import SKILLS
 
 # Frames of one recorded episode: `yamsim record --task TASK --n 1 --seed 0 --size 64x48 --quality fast`.
 RECORDED_FRAMES = {
-    "cans_into_bin": 205,
-    "drawer": 279,
-    "fold_napkin": 137,
-    "fold_napkin_crumpled": 237,
-    "fold_napkin_diagonal": 138,
-    "fold_napkin_thirds": 212,
-    "hand_over_and_place": 239,
+    "cans_into_bin": 190,
+    "drawer": 263,
+    "fold_napkin": 122,
+    "fold_napkin_crumpled": 222,
+    "fold_napkin_diagonal": 123,
+    "fold_napkin_thirds": 196,
+    "hand_over_and_place": 198,
     "handover": 179,
-    "hang_mug": 134,
-    "lift_tray": 73,
-    "onto_napkin": 127,
+    "hang_mug": 119,
+    "lift_tray": 57,
+    "onto_napkin": 112,
     "pickplace": 94,
-    "set_upright": 143,
-    "sort_row": 280,
-    "swap": 336,
-    "tower": 181,
+    "set_upright": 128,
+    "sort_row": 265,
+    "swap": 320,
+    "tower": 166,
 }
 
 

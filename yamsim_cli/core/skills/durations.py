@@ -33,14 +33,15 @@ _PARK_SECONDS = 1.0  # arms go back out of the way at the end; measured, 0.5 to 
 
 
 def typical_ticks(task: ProgramTask) -> int:
-    """Control ticks that a successful attempt at a task usually takes, with the rest at its end.
+    """Return how many control ticks a successful attempt at a task usually takes.
+
+    Most goals have held for their hold time when the arms are back, so nothing is added for the rest at the end.
 
     Raises:
         ConfigError: the task's program is not valid.
     """
     seconds = _PARK_SECONDS + sum(_seconds(skill) for skill in program_of(task, task.typical_cast))
-    ticks = math.ceil(seconds / task.timing.tick) + task.timing.settle_ticks + task.hold_ticks
-    return min(task.most_ticks, ticks)
+    return min(task.most_ticks, math.ceil(seconds / task.timing.tick))
 
 
 def _seconds(skill: Skill) -> float:
