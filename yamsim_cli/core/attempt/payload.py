@@ -18,7 +18,6 @@ from .simulator import Simulator
 # cast shadows. A recording that states none is of `FIRST_LOOKS`.
 LOOKS, FIRST_LOOKS = "2", "1"
 
-
 # Revision of the engine, raised when the same config and seed give other actions: 2 since all tasks are programs of
 # skills, and arms solve inverse kinematics in closed form. A recording that states none is of `FIRST_ENGINE`.
 ENGINE, FIRST_ENGINE = "2", "1"

@@ -200,7 +200,7 @@ def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames,
     done = repeat(simulator, attempt, actions, rules)
     # What an expert tried again, its actions cannot tell.
     judged = OutcomeRecord.of(done.outcome).model_copy(update={"recoveries": stored.recoveries})
-    # Engine 1 judged and measured in other ways; where things ended does not depend on that.
+    # Earlier engines judged and measured in other ways; where things ended does not depend on that.
     keys = None if _engine(episode.record) == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
     once = compare_values({"outcome": _judgement(stored, keys)}, {"outcome": _judgement(judged, keys)}, tolerance)
     return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
