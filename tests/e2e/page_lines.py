@@ -84,7 +84,8 @@ def prepared(line: str, policy_port: int) -> str:
 
 
 def _with_flags(line: str, flags: str) -> str:
-    for flag, value in re.findall(r"(--\S+) (\S+)", flags):
-        if flag not in shlex.split(line):
-            line = f"{line} {flag} {value}"
+    """The line with those of the flags that it lacks, each with its value if it has one."""
+    for flag in re.findall(r"--\S+(?: (?!--)\S+)?", flags):
+        if flag.split()[0] not in shlex.split(line):
+            line = f"{line} {flag}"
     return line
