@@ -20,13 +20,14 @@ def fetch_bar() -> Iterator[FetchBar]:
     from rich.progress import BarColumn, Progress, TextColumn
 
     from .console import console
+    from .tables import file_size
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[done]}"))
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("meshes", total=None, done="")
 
         def advance(label: str, done: int, total: int, /, shown: str = "") -> None:
-            text = shown or f"{done / 1e6:.1f} of {total / 1e6:.1f} MB"
+            text = shown or f"{file_size(done)} of {file_size(total)}"
             bar.update(task, description=label, completed=done, total=total, done=text)
 
         yield advance

@@ -54,9 +54,10 @@ class PinnedArchives:
             raise SourceError(f"{assets.name} is in no archive")
         archive = self.archives[assets.archive]
         path = scratch.parent / archive.file
+        label = f"{assets.name}: {archive.name} {archive.version}"
         if not path.is_file():
-            label = f"{assets.name}: {archive.name} {archive.version}"
             self._download(archive, scratch, label, progress).rename(path)
+        progress(label, archive.size, archive.size)
         return read_members(path, assets)
 
     def _download(self, archive: Archive, scratch: Path, label: str, progress: FetchProgress) -> Path:
@@ -83,7 +84,6 @@ class PinnedArchives:
             raise SourceError(_reason(archive, result))
         if sha256_file(path) != archive.sha256:
             raise SourceError(f"{archive.file} does not match its pinned SHA-256")
-        progress(label, archive.size, archive.size)
         return path
 
 
