@@ -15,7 +15,7 @@ PIP := $(PYTHON_BIN) -m pip install -q --disable-pip-version-check
 DEMO := out/demo
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update lint type bench bench-fiducials docs build lock clean
+.PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update pictures lint type bench bench-fiducials docs build lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-18s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -76,6 +76,12 @@ test-all: setup-dev gl meshes test-programs ## run all tests but those of heavy 
 
 golden-update: setup-dev gl ## make today's pictures the golden ones: look at each before committing
 	$(PYTHON_BIN) -m tests.golden.update
+
+# Needed after a change of light, colours or meshes. Pictures of a trained policy and of measurements are made elsewhere.
+pictures: setup-dev gl meshes ## draw the rendered pictures of README and docs again: look at each before committing
+	$(PYTHON_BIN) -m tools.page_pictures
+	$(PYTHON_BIN) -m tools.task_pictures
+	$(PYTHON_BIN) -m tools.kitchen_sheet
 
 lint: setup-dev ## check style and format
 	$(PYTHON_BIN) -m ruff check

@@ -1,20 +1,27 @@
 """Draw tasks that are data at the start, middle and end of their expert's first success, into `docs/images/tasks/`.
 
-python -m tools.task_pictures           # all that are shipped
-python -m tools.task_pictures tower     # or some
+python -m tools.task_pictures           # those that have a picture there
+python -m tools.task_pictures tower     # or others
 """
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image as Pillow
 
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.session import Session
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.attempt.simulated import Simulated
+    from yamsim_cli.core.attempt.simulator import Simulator
 
 # Of the scene camera's picture, px, and what is shown of it: the table between the arms, rows and columns.
 _SIZE, _ROWS, _COLUMNS = "480x360", slice(96, 276), slice(115, 365)
@@ -30,39 +37,52 @@ def main(names: list[str]) -> None:
     opener = Opener(os.environ, sys.stderr.write, str)
     # What draws is settled before anything imports MuJoCo.
     where = opener.use_gl(opener.locations())
-    from yamsim_cli.core.config.program_task import PROGRAM
-    from yamsim_cli.core.task_proof.tasks_there import tasks_there
+    from yamsim_cli.core.config.recording import SCENE_CAMERA
 
-    shipped = [task["name"] for task in tasks_there(where) if task["kind"] == PROGRAM]
-    _FOLDER.mkdir(exist_ok=True)
-    for name in names or shipped:
+    for name in names or sorted(file.stem for file in _FOLDER.glob("*.png")):
         config = opener.config("default", where, task=name, size=_SIZE, quality="high")
-        pictures = _pictures(opener.with_meshes(Session(config, where)))
-        # So few colours that the file stays small; dithered, or shadows would have edges.
-        strip = Pillow.fromarray(np.hstack(pictures)).quantize(_COLOURS, dither=Pillow.Dither.FLOYDSTEINBERG)
+        with first_success(opener.with_meshes(Session(config, where))) as success:
+            seen = [of[SCENE_CAMERA][_ROWS, _COLUMNS] for of in pictures(*success, (0, 0.5, 1), (SCENE_CAMERA,))]
         file = _FOLDER / f"{name}.png"
-        strip.save(file, optimize=True)
+        few_colours(np.hstack(seen)).save(file, optimize=True)
         sys.stdout.write(f"{file}: {file.stat().st_size} bytes\n")
 
 
-def _pictures(session: Session) -> list[np.ndarray]:
-    """The scene camera's images (height, width, 3) of the first success."""
-    from yamsim_cli.core.attempt.pictures import render
-    from yamsim_cli.core.attempt.programs import demonstrate_program
+@contextmanager
+def first_success(session: Session) -> Iterator[tuple[Simulator, Simulated]]:
+    """Give the first success of seed 0, with the simulator that it was made in."""
+    from yamsim_cli.core.attempt.planned import demonstrate
     from yamsim_cli.core.attempt.sampling import sample
     from yamsim_cli.core.attempt.simulators import Simulators
-    from yamsim_cli.core.config.recording import SCENE_CAMERA
     from yamsim_cli.core.types import EpisodeJob
 
     with Simulators(session) as simulators:
         for job in (EpisodeJob(0, number) for number in range(_TRIES)):
             simulator = simulators.of(job)
-            done = demonstrate_program(simulator, sample(simulator, job))
+            done = demonstrate(simulator, sample(simulator, job))
             if done.outcome.success:
-                shown = [done.states[k].qpos for k in (0, len(done.states) // 2, -1)]
-                seen = [render(simulator, done.attempt, qpos, (SCENE_CAMERA,))[SCENE_CAMERA] for qpos in shown]
-                return [image[_ROWS, _COLUMNS] for image in seen]
+                yield simulator, done
+                return
     raise SystemExit(f"{session.config.task.name}: none of {_TRIES} attempts succeeded")
+
+
+def pictures(
+    simulator: Simulator, done: Simulated, moments: Sequence[float], cameras: Sequence[str]
+) -> list[dict[str, np.ndarray]]:
+    """Return, for each moment, camera -> image (height, width, 3).
+
+    Args:
+        moments: shares of the attempt's frames, 0 for the first and 1 for the last one.
+    """
+    from yamsim_cli.core.attempt.pictures import render
+
+    shown = [done.states[round(moment * (len(done.states) - 1))].qpos for moment in moments]
+    return [render(simulator, done.attempt, qpos, cameras) for qpos in shown]
+
+
+def few_colours(image: np.ndarray) -> Pillow.Image:
+    """Return an image in 256 colours, so that its PNG is small, dithered, since shadows would have edges otherwise."""
+    return Pillow.fromarray(image).quantize(_COLOURS, dither=Pillow.Dither.FLOYDSTEINBERG)
 
 
 if __name__ == "__main__":

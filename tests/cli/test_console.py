@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import re
 import subprocess
 import sys
 from collections.abc import Callable
 
 import pytest
+from rich.console import Console
 
 from yamsim_cli.terminal import console
 from yamsim_cli.terminal.console import progress_bar
+from yamsim_cli.terminal.fetch_bar import fetch_bar
 
 
 @pytest.fixture
@@ -81,3 +84,23 @@ def test_a_command_tells_its_progress_on_stderr_beside_json() -> None:
     assert lines[0] == "trials: 1 of 2 trials"
     assert re.fullmatch(r"trials: 2 of 2 trials, [0-9.]+ trials/min, 0:00:00 left", lines[1])
     assert len(lines) == 2
+
+
+def fetched(monkeypatch: pytest.MonkeyPatch, *, on_terminal: bool) -> str:
+    """What the bar of a fetch writes to an 80 columns wide output."""
+    file = io.StringIO()
+    monkeypatch.setattr(console, "console", Console(file=file, force_terminal=on_terminal, width=80))
+    with fetch_bar() as advance:
+        advance("i2rt_yam_linear_4310: dreamscale-i2rt 1.3.6.post1", 14_200_000, 33_000_000)
+        advance("finray: made here", 25_500, 25_500)
+    return file.getvalue()
+
+
+def test_a_fetchs_bar_names_sizes_of_any_scale_and_is_gone_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = fetched(monkeypatch, on_terminal=True)
+    assert "25.5 kB of 25.5 kB" in written
+    assert written.endswith("\r\x1b[1A\x1b[2K")  # The cursor is on the bar's line, which is empty.
+
+
+def test_a_fetch_without_a_terminal_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert fetched(monkeypatch, on_terminal=False).strip() == ""

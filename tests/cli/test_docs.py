@@ -129,6 +129,15 @@ def test_no_range_of_episodes_is_made_smaller() -> None:
     assert page_lines.prepared(line, policy_port=8081) == line
 
 
+def test_a_line_gets_the_flags_that_it_lacks_with_and_without_values(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page_lines, "CHEAPER", {"yamsim record": "--n 1 --no-wrist --size 64x48 --json"})
+    for line, prepared in {
+        "yamsim record --out a": "yamsim record --out a --n 1 --no-wrist --size 64x48 --json",
+        "yamsim record --json --n 2": "yamsim record --json --n 2 --no-wrist --size 64x48",
+    }.items():
+        assert page_lines.prepared(line, policy_port=8081) == prepared
+
+
 def missing_packages(text: str) -> set[str]:
     """Packages that a page imports, and that neither this set-up brings nor the page says to install."""
     trees = [ast.parse(block.text) for block in blocks(text) if block.language == "python"]

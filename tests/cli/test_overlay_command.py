@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import cv2
@@ -141,7 +142,8 @@ def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locat
     assert image["margin_m"] is None
     # With the camera, the same photo gives both.
     (folder / "long.yaml").write_text("width: 1280\nheight: 960\nK: [[3425, 0, 639.5], [0, 3425, 479.5], [0, 0, 1]]\n")
-    known = yamsim("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "long.yaml", "--json", cwd=folder)
+    args = ("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "long.yaml", "--json", "--out", "known")
+    known = yamsim(*args, cwd=folder)
     assert known.code == 0, known.err
     low, high = known.json["images"][0]["camera"]["focal_low"], known.json["images"][0]["camera"]["focal_high"]
     assert low < 3425 < high
@@ -166,15 +168,15 @@ def watched(locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 def test_a_base_that_was_pushed_is_told_with_the_photo(watched: Path, tmp_path: Path) -> None:
-    asked = ("overlay", "--img", watched, "--rig", "russet", "--camera", watched / "camera.yaml", "--out", tmp_path)
-    run = yamsim(*asked, "--fail-if-moved", "--json")
+    asked = ("overlay", "--img", watched, "--rig", "russet", "--camera", watched / "camera.yaml")
+    run = yamsim(*asked, "--out", tmp_path / "all", "--fail-if-moved", "--json")
     assert run.code == 4
     assert "05.png (number 5): before it the base of arm2 was moved by 4.0 mm" in run.message
     (move,) = run.json["moved"]
     assert (move["frame"], move["what"], move["arm"], run.json["still"]) == (5, "base", "arm2", False)
     assert move["shift_m"] == pytest.approx(0.004, abs=3e-4)
     assert move["shift_in_base_m"][1] == pytest.approx(0.004, abs=3e-4)
-    few = yamsim(*asked, "--every", "2", "--json")
+    few = yamsim(*asked, "--out", tmp_path / "few", "--every", "2", "--json")
     assert few.code == 0
     assert (len(few.json["images"]), few.json["still"], few.json["moved"]) == (5, None, [])
     assert few.json["still_unknown"].startswith("fewer than 8 photos")
@@ -215,7 +217,7 @@ def test_what_would_help_a_refused_board_is_told(folder: Path) -> None:
     args = ("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "camera.yaml")
     told = yamsim(*args, cwd=folder)
     assert told.code == 0, told.err
-    asked = yamsim(*args, "--json", cwd=folder)
+    asked = yamsim(*args, "--json", "--out", "asked", cwd=folder)
     (arm,) = [arm for arm in asked.json["images"][0]["arms"] if arm["T_base_in_cam"] is None]
     assert arm["reason"] and arm["advice"]
     line = f"photo.png: {arm['name']}: {arm['reason']}; would help: {', '.join(arm['advice'])}"
@@ -298,6 +300,28 @@ def test_files_that_cannot_be_used_are_one_line(folder: Path, args: list[str], c
     assert (run.code, run.out) == (code, "")
     assert part in run.err.splitlines()[-1]
     assert not (folder / "overlays").exists()
+
+
+@pytest.mark.parametrize("taken", ["photo_overlay.png", "photo_mask.png", "overlay.json"])
+def test_results_that_exist_are_refused_and_overwrite_replaces_them(folder: Path, taken: str) -> None:
+    (folder / "overlays").mkdir()
+    file = folder / "overlays" / taken
+    file.write_bytes(b"mine")
+    args = ("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "camera.yaml", "--mask")
+    run = yamsim(*args, cwd=folder)
+    assert (run.code, file.read_bytes(), list((folder / "overlays").iterdir())) == (2, b"mine", [file])
+    assert run.message.endswith(f"{taken} exists; replace it with --overwrite, or give another path")
+    assert yamsim(*args, "--overwrite", cwd=folder).code == 0
+    assert file.read_bytes() != b"mine"
+
+
+def test_overwrite_replaces_no_input(folder: Path) -> None:
+    photo = folder / "photo_overlay.png"
+    shutil.copy(folder / "photo.png", photo)
+    args = ("overlay", "--img", "photo.png", "--img", "photo_overlay.png", "--rig", "russet", "--out", ".")
+    run = yamsim(*args, "--overwrite", cwd=folder)
+    assert (run.code, photo.read_bytes()) == (2, (folder / "photo.png").read_bytes())
+    assert run.message.endswith("photo_overlay.png is an input and would be overwritten; choose another --out")
 
 
 @pytest.fixture(scope="module")

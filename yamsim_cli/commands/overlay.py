@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.outputs import require_free
+from yamsim_cli.flags.outputs import Overwrite, require_free
 from yamsim_cli.flags.session import Json, Margin, Offline, Revision, opener
 from yamsim_cli.terminal.console import note, print_json, print_line, progress_bar
 
@@ -67,7 +67,7 @@ def overlay(
     opacity: Annotated[float, typer.Option(min=0, max=1, help="Opacity of the rendered arms.")] = 0.55,
     video: Annotated[Path | None, typer.Option(help="Also write an MP4 of all pictures.")] = None,
     fps: Annotated[float, typer.Option(min=0.1, max=240, help="Pictures a second in the MP4.")] = 15.0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a video that exists.")] = False,
+    overwrite: Overwrite = False,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
@@ -101,7 +101,7 @@ def overlay(
     from yamsim_cli.core.overlay.joint_files import load_stands
     from yamsim_cli.core.overlay.overlayer import OverlayOptions
     from yamsim_cli.core.overlay.photos import Photo, find_photos, recorded_photos
-    from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
+    from yamsim_cli.core.overlay.series import OverlayRequest, output_files, run_overlays
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
     from yamsim_cli.core.vision.fiducials.judge import Limits
@@ -125,6 +125,7 @@ def overlay(
         min_iou,
         fail_if_moved,
     )
+    require_free("--out", output_files(request), overwrite=overwrite)
     where = opener.find_meshes(where, mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
         report = run_overlays(settings, request, scene, quality, where, advance)

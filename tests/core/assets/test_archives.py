@@ -91,11 +91,14 @@ def test_pip_downloads_the_pinned_archive_for_any_python(world, contents, scratc
     assert seen[-1] == ("tiny: tiny-meshes 1.0", size, size)
 
 
-def test_sets_of_one_archive_take_one_download(world, contents, tmp_path, local_pip):
+def test_sets_of_one_archive_take_one_download_and_each_is_reported(world, contents, tmp_path, local_pip):
     source = PinnedArchives(world.lock.archives)
+    reported = []
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
-        assert source.read(world.lock.sets["tiny"], tmp_path / name, no_progress) == contents
+        reported.clear()
+        assert source.read(world.lock.sets["tiny"], tmp_path / name, lambda *one: reported.append(one)) == contents
+        assert reported[-1][0] == "tiny: tiny-meshes 1.0"
         (world.index / "tiny_meshes-1.0-py3-none-any.whl").unlink(missing_ok=True)
 
 

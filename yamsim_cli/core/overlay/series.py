@@ -22,7 +22,7 @@ from ..vision.fiducials.sighting import Status
 from .arm_poses import Lens, unknown_lens
 from .joint_files import Stands
 from .moves import Move, Moved, find_moves
-from .overlay_report import OverlayReport
+from .overlay_report import REPORT_NAME, OverlayReport
 from .overlayer import Overlay, Overlayer, OverlayOptions, picture_paths, write_overlay
 from .photos import Photo, mask_of
 
@@ -39,7 +39,7 @@ class OverlayRequest:
         out: folder for the pictures and the report.
         write_masks: whether a mask of each photo is written: 0 where no arm is, k for the k-th arm.
         mask_images: the user's own mask of the photos, or a folder with masks of the photos' names.
-        video: an MP4 of all pictures to write; an older one is moved aside.
+        video: an MP4 of all pictures to write; an older one is replaced.
         frame_period: time from one picture to the next in the video, s.
         max_reprojection, min_iou: limits that each photo has to keep, px and 0..1.
         fail_if_moved: whether it counts as a failure that the camera or a base was moved from one photo to the next.
@@ -76,8 +76,8 @@ def run_overlays(
     """
     photos = _with_joints(request)
     stems = _stems(photos)
-    masks = [None if request.mask_images is None else mask_of(request.mask_images, photo.path) for photo in photos]
-    _refuse_overwriting(request, stems, [photo.path for photo in photos] + [path for path in masks if path])
+    masks = _masks(request)
+    output_files(request)
     try:
         request.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -117,6 +117,21 @@ def run_overlays(
         report.files.append(request.video)
     report.write(request.out)
     return report
+
+
+def output_files(request: OverlayRequest) -> list[Path]:
+    """Return the pictures, the masks and the report that `run_overlays` writes.
+
+    Raises:
+        UsageError: one of them is a photo or a mask that is read.
+        ResourceError: a photo has no mask among those that were given.
+    """
+    files = [path for stem in _stems(request.photos) for path in picture_paths(request.out, stem, request.write_masks)]
+    inputs = {path.resolve() for path in (*(photo.path for photo in request.photos), *_masks(request)) if path}
+    for path in files:
+        if path.resolve() in inputs:
+            raise UsageError(f"{path} is an input and would be overwritten; choose another --out")
+    return [*files, request.out / REPORT_NAME]
 
 
 def told(move: Move) -> str:
@@ -180,12 +195,10 @@ class _Cameras:
                 yield other
 
 
-def _refuse_overwriting(request: OverlayRequest, stems: Sequence[str], inputs: Sequence[Path]) -> None:
-    taken = {path.resolve() for path in inputs}
-    for stem in stems:
-        for path in picture_paths(request.out, stem, request.write_masks):
-            if path.resolve() in taken:
-                raise UsageError(f"{path} is an input and would be overwritten; choose another --out")
+def _masks(request: OverlayRequest) -> list[Path | None]:
+    """The user's mask of each photo; None where no masks were given."""
+    folder = request.mask_images
+    return [None if folder is None else mask_of(folder, photo.path) for photo in request.photos]
 
 
 def _stems(photos: Sequence[Photo]) -> list[str]:
