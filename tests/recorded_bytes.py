@@ -32,7 +32,8 @@ CASES = {
     "hand-over": "--seed 8 --rig russet --task handover --wrist",
     "apple into bowl": "--seed 9 --object 013_apple --target 024_bowl --grasp contact --rig single_linear",
 }
-COMMON = "--n 1 --workers 1 --size 96x72 --quality fast --json"
+# Offline, since primitives stand in for meshes.
+COMMON = "--n 1 --workers 1 --size 96x72 --quality fast --offline --json"
 
 
 def sums() -> str:
