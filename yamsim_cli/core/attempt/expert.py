@@ -45,7 +45,6 @@ class ExpertTools:
         stands = start_stands(self._config)
         for k in self._config.acting_scene_arms:
             ik = self._tools[k].ik
-            ik.hold(np.eye(4))
             if any(ik.reach(T, [stands[k].joints], _ANYHOW) is not None for T in _hand_poses(place)):
                 return True
         return False

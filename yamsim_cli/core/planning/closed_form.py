@@ -120,9 +120,11 @@ class ClosedFormIk:
             x, y, _ = _turned(wrist, self._h1, -q1)
             place = complex(x + self._a1[0], y + self._a1[1]) - self._a2
             for q5 in _solved(self._h6[2] - along_5, h5_h6[2], _dot(before_6, self._h6) - along_5):
+                if not (all_q5 := self._turns(4, q5)):
+                    continue
                 after_6 = _turned((0.0, 0.0, 1.0), self._h5, -q5)
                 for q6 in _between(before_6, after_6, self._h6):
-                    if not (all_q5 := self._turns(4, q5)) or not (all_q6 := self._turns(5, q6)):
+                    if not (all_q6 := self._turns(5, q6)):
                         continue
                     ahead = _product(rows, _turned(_turned((1.0, 0.0, 0.0), self._h5, -q5), self._h6, -q6))
                     ahead = _turned(ahead, self._h1, -q1)

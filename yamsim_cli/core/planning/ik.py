@@ -114,7 +114,10 @@ class IkSolver:
         return self._closed_form is not None
 
     def hold(self, T_object_in_pinch: Array) -> None:
-        """Solve from now on for the frame of an object held at this pose (4, 4) in the pinch frame."""
+        """Solve from now on for the frame of an object held at this pose (4, 4) in the pinch frame.
+
+        Until the first call, that is the pinch frame itself.
+        """
         T = self._T_pinch_in_flange @ T_object_in_pinch
         tool = self._model.site("tool")
         tool.pos[:] = T[:3, 3]

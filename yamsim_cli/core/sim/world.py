@@ -71,10 +71,11 @@ class SimWorld:
         root = model.body_rootid[model.geom_bodyid]
         self._geoms = {name: np.flatnonzero(root == model.body(name).id) for name in things}
         self._geoms[TABLE] = np.array([model.geom(TABLE).id])
+        self._numbers = {name: k for k, name in enumerate((*things, TABLE))}
         # Cloth has no geoms, and contacts say -1 of it, which is the last entry of these.
         self._of_geom: Ids = np.full(model.ngeom + 1, -1)
-        for k, name in enumerate(things):
-            self._of_geom[self._geoms[name]] = k
+        for name, number in self._numbers.items():
+            self._of_geom[self._geoms[name]] = number
         self._fingers = [_finger_geoms(model, arm) for arm in arms]
         self._of_finger: Ids = np.full(model.ngeom + 1, -1)
         for arm, geoms_of in enumerate(self._fingers):
@@ -150,7 +151,8 @@ class SimWorld:
         """Which side of each present contact (n, 2) is a thing."""
         if cloth := self._cloths.get(thing):
             return cloth.contacts
-        return np.isin(self._data.contact.geom, self._geoms[self._known(thing)])
+        found: NDArray[np.bool_] = self._of_geom[self._data.contact.geom] == self._numbers[self._known(thing)]
+        return found
 
     def points(self, thing: str) -> Array:
         """See `World`."""

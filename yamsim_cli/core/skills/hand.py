@@ -36,6 +36,7 @@ class Hand:
         number: of the arm in its scene.
         side: "left" or "right".
         arm: where its parts lie in MuJoCo's arrays, and what it can do.
+        ik, dynamics: inverse kinematics of its pinch frame, and its inverse dynamics.
         joints: what it was told to reach last (dof,), rad.
         opening: of one finger, as told last, m.
         grip: how hard each finger is to press, N.
@@ -55,7 +56,7 @@ class Hand:
         opening: float,
     ) -> None:
         self.number, self.side, self.arm = number, side, arm
-        self._ik, self.dynamics = ik, dynamics
+        self.ik, self.dynamics = ik, dynamics
         self.ready = ready
         self.joints, self.opening, self.grip = ready.copy(), opening, 0.0
         self.magnet = False
@@ -83,12 +84,6 @@ class Hand:
     def welds(self) -> bool:
         """Whether a weld holds what is in the hand, and not the friction of its fingers."""
         return self.arm.weld is not None
-
-    @property
-    def ik(self) -> IkSolver:
-        """Inverse kinematics of the pinch frame."""
-        self._ik.hold(np.eye(4))
-        return self._ik
 
     def pinch_at(self, joints: Array) -> Array:
         """Pose (4, 4) of the pinch frame in `world` with the arm at `joints` (dof,)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -17,6 +17,7 @@ from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Skill, hand_with, preferences
 from .bench import Bench, Fingers, Segment
+from .cached_iterable import CachedIterable
 from .errors import SkillFailedError
 from .grips import Grip, points_well
 from .hand import PASSING, Hand, Held
@@ -32,24 +33,30 @@ _AHEAD = (0.32, 0.26, 0.38, 0.44)
 # other, and may be turned about that line, rad.
 _LEAST_ANGLE = math.radians(50)
 _OPPOSITE = math.radians(165)
-# But for hands that hold a long thing side by side, so far apart, m: fingers with room between them; and where there is
-# no such meeting, fingers that only just pass each other, lower over the table, where both come from above.
-_SIDE_BY_SIDE, _CLOSE = 0.13, 0.07
-_LOWER = (0.0, 0.06, 0.12)
+# Hands that come from the same side hold a long thing side by side: how far apart they are at least, and how much lower
+# than usual they meet, m. Fingers with room between them come first, then fingers that only just pass each other, and
+# then lower places, which hands reach from above.
+_MEETINGS = ((0.13, 0.0), (0.07, 0.0), (0.07, 0.06), (0.07, 0.12))
 
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
 
 @dataclass(frozen=True)
 class _Meeting:
-    """Where the hands meet, and the joints (dof,) of both: the giving one's, the taking one's before it and at it."""
+    """How hands meet.
 
-    T_thing_in_world: Array
+    Attributes:
+        grip: the taking hand's.
+        wide: opening of one of its fingers before it closes, m.
+        giving: joints (dof,) of the giving arm, rad.
+        before, taking: joints (dof,) of the taking arm before it comes to the thing, and at it, rad.
+    """
+
+    grip: Grip
+    wide: float
     giving: Array
     before: Array
     taking: Array
-    grip: Grip
-    wide: float
 
 
 class Handover(Skill):
@@ -106,77 +113,82 @@ class Handover(Skill):
         if cast.one(self.thing) != thing or bench.side_of(self.to) == hand.side:
             return None
         taker = next(other for other in bench.hands if other is not hand)
-        suitable = self._suitable(bench, cast, taker, thing, ahead)
-        if next(self._meetings(bench, hand, taker, Held(thing, T_thing_in_pinch), suitable), None):
+        if self._meeting_before(bench, cast, hand, taker, Held(thing, T_thing_in_pinch), ahead) is not None:
             return None
-        whys = [self._unsuitable(bench, cast, taker, thing, ahead, grip) for grip in bench.grips(thing, taker.widest)]
-        return whys[-1] if whys and all(whys) else f"no place where the {taker.side} hand can take it"
+        faults = list(self._faults(bench, taker, thing, ahead).values())
+        return faults[-1] if faults and all(faults) else f"no place where the {taker.side} hand can take it"
 
     def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
         """The first meeting after which the next skill can go on; without one, the first at all."""
         held = bench.look_at(giver)
-        for following in preferences(ahead, bench, cast):
-            suitable = self._suitable(bench, cast, taker, held.thing, following)
-            if (found := next(self._meetings(bench, giver, taker, held, suitable), None)) is not None:
+        for following in (*preferences(ahead, bench, cast), ()):
+            if (found := self._meeting_before(bench, cast, giver, taker, held, following)) is not None:
                 return found
-        anyhow = bench.grips(held.thing, taker.widest)
-        if (found := next(self._meetings(bench, giver, taker, held, anyhow), None)) is not None:
-            return found
         raise SkillFailedError(Cause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
 
-    def _suitable(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> Iterator[Grip]:
-        """The grips of the taking hand with which the next skill can go on."""
-        for grip in bench.grips(thing, taker.widest):
-            if self._unsuitable(bench, cast, taker, thing, ahead, grip) is None:
-                yield grip
+    def _faults(self, bench: Bench, taker: Hand, thing: str, ahead: Sequence[Skill]) -> dict[int, str | None]:
+        """Number of a grip of the taking hand -> why the skills ahead could not go on with it, as far as looked at."""
+        return bench.once((self, taker.side, thing, tuple(ahead)), dict)
 
-    def _unsuitable(
-        self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill], grip: Grip
-    ) -> str | None:
-        """Why the next skill could not go on with a grip of the taking hand; None if it could."""
-        if not ahead:
-            return None
-        T = inverse(grip.T_pinch_in_thing)
-        key = (self, taker.side, thing, tuple(ahead), T.tobytes(), grip.opening)
-        return bench.once(key, lambda: ahead[0].fault(bench, cast, taker, thing, T, taker.ready, ahead[1:]))
-
-    def _meetings(
-        self, bench: Bench, giver: Hand, taker: Hand, held: Held, grips: Iterable[Grip]
-    ) -> Iterator[_Meeting]:
-        """Where both hands reach the thing and touch nothing, the taking hand holding it by one of some grips."""
+    def _meeting_before(
+        self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, held: Held, ahead: Sequence[Skill]
+    ) -> _Meeting | None:
+        """The first meeting at which both hands reach the thing and touch nothing, and after which skills can go on."""
+        thing = held.thing
+        grips = bench.once(("grips", thing), lambda: CachedIterable(bench.grips(thing, taker.widest)))
+        faults = self._faults(bench, taker, thing, ahead)
+        T_giving = inverse(held.T_thing_in_pinch)
         bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, taker)]
         middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
         across = across / np.linalg.norm(across)
         height = float(bench.world.bounds(TABLE)[1][2]) + self.height
-        T_giving = inverse(held.T_thing_in_pinch)
-        known = list(grips)
-        for apart, lower in ((_SIDE_BY_SIDE, 0.0), *((_CLOSE, lower) for lower in _LOWER)):
-            for grip in known:
-                for R in _turned(T_giving, grip.T_pinch_in_thing, across, apart):
-                    for ahead in _AHEAD:
-                        T_thing = pose((middle[0] + ahead, middle[1], height - lower), R)
-                        found = self._met(bench, giver, taker, held, grip, T_thing)
-                        if found is not None:
-                            yield found
+        for apart, lower in _MEETINGS:
+            places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _AHEAD]
+            for number, grip in enumerate(grips):
+                if faults.get(number):
+                    continue
+                rotations = _turned(T_giving, grip.T_pinch_in_thing, across, apart)
+                for T_thing in (pose(place, R) for R in rotations for place in places):
+                    meeting = _reached(giver, taker, T_thing @ T_giving, T_thing @ grip.T_pinch_in_thing, grip)
+                    if meeting is None:
+                        continue
+                    if number not in faults:
+                        T_held = inverse(grip.T_pinch_in_thing)
+                        after = (
+                            ahead[0].fault(bench, cast, taker, thing, T_held, taker.ready, ahead[1:]) if ahead else None
+                        )
+                        faults[number] = after
+                    if faults[number]:
+                        break
+                    if _is_free(bench, giver, taker, held, meeting):
+                        return meeting
+        return None
 
-    def _met(self, bench: Bench, giver: Hand, taker: Hand, held: Held, grip: Grip, T_thing: Array) -> _Meeting | None:
-        T_giving, T_taking = T_thing @ inverse(held.T_thing_in_pinch), T_thing @ grip.T_pinch_in_thing
-        if not points_well(T_giving, giver.arm.T_base_in_world) or not points_well(T_taking, taker.arm.T_base_in_world):
-            return None
-        taking = taker.reach(T_taking, (taker.ready,))
-        giving = None if taking is None else giver.reach(T_giving, (giver.joints, giver.ready), PASSING)
-        if taking is None or giving is None:
-            return None
-        if bench.touched(giver, giving, giver.opening, Load(held.thing, held.T_thing_in_pinch)):
-            return None
-        there = bench.imagined(giver, giving, giver.opening, held)
-        wide = min(grip.opening + grip.clearance, taker.widest)
-        if bench.obstacles.touched(there, taker.number, taking, wide, between=held.thing):
-            return None
-        before = taker.reach(T_taking @ pose((0.0, 0.0, -_APPROACH)), (taking,), PASSING)
-        if before is None or bench.obstacles.touched(there, taker.number, before, wide):
-            return None
-        return _Meeting(T_thing, giving, before, taking, grip, wide)
+
+def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
+    """The meeting with the hands' pinch frames at poses (4, 4) in `world`; None where an arm does not reach its own."""
+    if not points_well(T_giving, giver.arm.T_base_in_world) or not points_well(T_taking, taker.arm.T_base_in_world):
+        return None
+    taking = taker.reach(T_taking, (taker.ready,))
+    if taking is None:
+        return None
+    giving = giver.reach(T_giving, (giver.joints, giver.ready), PASSING)
+    if giving is None:
+        return None
+    before = taker.reach(T_taking @ pose((0.0, 0.0, -_APPROACH)), (taking,), PASSING)
+    if before is None:
+        return None
+    return _Meeting(grip, min(grip.opening + grip.clearance, taker.widest), giving, before, taking)
+
+
+def _is_free(bench: Bench, giver: Hand, taker: Hand, held: Held, meeting: _Meeting) -> bool:
+    """Whether neither hand touches anything at a meeting but the thing between its fingers."""
+    if bench.touched(giver, meeting.giving, giver.opening, Load(held.thing, held.T_thing_in_pinch)):
+        return False
+    there = bench.imagined(giver, meeting.giving, giver.opening, held)
+    touched, wide = bench.obstacles.touched, meeting.wide
+    at_it = touched(there, taker.number, meeting.taking, wide, between=held.thing)
+    return not at_it and not touched(there, taker.number, meeting.before, wide)
 
 
 def _turned(T_giving: Array, T_taking: Array, across: Array, side_by_side: float) -> Iterator[Array]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from ..planning.obstacles import Load
 from ..types import Cause
 from .base import Skill, hand_with
 from .bench import Bench, Segment
+from .cached_iterable import CachedIterable
 from .errors import SkillFailedError
 from .grips import points_well
 from .hand import PASSING, Hand
@@ -58,24 +60,24 @@ class Placing(Skill):
         return TABLE
 
     @abstractmethod
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
         """Where the thing may come to lie: poses (4, 4) in `world`, the best first."""
 
-    def _best(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
-        """The same, looked for but once while nothing moves: every grip that is tried asks for them."""
-        return bench.once((self, thing), lambda: self.goals(bench, cast, thing))
+    def _best(self, bench: Bench, cast: Cast, thing: str) -> Iterable[Array]:
+        """The same, each looked for but once while nothing moves: every grip that is tried asks for them."""
+        return bench.once((self, thing), lambda: CachedIterable(self.goals(bench, cast, thing)))
 
     def relaxed(self, bench: Bench, cast: Cast) -> Placing:
         """See `Skill`."""
         return self
 
-    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> list[Array]:
+    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterable[Array]:
         """The same for a hand that holds the thing so, in the order in which they are tried."""
         return self._best(bench, cast, thing)
 
     def places(self, bench: Bench, cast: Cast, thing: str) -> Sequence[Array]:
         """See `Skill`."""
-        return [T[:2, 3] for T in self._best(bench, cast, thing)[:1]]
+        return [T[:2, 3] for T in itertools.islice(self._best(bench, cast, thing), 1)]
 
     def fault(
         self,
@@ -184,7 +186,7 @@ class Place(Placing):
         """See `Placing`."""
         return TABLE if self.on == TABLE else cast.one(self.on)
 
-    def goals(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
+    def goals(self, bench: Bench, cast: Cast, thing: str) -> Iterator[Array]:
         """See `Placing`."""
         onto = self.support(cast)
         place, T_onto = self._place(bench, cast)
@@ -192,9 +194,8 @@ class Place(Placing):
             headings = [yaw(T_onto) + math.radians(self.heading_deg)]
         else:
             headings = [yaw(bench.world.pose(thing)) + turn for turn in _TURNS]
-        return [
-            pose((*place, bench.height_on(thing, place, onto, heading)), rotation_z(heading)) for heading in headings
-        ]
+        for heading in headings:
+            yield pose((*place, bench.height_on(thing, place, onto, heading)), rotation_z(heading))
 
     def relaxed(self, bench: Bench, cast: Cast) -> Place:
         """See `Skill`: it may lie otherwise than upright."""
@@ -220,8 +221,9 @@ class _PlaceAnyWay(Place):
         """See `Skill`."""
         return self
 
-    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> list[Array]:
+    def _tried(self, bench: Bench, cast: Cast, thing: str, T_thing_in_pinch: Array) -> Iterator[Array]:
         """See `Placing`. Of the other ways to lie, those where the hand comes from above come first."""
+        yield from self._best(bench, cast, thing)
         others = bench.once((self, "others", thing), lambda: self._others(bench, cast, thing))
         T_pinch_in_thing = inverse(T_thing_in_pinch)
 
@@ -230,7 +232,7 @@ class _PlaceAnyWay(Place):
             return direction
 
         reachable = [T for T in others if ahead(T)[2] < _LEVEL]
-        return [*self._best(bench, cast, thing), *sorted(reachable, key=lambda T: float(ahead(T)[2]))]
+        yield from sorted(reachable, key=lambda T: float(ahead(T)[2]))
 
     def _others(self, bench: Bench, cast: Cast, thing: str) -> list[Array]:
         """Where the thing may lie otherwise than upright, its centre of mass over the place."""

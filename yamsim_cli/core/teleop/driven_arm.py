@@ -47,7 +47,6 @@ class DrivenArm:
         self.widest = self._arm.fingers.stroke if self._arm.fingers else 0.0
         self._closed = min(_opening_around_a_thing(config), self.widest)
         self._ik = IkSolver(bare_arm(arm), self._arm.T_base_in_world)
-        self._ik.hold(np.eye(4))
         self._pursuit = Pursuit(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
         self._obstruction = Obstruction(scene, number)
         self._T_pinch_in_grasp = _fixed_pose(
