@@ -334,7 +334,6 @@ def test_on_one_arm_first_and_second_are_the_same(tmp_path: Path) -> None:
 
 def test_what_is_said_has_the_names_of_what_is_there(tmp_path: Path) -> None:
     config = session_of(tmp_path, ONE_ARM, rig="yam_station_linear_4310_d405", arm="left").config
-    assert config.program is not None
     assert config.task.language_prompt == "by the left, not the right: cube red on it"
     played = config.task.played_by(config.task.cast_of({"object": (1,), "target": (0,)}))
     assert played.phrasings.training == ("by the left, not the right: cube blue on it",)

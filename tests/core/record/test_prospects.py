@@ -161,6 +161,12 @@ FARTHER_AND_FARTHER = {("task", "starts", role, "x"): [0.55, 1.00] for role in (
     ],
 )
 def test_starts_tell_whether_anything_is_in_reach(
-    make_config: Make, locations: Locations, changes: dict[tuple[str, ...], object], cause: Cause, wanted: bool
+    make_config: Make,
+    locations: Locations,
+    monkeypatch: pytest.MonkeyPatch,
+    changes: dict[tuple[str, ...], object],
+    cause: Cause,
+    wanted: bool,
 ) -> None:
+    monkeypatch.setattr("yamsim_cli.core.record.prospects.MORE_STARTS", 20)
     assert hopeless(Session(make_config(changes), locations), cause, 10) is wanted

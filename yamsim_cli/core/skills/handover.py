@@ -153,11 +153,8 @@ class Handover(Skill):
                     if meeting is None:
                         continue
                     if number not in faults:
-                        T_held = inverse(grip.T_pinch_in_thing)
-                        after = (
-                            ahead[0].fault(bench, cast, taker, thing, T_held, taker.ready, ahead[1:]) if ahead else None
-                        )
-                        faults[number] = after
+                        taken = thing, inverse(grip.T_pinch_in_thing), taker.ready
+                        faults[number] = ahead[0].fault(bench, cast, taker, *taken, ahead[1:]) if ahead else None
                     if faults[number]:
                         break
                     if _is_free(bench, giver, taker, held, meeting):

@@ -117,6 +117,7 @@ def _place(
 ) -> Placed | None:
     """A free place for a thing; None if none was found."""
     T_on = pose((0.0, 0.0, table.top)) if on == TABLE else placed[on].T
+    beside = [outline(block_of(other, there.open), there.T) for other, there in placed.items() if there.on == on]
     for _ in range(_TRIES):
         x, y = rng.uniform(*start.x), rng.uniform(*start.y)
         turn = math.radians(rng.uniform(*start.yaw_deg))
@@ -128,12 +129,10 @@ def _place(
         middle = R @ block.mean(axis=0)
         at = (T_on @ (x, y, 0.0, 1.0))[:3] - np.array([middle[0], middle[1], 0.0])
         candidate = Placed(pose(at, R), on, opened)
-        beside = [other for other, there in placed.items() if there.on == on]
         corners = outline(block, candidate.T)
         if on == TABLE and not _on_table(corners, table):
             continue
-        outlines = (outline(block_of(other, placed[other].open), placed[other].T) for other in beside)
-        if all(gap(corners, there) >= start.apart for there in outlines):
+        if all(gap(corners, there) >= start.apart for there in beside):
             return candidate
     return None
 
@@ -163,12 +162,9 @@ def gap(one: Array, other: Array) -> float:
     """At least so far apart are two outlines, given by the corners (n, 2) of blocks that lie flat, m; negative if no
     straight line along their edges parts them.
     """
-    largest = -math.inf
-    for corners in (one, other):
-        edges = corners[1:] - corners[0]
-        for edge in edges[np.linalg.norm(edges, axis=1) > 1e-6]:
-            for x, y in (edge, (-edge[1], edge[0])):
-                axis = np.array([x, y]) / math.hypot(x, y)
-                a, b = one @ axis, other @ axis
-                largest = max(largest, float(b.min() - a.max()), float(a.min() - b.max()))
-    return largest
+    edges = np.concatenate([corners[1:] - corners[0] for corners in (one, other)])
+    lengths = np.linalg.norm(edges, axis=1)
+    along = edges[lengths > 1e-6] / lengths[lengths > 1e-6, None]
+    axes = np.concatenate([along, along[:, ::-1] * (-1.0, 1.0)])
+    a, b = one @ axes.T, other @ axes.T
+    return float(np.maximum(b.min(axis=0) - a.max(axis=0), a.min(axis=0) - b.max(axis=0)).max(initial=-math.inf))
