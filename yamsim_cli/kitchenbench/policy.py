@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 from inspect_robots import (
@@ -24,6 +25,7 @@ from ..core.planning.arm_tools import start_stands
 from ..core.skills.base import Skill
 from ..core.skills.bench import Bench, Segment
 from ..core.skills.errors import SkillFailedError
+from ..core.skills.moves import park_free
 from ..core.skills.program import RecoveryLog, run_program
 from ..core.tasks.randomness import Stream, generator
 from ..core.types import EpisodeJob
@@ -134,7 +136,7 @@ class Twin:
 
     def do(self, program: Sequence[Skill], cast: Cast) -> None:
         """Begin a program: the next actions are those of its motions."""
-        self._segments = run_program(program, self.bench, cast, RecoveryLog())
+        self._segments = chain(run_program(program, self.bench, cast, RecoveryLog()), park_free(self.bench))
 
     def next_actions(self) -> list[Array]:
         """The actions of the next motion, which have already acted in the twin."""

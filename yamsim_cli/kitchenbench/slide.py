@@ -16,7 +16,7 @@ from ..core.skills.base import Side, Skill
 from ..core.skills.bench import Bench, Fingers, Segment
 from ..core.skills.errors import SkillFailedError
 from ..core.skills.hand import PASSING, Hand
-from ..core.skills.moves import park_others, rest
+from ..core.skills.moves import park_free, rest
 from ..core.types import Cause
 
 # So much room is looked for on both sides of a thing, and so far it is slid at most; less than this is not worth it, m.
@@ -75,7 +75,7 @@ class Slide(Skill):
         hands = bench.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - before))):
             for press in self._presses(bench, hand, thing, shift):
-                yield from park_others(bench, hand)
+                yield from park_free(bench, hand)
                 yield from _drawn(bench, hand, press, shift)
                 moved = float((bench.world.pose(thing)[:2, 3] - before) @ shift) / abs(way)
                 if moved < _MOVED:

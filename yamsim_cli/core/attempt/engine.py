@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..episode.commands import path_actions
-from ..episode.episode import OnStep, Played
+from ..episode.episode import Episode, OnStep, Played
 from ..episode.rules import EXPERT_RULES, EndReason, EpisodeRules
 from ..planning.arm_tools import start_stands
 from ..scene.compiled import CompiledScene
+from ..skills.bench import Bench, Segment
 from ..skills.errors import SkillFailedError
+from ..skills.moves import park_free
 from ..skills.program import RecoveryLog, program_of, run_program
 from ..tasks.randomness import Stream, generator
 from ..types import Actions, Attempt, Cause, Outcome, Recovery, StepState
@@ -50,7 +52,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     """
     if attempt.start is None:
         return Simulated(attempt, Outcome(False, Cause.NO_LAYOUT, no_start(simulator, attempt)), None)
-    task, cast = simulator.config.task, simulator.cast
+    task = simulator.config.task
     episode = open_episode(simulator, attempt, EXPERT_RULES)
     rng = generator(attempt.job, Stream.SEARCH)
     bench = simulator.expert_tools.bench(episode.world, list(start_stands(simulator.config)), rng)
@@ -64,7 +66,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     # After the program, the arms wait until the goal has held.
     most = task.most_ticks - task.timing.settle_ticks - task.hold_ticks
     try:
-        for segment in run_program(program_of(task, cast), bench, cast, log):
+        for segment in _motions(simulator, episode, bench, log):
             note()
             if episode.ticks + segment.ticks > most:
                 failure = Cause.TIME, f"not done after {episode.seconds:.0f} s"
@@ -81,6 +83,14 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     outcome = replace(outcome_of(simulator, played, failure), recoveries=tuple(noted))
     done = Simulated(attempt, outcome, played)
     return replace(done, attempt=with_distractors(simulator, attempt, done.states)) if outcome.success else done
+
+
+def _motions(simulator: Simulator, episode: Episode, bench: Bench, log: RecoveryLog) -> Iterator[Segment]:
+    """The motions of a task's expert. Once the goal is reached, hands that have let go stay where they are."""
+    task, cast = simulator.config.task, simulator.cast
+    yield from run_program(program_of(task, cast), bench, cast, log)
+    if not episode.succeeds:
+        yield from park_free(bench)
 
 
 def repeat(

@@ -18,7 +18,7 @@ from .base import Skill, hand_with
 from .bench import Bench, Segment
 from .errors import SkillFailedError
 from .hand import PASSING, Hand
-from .moves import bring, let_go, park_others, rest
+from .moves import bring, let_go, park_free, rest
 
 # How far behind the peg's tip the eye may come, in the order in which that is tried, and how far before it the thing
 # waits, m.
@@ -80,7 +80,7 @@ class Hang(Skill):
         thing = cast.one(self.thing)
         hand = hand_with(bench, thing, "hung up")
         held = bench.look_at(hand)
-        yield from park_others(bench, hand)
+        yield from park_free(bench, hand)
         load = Load(thing, held.T_thing_in_pinch)
         fault = f"the {hand.side} arm does not reach the peg with the {thing}"
         ways = self._ways(bench, cast, hand, thing, held.T_thing_in_pinch, (hand.joints, hand.ready))

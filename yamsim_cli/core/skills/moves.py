@@ -80,11 +80,11 @@ def _parked(hand: Hand) -> bool:
     return bool(abs(hand.joints - hand.ready).max() <= 1e-6)
 
 
-def park_others(bench: Bench, hand: Hand) -> Iterator[Segment]:
-    """Bring the other hands, as far as they hold nothing, out of a hand's way."""
-    for other in bench.hands:
-        if other is not hand and other.held is None:
-            yield from park(bench, other)
+def park_free(bench: Bench, but: Hand | None = None) -> Iterator[Segment]:
+    """Bring the hands that hold nothing out of the way, except one."""
+    for hand in bench.hands:
+        if hand is not but and hand.held is None:
+            yield from park(bench, hand)
 
 
 def rest(bench: Bench) -> Segment:

@@ -18,7 +18,7 @@ from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import CLEARANCE
 from .hand import PASSING, Hand
-from .moves import GRIP_TICKS, let_go, park_others, rest
+from .moves import GRIP_TICKS, let_go, park_free, rest
 
 # From so far the hand comes to a handle straight, m; how hard it holds it, N; and how fast it moves it, m/s.
 _APPROACH = 0.08
@@ -70,7 +70,7 @@ class Operate(Skill):
                     way = self._way(bench, thing, link, T_part, T_in_part)
                     if before is None or not _reaches(hand, before, way):
                         continue
-                    yield from park_others(bench, hand)
+                    yield from park_free(bench, hand)
                     try:
                         path = bench.way(hand, before, wide)
                     except SkillFailedError as error:

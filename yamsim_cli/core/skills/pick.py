@@ -19,7 +19,7 @@ from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip, points_well
 from .hand import PASSING, Hand, Held
-from .moves import let_go, park_others, take_hold
+from .moves import let_go, park_free, take_hold
 
 # From so far the hand comes straight: from less where there is no room for more, m.
 _APPROACHES = (0.09, 0.05)
@@ -64,7 +64,7 @@ class Pick(Skill):
             reasons.clear()
             for hand in self._hands(bench, thing, places):
                 for found in self._reaches(bench, cast, hand, thing, following, reasons):
-                    yield from park_others(bench, hand)
+                    yield from park_free(bench, hand)
                     yield from self._take(bench, hand, thing, found)
                     return
         if not reasons:

@@ -23,7 +23,7 @@ from .handover import Handover
 from .hang import Hang
 from .insert import Insert
 from .lift import Lift
-from .moves import park, recover
+from .moves import recover
 from .operate import Operate
 from .pick import Pick
 from .place import Place, Placing
@@ -208,9 +208,6 @@ def run_program(program: Sequence[Skill], bench: Bench, cast: Cast, log: Recover
             number = _again_from(program, number, bench, cast)
         else:
             number += 1
-    for hand in bench.hands:
-        if hand.held is None:
-            yield from park(bench, hand)
 
 
 def _name(skill: Skill) -> str:

@@ -19,7 +19,7 @@ from .base import Side, Skill
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .hand import PASSING, Hand
-from .moves import GRIP_TICKS, park_others, rest
+from .moves import GRIP_TICKS, park_free, rest
 
 # The fingers come down so far behind the thing, from so high, and push at this height over the table, m.
 _BEHIND = 0.03
@@ -80,7 +80,7 @@ class Push(Skill):
                 found = self._reach(bench, hand, first, last, heading + turn, lean)
                 if found is None:
                     continue
-                yield from park_others(bench, hand)
+                yield from park_free(bench, hand)
                 joints, T_first, T_last = found
                 closed = Fingers(0.0)
                 yield bench.segment({hand: bench.way(hand, joints)}, {hand: closed})
