@@ -19,22 +19,22 @@ from yamsim_cli.core.skills.program import SKILLS
 
 # Frames of one recorded episode: `yamsim record --task TASK --n 1 --seed 0 --size 64x48 --quality fast`.
 RECORDED_FRAMES = {
-    "cans_into_bin": 190,
-    "drawer": 263,
-    "fold_napkin": 122,
-    "fold_napkin_crumpled": 222,
-    "fold_napkin_diagonal": 123,
-    "fold_napkin_thirds": 196,
-    "hand_over_and_place": 198,
-    "handover": 179,
-    "hang_mug": 119,
+    "cans_into_bin": 178,
+    "drawer": 253,
+    "fold_napkin": 100,
+    "fold_napkin_crumpled": 202,
+    "fold_napkin_diagonal": 118,
+    "fold_napkin_thirds": 177,
+    "hand_over_and_place": 149,
+    "handover": 147,
+    "hang_mug": 105,
     "lift_tray": 57,
-    "onto_napkin": 112,
-    "pickplace": 94,
-    "set_upright": 128,
-    "sort_row": 265,
-    "swap": 320,
-    "tower": 166,
+    "onto_napkin": 101,
+    "pickplace": 84,
+    "set_upright": 102,
+    "sort_row": 258,
+    "swap": 295,
+    "tower": 151,
 }
 
 

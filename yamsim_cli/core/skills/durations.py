@@ -29,18 +29,17 @@ SKILL_SECONDS: Mapping[str, float] = {
     "flatten": 7.0,
 }
 _THIRDS = 1.6  # of "fold": what folding in thirds takes, which is two folds of one reach; measured
-_PARK_SECONDS = 1.0  # arms go back out of the way at the end; measured, 0.5 to 4
 
 
 def typical_ticks(task: ProgramTask) -> int:
     """Return how many control ticks a successful attempt at a task usually takes.
 
-    Most goals have held for their hold time when the arms are back, so nothing is added for the rest at the end.
+    Most goals have held for their hold time when the last skill ends, so nothing is added for that.
 
     Raises:
         ConfigError: the task's program is not valid.
     """
-    seconds = _PARK_SECONDS + sum(_seconds(skill) for skill in program_of(task, task.typical_cast))
+    seconds = sum(_seconds(skill) for skill in program_of(task, task.typical_cast))
     return min(task.most_ticks, math.ceil(seconds / task.timing.tick))
 
 

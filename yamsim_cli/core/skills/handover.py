@@ -115,7 +115,7 @@ class Handover(Skill):
         taker = next(other for other in bench.hands if other is not hand)
         if self._meeting_before(bench, cast, hand, taker, Held(thing, T_thing_in_pinch), ahead) is not None:
             return None
-        faults = list(self._faults(bench, taker, thing, ahead).values())
+        faults = list(self._taking_grips(bench, cast, taker, thing, ahead).faults.values())
         return faults[-1] if faults and all(faults) else f"no place where the {taker.side} hand can take it"
 
     def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
@@ -126,17 +126,17 @@ class Handover(Skill):
                 return found
         raise SkillFailedError(Cause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
 
-    def _faults(self, bench: Bench, taker: Hand, thing: str, ahead: Sequence[Skill]) -> dict[int, str | None]:
-        """Number of a grip of the taking hand -> why the skills ahead could not go on with it, as far as looked at."""
-        return bench.once((self, taker.side, thing, tuple(ahead)), dict)
+    def _taking_grips(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
+        key = (self, taker.side, thing, tuple(ahead))
+        return bench.once(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
 
     def _meeting_before(
         self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, held: Held, ahead: Sequence[Skill]
     ) -> _Meeting | None:
         """The first meeting at which both hands reach the thing and touch nothing, and after which skills can go on."""
-        thing = held.thing
-        grips = bench.once(("grips", thing), lambda: CachedIterable(bench.grips(thing, taker.widest)))
-        faults = self._faults(bench, taker, thing, ahead)
+        grips = self._taking_grips(bench, cast, taker, held.thing, ahead)
+        # The first search asks about a grip only where hands would meet by it. Later ones have use for every answer.
+        ask_first = bool(grips.faults)
         T_giving = inverse(held.T_thing_in_pinch)
         bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, taker)]
         middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
@@ -145,21 +145,42 @@ class Handover(Skill):
         for apart, lower in _MEETINGS:
             places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _AHEAD]
             for number, grip in enumerate(grips):
-                if faults.get(number):
+                if grips.faults.get(number) or (ask_first and not grips.suits(number, grip)):
                     continue
                 rotations = _turned(T_giving, grip.T_pinch_in_thing, across, apart)
                 for T_thing in (pose(place, R) for R in rotations for place in places):
                     meeting = _reached(giver, taker, T_thing @ T_giving, T_thing @ grip.T_pinch_in_thing, grip)
                     if meeting is None:
                         continue
-                    if number not in faults:
-                        taken = thing, inverse(grip.T_pinch_in_thing), taker.ready
-                        faults[number] = ahead[0].fault(bench, cast, taker, *taken, ahead[1:]) if ahead else None
-                    if faults[number]:
+                    if not grips.suits(number, grip):
                         break
                     if _is_free(bench, giver, taker, held, meeting):
                         return meeting
         return None
+
+
+class _TakingGrips:
+    """The ways in which a hand may take a thing, the best ones first.
+
+    Attributes:
+        faults: number of a way -> why the skills ahead could not go on with it, or None; as far as anybody asked.
+    """
+
+    def __init__(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> None:
+        self._bench, self._cast, self._taker, self._thing, self._ahead = bench, cast, taker, thing, ahead
+        self._grips = CachedIterable(bench.grips(thing, taker.widest))
+        self.faults: dict[int, str | None] = {}
+
+    def __iter__(self) -> Iterator[Grip]:
+        return iter(self._grips)
+
+    def suits(self, number: int, grip: Grip) -> bool:
+        """Whether the skills ahead can go on with the grip that has a number."""
+        if number not in self.faults:
+            taken = self._taker, self._thing, inverse(grip.T_pinch_in_thing), self._taker.ready
+            faults = [skill.fault(self._bench, self._cast, *taken, self._ahead[1:]) for skill in self._ahead[:1]]
+            self.faults[number] = faults[0] if faults else None
+        return self.faults[number] is None
 
 
 def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
