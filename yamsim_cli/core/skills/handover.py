@@ -177,9 +177,11 @@ class _TakingGrips:
     def suits(self, number: int, grip: Grip) -> bool:
         """Whether the skills ahead can go on with the grip that has a number."""
         if number not in self.faults:
-            taken = self._taker, self._thing, inverse(grip.T_pinch_in_thing), self._taker.ready
-            faults = [skill.fault(self._bench, self._cast, *taken, self._ahead[1:]) for skill in self._ahead[:1]]
-            self.faults[number] = faults[0] if faults else None
+            fault = None
+            if self._ahead:
+                taken = self._taker, self._thing, inverse(grip.T_pinch_in_thing), self._taker.ready
+                fault = self._ahead[0].fault(self._bench, self._cast, *taken, self._ahead[1:])
+            self.faults[number] = fault
         return self.faults[number] is None
 
 
