@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ..documents.units import Distance
-from ..geometry.se3 import Array, inverse, pose, rotation_from_vector
+from ..geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_z
 from ..goals.cast import Cast
 from ..goals.world import TABLE
 from ..planning.obstacles import Load
@@ -33,10 +33,13 @@ _AHEAD = (0.32, 0.26, 0.38, 0.44)
 # other, and may be turned about that line, rad.
 _LEAST_ANGLE = math.radians(50)
 _OPPOSITE = math.radians(165)
-# Hands that come from the same side hold a long thing side by side: how far apart they are at least, and how much lower
-# than usual they meet, m. Fingers with room between them come first, then fingers that only just pass each other, and
-# then lower places, which hands reach from above.
-_MEETINGS = ((0.13, 0.0), (0.07, 0.0), (0.07, 0.06), (0.07, 0.12))
+# How hands meet: at least how far apart they hold a long thing if they come from the same side, m; how much lower than
+# usual, m; and by how much the line from the giving to the taking hand is turned from the line between the bases, rad.
+# Fingers with room between them come first, then fingers that only just pass each other, then lower places, which hands
+# reach from above.
+_MEETINGS = ((0.13, 0.0, 0.0), (0.07, 0.0, 0.0), (0.07, 0.06, 0.0), (0.07, 0.12, 0.0))
+_TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))
+_MORE_MEETINGS = (*_MEETINGS, *((0.07, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)))
 
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
@@ -71,6 +74,7 @@ class Handover(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS: ClassVar[bool | None] = True
     LEAVES: ClassVar[bool | None] = True
+    MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _MEETINGS
     thing: str
     to: Literal["left", "right", "first", "second", "other"] = "other"
     height: Distance = 0.22
@@ -118,12 +122,17 @@ class Handover(Skill):
         faults = list(self._taking_grips(bench, cast, taker, thing, ahead).faults.values())
         return faults[-1] if faults and all(faults) else f"no place where the {taker.side} hand can take it"
 
+    def relaxed(self, bench: Bench, cast: Cast) -> Handover:
+        """See `Skill`: the line from hand to hand may be turned from the line between the bases."""
+        return _TurnedHandover.model_construct(**dict(self))
+
     def _meeting(self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, ahead: Sequence[Skill]) -> _Meeting:
         """The first meeting after which the next skill can go on; without one, the first at all."""
         held = bench.look_at(giver)
         for following in (*preferences(ahead, bench, cast), ()):
-            if (found := self._meeting_before(bench, cast, giver, taker, held, following)) is not None:
-                return found
+            for skill in (self, self.relaxed(bench, cast)):
+                if (found := skill._meeting_before(bench, cast, giver, taker, held, following)) is not None:
+                    return found
         raise SkillFailedError(Cause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
 
     def _taking_grips(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
@@ -142,12 +151,12 @@ class Handover(Skill):
         middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
         across = across / np.linalg.norm(across)
         height = float(bench.world.bounds(TABLE)[1][2]) + self.height
-        for apart, lower in _MEETINGS:
+        for apart, lower, turn in self.MEETINGS:
             places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _AHEAD]
             for number, grip in enumerate(grips):
                 if grips.faults.get(number) or (ask_first and not grips.suits(number, grip)):
                     continue
-                rotations = _turned(T_giving, grip.T_pinch_in_thing, across, apart)
+                rotations = _turned(T_giving, grip.T_pinch_in_thing, rotation_z(turn) @ across, apart)
                 for T_thing in (pose(place, R) for R in rotations for place in places):
                     meeting = _reached(giver, taker, T_thing @ T_giving, T_thing @ grip.T_pinch_in_thing, grip)
                     if meeting is None:
@@ -157,6 +166,16 @@ class Handover(Skill):
                     if _is_free(bench, giver, taker, held, meeting):
                         return meeting
         return None
+
+
+class _TurnedHandover(Handover):
+    """A hand-over in which the line from hand to hand may be turned."""
+
+    MEETINGS: ClassVar[tuple[tuple[float, float, float], ...]] = _MORE_MEETINGS
+
+    def relaxed(self, bench: Bench, cast: Cast) -> Handover:
+        """See `Skill`."""
+        return self
 
 
 class _TakingGrips:
@@ -217,7 +236,7 @@ def _turned(T_giving: Array, T_taking: Array, across: Array, side_by_side: float
     Args:
         T_giving, T_taking: the hands' pinch frames (4, 4) in the thing's.
         side_by_side: how far apart hands that point the same way have to be, m.
-        across: from the giving arm's base to the taking arm's (3,), in `world`.
+        across: direction (3,) of the line from the giving to the taking hand, in `world`.
     """
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
     apart = T_taking[:3, 3] - T_giving[:3, 3]
