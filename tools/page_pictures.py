@@ -47,7 +47,7 @@ def _episode(opener: Opener, where: Locations) -> np.ndarray:
 
     session = _session(opener, where, size="400x300", wrist=True)
     with first_success(session) as success:
-        (seen,) = pictures(*success, (0.5,), session.config.recorded_cameras)
+        (seen,) = pictures(*success, (0.66,), session.config.recorded_cameras)
     wrist = next(image for camera, image in seen.items() if camera != SCENE_CAMERA)
     return _grid([[seen[SCENE_CAMERA], wrist]], 8)
 
