@@ -6,6 +6,7 @@ to float32 first, since some of the ways in take no others.
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -368,19 +369,24 @@ def test_a_goal_that_holds_too_short_a_time(case: Case, tmp_path: Path) -> None:
 def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: Case, tmp_path: Path) -> None:
     """Only the task's time limit tells the two apart, which ends what a person records no more than a person does."""
 
-    def waiting(ticks: int) -> Played:
-        return (case.base[:1].still(ticks) + case.base)[: case.limit + 1]
+    half = len(case.base) // 2
 
-    def reached(ticks: int) -> int:
-        done = repeat(case.simulator, case.attempt, case.actions(waiting(ticks)), EpisodeRules(EndRule.SUCCESS))
-        assert done.played is not None
-        return done.played.end.tick
+    def waiting(ticks: int, pause: int) -> Played:
+        """The expert's actions after some ticks in which nothing moves, and with a pause in their middle."""
+        middle = case.base[:half]
+        return (case.base[:1].still(ticks) + middle + middle.still(pause) + case.base[half:])[: case.limit + 1]
+
+    @functools.cache
+    def reached(waits: tuple[int, int]) -> int | None:
+        done = repeat(case.simulator, case.attempt, case.actions(waiting(*waits)), EpisodeRules(EndRule.SUCCESS))
+        return done.played.end.tick if done.played and done.outcome.success else None
 
     # The goal may be reached a little sooner or later after a wait, in which things go on settling.
     about = case.limit - by_repeat(case, case.padded(case.base), "success", tmp_path).tick
-    ticks = next(ticks for ticks in range(about - 3, about + 4) if reached(ticks) == case.limit)
-    late = next(late for late in range(ticks, ticks + 4) if reached(late) == case.limit + 1)
-    in_time = same_everywhere(case, waiting(ticks)[: case.limit], "success", tmp_path)
+    waits = [(about + more - pause, pause) for pause in range(4) for more in range(-3, 4)]
+    just = next(each for each in waits if reached(each) == case.limit)
+    late = next(each for each in waits if reached(each) == case.limit + 1)
+    in_time = same_everywhere(case, waiting(*just)[: case.limit], "success", tmp_path)
     assert in_time == Verdict(True, case.limit)
-    too_late = same_everywhere(case, waiting(late)[: case.limit], "success", tmp_path, but=("teleop",))
+    too_late = same_everywhere(case, waiting(*late)[: case.limit], "success", tmp_path, but=("teleop",))
     assert too_late == Verdict(False, case.limit)
