@@ -79,6 +79,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     note()
     last = path_actions(episode.scene, bench.wait(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
     episode.act(_fingers(episode.scene, last, grips), until_success=True)
+    bench.forget()
     played = episode.finish()
     outcome = replace(outcome_of(simulator, played, failure), recoveries=tuple(noted))
     done = Simulated(attempt, outcome, played)

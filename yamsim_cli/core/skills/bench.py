@@ -147,6 +147,12 @@ class Bench:
         found: V = self._known[1][key]
         return found
 
+    def forget(self) -> None:
+        """Drop what `once` has kept. It refers to the bench, which would otherwise stay in memory until Python looks
+        for cycles.
+        """
+        self._known = (b"", {})
+
     def grips(self, thing: str, widest: float) -> Iterator[Grip]:
         """The ways in which a hand, whose fingers open so far each (m), can hold a thing: the best known ones first."""
         if self.hands[0].welds:
