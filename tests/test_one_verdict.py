@@ -345,7 +345,7 @@ def test_the_experts_actions(case: Case, tmp_path: Path) -> None:
     assert verdict == Verdict(True, 1 + next(k for k, ticks in enumerate(held) if ticks == case.hold))
 
 
-@pytest.mark.parametrize("case", [*STIFF, CLOTH], indirect=True)
+@pytest.mark.parametrize("case", STIFF, indirect=True)
 def test_what_was_done_and_is_undone_again(case: Case, tmp_path: Path) -> None:
     """It was a success when the goal had held, and is none where whoever acts says when it is over."""
     undone = case.base + case.base.back
@@ -365,7 +365,8 @@ def test_a_goal_that_holds_too_short_a_time(case: Case, tmp_path: Path) -> None:
     assert verdict == Verdict(False, case.limit)
 
 
-@pytest.mark.parametrize("case", STIFF, indirect=True)
+# Not of `drawer`: its trials are the longest, and this test simulates many.
+@pytest.mark.parametrize("case", [case for case in STIFF if case.id != "drawer"], indirect=True)
 def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: Case, tmp_path: Path) -> None:
     """Only the task's time limit tells the two apart, which ends what a person records no more than a person does."""
 
