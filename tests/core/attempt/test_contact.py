@@ -128,11 +128,17 @@ def test_an_arm_that_touches_the_table_fails_whatever_becomes_of_the_object(
     simulator: Simulator, succeeded: Succeeded
 ) -> None:
     attempt, acting = succeeded
-    ctrl = acting.ctrl.copy()
-    # Once the banana lies on the plate: the shoulder bows until the fingers are on the table.
-    begin = len(ctrl) - 25
-    ctrl[begin:, 1] += np.linspace(0, 1.5, 25)
-    cause, detail = _rerun(simulator, attempt, replace(acting, ctrl=ctrl))
+    # Once the banana lies on the plate, the hand turns away from it, and the shoulder bows until the fingers are on the
+    # table.
+    turn, bow = 40, 40
+    begin, ticks = len(acting.ctrl) + turn, turn + bow
+    longer = [
+        np.concatenate([rows, rows[-1:].repeat(ticks, axis=0)]) for rows in (acting.ctrl, acting.magnet, acting.joints)
+    ]
+    ctrl = longer[0]
+    ctrl[-ticks:, 0] += np.minimum(np.arange(ticks) / turn, 1.0) * 0.8
+    ctrl[-bow:, 1] += np.linspace(0, 1.5, bow)
+    cause, detail = _rerun(simulator, attempt, Actions(*longer))
     assert cause is Cause.COLLIDED
     assert "finger" in detail
     assert "table" in detail
