@@ -147,7 +147,7 @@ def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_doing_nothing_is_truncated(config: RecordConfig) -> None:
-    """After as long as the task allows, or as many ticks as were asked for."""
+    """The environment truncates the episode at the task's time limit, or after `max_ticks`."""
     assert gymnasium.make(ENV_ID).unwrapped._task.rules.max_ticks == config.task.most_ticks == 625
     env = gymnasium.make(ENV_ID, max_ticks=228)
     observation, _ = env.reset(seed=1)

@@ -1,7 +1,7 @@
 """The same actions get the same verdict at the same control tick, whoever lets them act.
 
-The actions are those of a task's expert, as they are, taken back, taken back too soon and delayed. Numbers are rounded
-to float32 first, since some of the ways in take no others.
+The expert's actions are tried unchanged, followed by their reverse, reversed before the goal has held for its hold
+time, and delayed. All numbers are rounded to float32 first, because some of the interfaces accept only float32.
 """
 
 from __future__ import annotations
@@ -47,10 +47,9 @@ ABSENT = {
 
 STATION = "yam_station_linear_4310_d405"
 JOB = EpisodeJob(seed=0, attempt=0)
-TICK_HZ = 30  # control ticks a second, those of Inspect Robots' embodiment, for every way in
+TICK_HZ = 30  # Hz, rate of control ticks in every test here: Inspect Robots' embodiment has no other rate
 
-# Control ticks that a trial may take beyond twice those of the expert.
-SPARE_TICKS = 40
+SPARE_TICKS = 40  # control ticks; the time limit of a trial is twice the expert's duration and this
 
 PLAYER = """
 import numpy as np

@@ -122,7 +122,7 @@ def test_what_happened_in_another_episode_leaves_no_trace(
 
 
 def test_one_command_a_frame_would_not_be_enough(simulator: Simulator, done: Simulated) -> None:
-    """Why records keep the command of every tick: the first one of each frame, held for the frame, leads elsewhere."""
+    """If each frame's first command is held for the whole frame, the episode ends in another state."""
     actions, (arm,) = all_actions(done.states), simulator.scene.arms
     every = simulator.config.task.timing.ticks_per_frame
     held = np.array([actions.ctrl[k - k % every] for k in range(len(actions.ctrl))])
@@ -197,7 +197,7 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
         EndReason.ACTOR, first + HOLD - 1, Cause.GOAL,
         "the goal has held for 0.22 s, and has to hold for 0.26 s",
     )  # fmt: skip
-    # What is told is the last moment at which something failed.
+    # The verdict is that of the last tick at which the goal did not hold.
     assert played.verdict is not None and not played.verdict.reached
     assert not played.success
 

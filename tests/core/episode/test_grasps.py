@@ -40,7 +40,7 @@ def friction(make_config: Callable[..., RecordConfig], locations: Locations) -> 
 
 
 def at_hand(simulator: Simulator, below: float, thing: str = "banana") -> mujoco.MjData:
-    """The start with a thing's origin so far below the hand's pinch point, m."""
+    """Return the start with a thing's origin `below` meters under the hand's pinch point."""
     scene = simulator.scene
     data = mujoco.MjData(scene.model)
     scene.reset(data, start_of(simulator))
@@ -178,7 +178,7 @@ class InHand:
         self.R: Array = self.data.body("banana").xmat.reshape(3, 3).copy()
 
     def watch(self, ticks: int, *, on: bool = True, moved: float = 0.0, tilted: float = 0.0) -> tuple[float, float]:
-        """Let ticks pass with the thing so far along x, m, and leaning so far, rad; return its slip and tilt."""
+        """Move the thing along x by `moved` (m), lean it by `tilted` (rad), let time pass; return slip and tilt."""
         T = pose(self.place + np.array([moved, 0.0, 0.0]), rotation_from_vector([tilted, 0.0, 0.0]) @ self.R)
         self.grasp.update(self.data, self.data.ctrl, [on])
         self.data.qpos[self.address : self.address + 3] = T[:3, 3]

@@ -193,7 +193,7 @@ def played(frames: list[dict[str, Any]]) -> np.ndarray:
 def test_raidens_replay_keeps_to_the_motors_speeds_at_30_hz_alone(
     dataset: Path, export: Path, at_30_hz: Path, locations: Locations
 ) -> None:
-    """It plays whatever it is given at 30 Hz: 1.92 times too fast what was recorded at 15.625 Hz."""
+    """Raiden plays all frames at 30 Hz, so those that were recorded at 15.625 Hz would be 1.92 times too fast."""
     motors = np.array([joint.motor_rad_s for joint in load_config(ArmModel, "robots", "i2rt_yam", locations).joints])
     before = [(played(frames_of(export / f"{k:04d}")) / motors).max() for k in range(EPISODES)]
     after = [(played(frames_of(at_30_hz / f"{k:04d}")) / motors).max() for k in range(EPISODES)]

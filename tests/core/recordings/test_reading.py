@@ -130,7 +130,7 @@ def recorded(
     make_config: Callable[..., RecordConfig],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[RecordConfig, Path]:
-    """An episode of one arm, by frames of so many control ticks, and a hand-over's of two."""
+    """Record an episode of `pickplace`, with 2 or 7 control ticks in a frame, and one of `handover`, with 2."""
     rig, every = request.param
     task = {"single": "pickplace", "russet": "handover"}[rig]
     config = make_config({("rig",): rig, ("task",): task, ("task", "timing"): {"ticks_per_frame": every}})

@@ -119,7 +119,7 @@ class Handover(Skill):
         taker = next(other for other in bench.hands if other is not hand)
         if self._meeting_before(bench, cast, hand, taker, Held(thing, T_thing_in_pinch), ahead) is not None:
             return None
-        faults = list(self._taking_grips(bench, cast, taker, thing, ahead).faults.values())
+        faults = list(_taking_grips(bench, cast, taker, thing, ahead).faults.values())
         return faults[-1] if faults and all(faults) else f"no place where the {taker.side} hand can take it"
 
     def relaxed(self, bench: Bench, cast: Cast) -> Handover:
@@ -135,15 +135,11 @@ class Handover(Skill):
                     return found
         raise SkillFailedError(Cause.UNREACHABLE, f"no place where both hands reach the {held.thing}")
 
-    def _taking_grips(self, bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
-        key = (self, taker.side, thing, tuple(ahead))
-        return bench.once(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
-
     def _meeting_before(
         self, bench: Bench, cast: Cast, giver: Hand, taker: Hand, held: Held, ahead: Sequence[Skill]
     ) -> _Meeting | None:
         """The first meeting at which both hands reach the thing and touch nothing, and after which skills can go on."""
-        grips = self._taking_grips(bench, cast, taker, held.thing, ahead)
+        grips = _taking_grips(bench, cast, taker, held.thing, ahead)
         # The first search asks about a grip only where hands would meet by it. Later ones have use for every answer.
         ask_first = bool(grips.faults)
         T_giving = inverse(held.T_thing_in_pinch)
@@ -202,6 +198,12 @@ class _TakingGrips:
                 fault = self._ahead[0].fault(self._bench, self._cast, *taken, self._ahead[1:])
             self.faults[number] = fault
         return self.faults[number] is None
+
+
+def _taking_grips(bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequence[Skill]) -> _TakingGrips:
+    """The same grips for every search while nothing moves: whether one suits does not depend on where hands meet."""
+    key = ("taking grips", taker.side, thing, tuple(ahead))
+    return bench.once(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
 
 
 def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
