@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -137,9 +138,20 @@ class Bench:
         hand.held = Held(held.thing, inverse(self.T_pinch(hand)) @ self.world.pose(held.thing))
         return hand.held
 
+    @contextmanager
+    def reserve(self, least: float) -> Iterator[None]:
+        """Let hands reach only with every joint at least this far from its stops, rad."""
+        for hand in self.hands:
+            hand.reserve = least
+        try:
+            yield
+        finally:
+            for hand in self.hands:
+                hand.reserve = 0.0
+
     def once(self, key: Hashable, make: Callable[[], V]) -> V:
-        """What follows from the state alone, made but once while nothing moves."""
-        state = self.qpos.tobytes()
+        """Return what `make` returns, computed once for a key while nothing moves and the reserve stays the same."""
+        key, state = (self.hands[0].reserve, key), self.qpos.tobytes()
         if self._known[0] != state:
             self._known = (state, {})
         if key not in self._known[1]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from ..scene.compiled import SceneArm
 # Where fingers close or open; and where a hand only passes.
 EXACT = Tolerance(1.5e-3, math.radians(2.0))
 PASSING = Tolerance(4e-3, math.radians(6.0))
+
+# rad, the distance from its stops that every joint keeps where a choice of grip allows that. Tracking errors and a
+# gripper's load move joints by up to 0.05 rad; a real arm also differs from its model.
+RESERVE = 0.15
 
 # Ways to hold a thing that differ by less, in where the hand is and from where it comes, reach the same, m and rad.
 _SAME_PLACE, _SAME_SIDE = 0.01, math.radians(20.0)
@@ -43,6 +47,7 @@ class Hand:
         magnet: whether its magnet is commanded on; without effect on a hand that has none.
         held: what it holds.
         in_vain: how it held things that it then could not put where they were to go.
+        reserve: least distance of every joint from its stops at what `reach` finds, rad; see `Bench.reserve`.
     """
 
     def __init__(
@@ -62,6 +67,7 @@ class Hand:
         self.magnet = False
         self.held: Held | None = None
         self.in_vain: list[Held] = []
+        self.reserve = 0.0
 
     def held_in_vain(self, thing: str, T_pinch_in_thing: Array) -> bool:
         """Whether it held a thing about so before, its pinch frame (4, 4) in the thing's, and could not put it where it
@@ -91,4 +97,5 @@ class Hand:
 
     def reach(self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = EXACT) -> Array | None:
         """Joints (dof,) that bring the pinch frame to a pose (4, 4), see `IkSolver.reach`."""
-        return self.ik.reach(T_pinch_in_world, seeds, tolerance)
+        margin = max(tolerance.margin, self.reserve)
+        return self.ik.reach(T_pinch_in_world, seeds, replace(tolerance, margin=margin))

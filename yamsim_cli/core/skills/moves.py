@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 from ..geometry.se3 import Array, inverse, pose
 from ..planning.joint_motion import clear
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip
-from .hand import Hand
+from .hand import PASSING, Hand
 
 # Control ticks in which fingers close on something, or open; and in which what was let go comes to rest.
 GRIP_TICKS = 10
 _OPEN_TICKS = 8
 _REST_TICKS = 4
 
-# How far a hand draws back from what it let go, m.
-_BACK = 0.07
+# m, how far a hand draws back from what it let go; and where joints come too near to their stops on that
+_BACK, _LEAST_BACK = 0.07, 0.04
 
 
 def take_hold(bench: Bench, hand: Hand, grip: Grip) -> Iterator[Segment]:
@@ -38,19 +39,32 @@ def let_go(bench: Bench, hand: Hand, clearance: float) -> Iterator[Segment]:
     hand.magnet = False
     yield bench.segment({hand: bench.still(hand, _OPEN_TICKS)}, {hand: Fingers(wide)}, arrives=False)
     thing, hand.held = None if hand.held is None else hand.held.thing, None
+    # Fingers that were around something start near to it. Where no path is free, the first one has to do.
+    retreat: Array | None = None
+    for path in _retreats(bench, hand):
+        if clear(path, lambda joints: bench.touched(hand, joints, wide, between=thing)):
+            retreat = path
+            break
+        retreat = path if retreat is None else retreat
+    if retreat is not None:
+        yield bench.segment({hand: retreat}, arrives=False)
+
+
+def _retreats(bench: Bench, hand: Hand) -> Iterator[Array]:
+    """Yield straight paths (n + 1, dof) by which a hand leaves what it let go: those that end away from stops first."""
     T = hand.pinch_at(hand.joints)
-    back, up = T @ pose((0.0, 0.0, -_BACK)), T.copy()
-    up[2, 3] += _BACK
     paths = []
-    for T_clear in (back, up):
-        try:
-            paths.append(bench.line(hand, T_clear))
-        except SkillFailedError:
-            continue
-    # Fingers that were around something start near to it. Where neither way is free, the first one has to do.
-    free = (path for path in paths if clear(path, lambda joints: bench.touched(hand, joints, wide, between=thing)))
-    if paths:
-        yield bench.segment({hand: next(free, paths[0])}, arrives=False)
+    for distance in (_BACK, _LEAST_BACK):
+        back, up = T @ pose((0.0, 0.0, -distance)), T.copy()
+        up[2, 3] += distance
+        for T_clear in (back, up):
+            with suppress(SkillFailedError):
+                path = bench.line(hand, T_clear)
+                if hand.ik.at(path[-1]).margin >= PASSING.margin:
+                    yield path
+                else:
+                    paths.append(path)
+    yield from paths
 
 
 def bring(bench: Bench, hand: Hand, T_thing: Array, speed: float) -> Array:

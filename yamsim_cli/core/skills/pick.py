@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -18,7 +19,7 @@ from .base import Side, Skill, holder_of, preferences
 from .bench import Bench, Fingers, Segment
 from .errors import SkillFailedError
 from .grips import Grip, points_well
-from .hand import PASSING, Hand, Held
+from .hand import PASSING, RESERVE, Hand, Held
 from .moves import let_go, park_free, take_hold
 
 # From so far the hand comes straight: from less where there is no room for more, m.
@@ -60,10 +61,12 @@ class Pick(Skill):
             return
         places = ahead[0].places(bench, cast, thing) if ahead else ()
         reasons: dict[str, int] = {}
-        for following in preferences(ahead, bench, cast):
+        for following, reserve in itertools.product(preferences(ahead, bench, cast), (RESERVE, 0.0)):
             reasons.clear()
             for hand in self._hands(bench, thing, places):
-                for found in self._reaches(bench, cast, hand, thing, following, reasons):
+                with bench.reserve(reserve):
+                    found = self._reached(bench, cast, hand, thing, following, reasons)
+                if found is not None:
                     yield from park_free(bench, hand)
                     yield from self._take(bench, hand, thing, found)
                     return
@@ -108,20 +111,21 @@ class Pick(Skill):
             yield from let_go(bench, hand, grip.clearance)
             raise
 
-    def _reaches(
+    def _reached(
         self, bench: Bench, cast: Cast, hand: Hand, thing: str, ahead: Sequence[Skill], reasons: dict[str, int]
-    ) -> Iterator[Reach]:
-        """The grips that a hand can take now, and with which what follows can go on."""
+    ) -> Reach | None:
+        """Return the first grip that a hand can take now, and with which what follows can go on; None without one."""
         for grip in bench.grips(thing, hand.widest):
             found = self.reach(bench, hand, thing, grip)
             if isinstance(found, Reach):
                 T = inverse(grip.T_pinch_in_thing)
                 fault = ahead[0].fault(bench, cast, hand, thing, T, found.at, ahead[1:]) if ahead else None
                 if fault is None:
-                    yield found
-                found = fault or "it failed"
+                    return found
+                found = fault
             if found is not None:
                 reasons[found] = reasons.get(found, 0) + 1
+        return None
 
     def reach(self, bench: Bench, hand: Hand, thing: str, grip: Grip) -> Reach | str | None:
         """How a hand can take a thing by a grip now; else why it cannot.
