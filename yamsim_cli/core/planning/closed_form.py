@@ -35,6 +35,7 @@ _ROUNDING = 1e-9  # share by which a cosine may exceed 1 from rounding, as it do
 _FREE = 1e-7  # m or 1; coefficients below leave an angle undetermined, with an error that counts as exact
 _SAMPLES = tuple(math.tau * k / 16 for k in range(16))  # rad; the angles that are tried where every angle is one
 _BEYOND = 1e-7  # rad; a joint beyond its stop by less, from rounding, counts as at its stop
+_LOOSE = 1e-5  # rad and 1; by how much more `may_reach` allows than `solutions`, far above what rounding makes of it
 _TRIALS = 20  # random poses that have to be solved before an arm counts as one that has a closed solution
 _HAND = 0.13  # m; length of a hand beyond the flange, for how far a joint moves what the arm holds
 
@@ -88,6 +89,53 @@ class ClosedFormIk:
         candidates = self._candidates(self._T_basis @ T_flange_in_base @ self._T_zero)
         found = [joints for joints in candidates if self._reaches(joints, T_flange_in_base)]
         return np.array(found).reshape(-1, self._model.nq)
+
+    def may_reach(self, T_flange_in_base: Array, margin: float) -> Array:
+        """Return for which of many poses (n, 4, 4) `solutions` has to be asked, (n,) bool: the arm reaches no other.
+
+        All poses are computed at once, some 30 times as fast as one by one. Rounding differs between processors there,
+        so the answer errs on the side of True.
+
+        Args:
+            margin: least distance of every joint from its stops, rad.
+        """
+        T = self._T_basis @ T_flange_in_base @ self._T_zero
+        R, z, x = T[:, :3, :3], np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0))
+        h1, h5, h6, a1 = (np.array(v) for v in (self._h1, self._h5, self._h6, self._a1))
+        wrist = R @ self._centre + T[:, :3, 3] - a1
+        along_5, along_1 = self._h5[2] * (h5 @ h6), self._h1[2] * (wrist @ h1)
+        across_6, none = _skew(h6).T, np.zeros(len(T))
+        reached = np.zeros(len(T), bool)
+        b1, c1 = -(wrist @ _skew(h1).T)[:, 2], self._height - a1[2] - along_1
+        for q1, sure_1 in _all_solved(wrist[:, 2] - along_1, b1, c1):
+            before_6 = np.einsum("nji,nj->ni", R, _all_turned(z, h1, q1))
+            place = _complex(_all_turned(wrist, h1, -q1) + a1) - self._a2
+            b5, c5 = np.cross(h5, h6)[2], before_6 @ h6 - along_5
+            for q5, sure_5 in _all_solved(none + (h6[2] - along_5), none + b5, c5):
+                v, u = before_6 @ across_6, _all_turned(z, h5, -q5) @ across_6
+                sure_6 = np.maximum(np.abs(v), np.abs(u)).max(axis=1) > _LOOSE
+                q6 = np.arctan2(np.einsum("ni,ni->n", v @ across_6, u), np.einsum("ni,ni->n", v, u))
+                ahead = np.einsum("nij,nj->ni", R, _all_turned(_all_turned(x, h5, -q5), h6, -q6))
+                q234 = np.angle(_complex(_all_turned(ahead, h1, -q1)))
+                far = place - np.exp(1j * q234) * self._wrist
+                bent = self._upper.conjugate() * self._fore
+                rest = (np.abs(far) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
+                for q3, sure_3 in _all_solved(none + bent.real, none - bent.imag, rest):
+                    q2 = np.angle(far) - np.angle(self._upper + self._fore * np.exp(1j * q3))
+                    joints = np.stack([q1, q2, q3, q234 - q2 - q3, q5, q6], axis=1)
+                    within = self._all_within(joints, margin) | ~np.stack(
+                        [sure_1, sure_3, sure_3, sure_3, sure_5, sure_6], axis=1
+                    )
+                    reached |= within.all(axis=1)
+        return reached
+
+    def _all_within(self, joints: Array, margin: float) -> Array:
+        """Return which angles (n, 6), with any number of whole turns, keep a margin to the stops: (n, 6) bool."""
+        low, high = np.array(self._ranges).T
+        low, high = low + margin - _LOOSE, high - margin + _LOOSE
+        joints = joints * self._signs
+        within: Array = joints + math.tau * np.ceil((low - joints) / math.tau) <= high
+        return within
 
     def nearest(self, solutions: Array, start: Array) -> Array:
         """The one of some solutions (n, 6), n > 0, to which the joints go from `start` (6,) with the least motion of
@@ -194,6 +242,36 @@ def _solved(a: float, b: float, c: float) -> tuple[float, ...]:
         return ()
     middle, half = math.atan2(b, a), math.acos(max(-1.0, min(1.0, cosine)))
     return (middle + half, middle - half) if half else (middle,)
+
+
+def _all_solved(a: Array, b: Array, c: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield both angles (n,) with `a cos q + b sin q = c`, and whether q is determined; NaN without a solution."""
+    length = np.hypot(a, b)
+    sure = length > _LOOSE
+    cosine = c / np.where(sure, length, 1.0)
+    half = np.arccos(np.where(np.abs(cosine) > 1.0 + _LOOSE, np.nan, np.clip(cosine, -1.0, 1.0)))
+    middle = np.arctan2(b, a)
+    yield np.where(sure, middle + half, 0.0), sure
+    yield np.where(sure, middle - half, 0.0), sure
+
+
+def _all_turned(v: Array, axis: Array, angles: Array) -> Array:
+    """Vectors (n, 3), or one (3,), turned about a unit axis (3,) by angles (n,)."""
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    turned: Array = c * v + s * (v @ _skew(axis).T) + (1.0 - c) * (v @ axis)[..., None] * axis
+    return turned
+
+
+def _skew(axis: Array) -> Array:
+    """Return the matrix (3, 3) whose product with a vector is the cross product of the axis and the vector."""
+    x, y, z = axis
+    return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+
+
+def _complex(points: Array) -> Array:
+    """The first two coordinates of points (n, 3) as complex numbers (n,)."""
+    both: Array = points[:, 0] + 1j * points[:, 1]
+    return both
 
 
 def _between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:

@@ -170,6 +170,13 @@ class IkSolver:
                     return solution.joints
         return None
 
+    def may_reach(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
+        """Return for which of many poses (n, 4, 4) `reach` may find joints, (n,) bool: it finds none for the others."""
+        if self._closed_form is None:
+            return np.ones(len(T_tool_in_world), bool)
+        T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
+        return self._closed_form.may_reach(T_flange_in_base, tolerance.margin)
+
     def _exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
         """The exact solution nearest to joints `start` (dof,) that keeps a margin, rad, to every stop."""
         if self._closed_form is None:

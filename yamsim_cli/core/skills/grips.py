@@ -49,7 +49,7 @@ _SPAN_APART = 0.015
 _AROUND = tuple(math.radians(angle) for angle in range(0, 360, 45))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grip:
     """One way to hold a thing.
 

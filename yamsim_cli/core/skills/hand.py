@@ -97,5 +97,11 @@ class Hand:
 
     def reach(self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = EXACT) -> Array | None:
         """Joints (dof,) that bring the pinch frame to a pose (4, 4), see `IkSolver.reach`."""
-        margin = max(tolerance.margin, self.reserve)
-        return self.ik.reach(T_pinch_in_world, seeds, replace(tolerance, margin=margin))
+        return self.ik.reach(T_pinch_in_world, seeds, self._with_reserve(tolerance))
+
+    def may_reach(self, T_pinch_in_world: Array, tolerance: Tolerance = EXACT) -> Array:
+        """Return for which of many poses (n, 4, 4) `reach` may find joints, see `IkSolver.may_reach`."""
+        return self.ik.may_reach(T_pinch_in_world, self._with_reserve(tolerance))
+
+    def _with_reserve(self, tolerance: Tolerance) -> Tolerance:
+        return replace(tolerance, margin=max(tolerance.margin, self.reserve))

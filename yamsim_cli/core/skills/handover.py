@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -38,8 +40,12 @@ _OPPOSITE = math.radians(165)
 # Fingers with room between them come first, then fingers that only just pass each other, then lower places, which hands
 # reach from above.
 _MEETINGS = ((0.13, 0.0, 0.0), (0.07, 0.0, 0.0), (0.07, 0.06, 0.0), (0.07, 0.12, 0.0))
+_LEAST_APART = min(apart for apart, _, _ in _MEETINGS)
 _TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))
 _MORE_MEETINGS = (*_MEETINGS, *((0.07, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)))
+
+# How many grips are looked at together: one look at their poses costs as much as 20 poses one by one.
+_BATCH = 64
 
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
@@ -147,13 +153,14 @@ class Handover(Skill):
         middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
         across = across / np.linalg.norm(across)
         height = float(bench.world.bounds(TABLE)[1][2]) + self.height
+        attitude = functools.cache(lambda grip: _attitude(T_giving, grip.T_pinch_in_thing))
         for apart, lower, turn in self.MEETINGS:
             places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _AHEAD]
-            for number, grip in enumerate(grips):
-                if grips.faults.get(number) or (ask_first and not grips.suits(number, grip)):
+            poses = _Poses(rotation_z(turn) @ across, apart, np.array(places), attitude)
+            for number, grip, T_things in _within_reach(giver, taker, T_giving, grips.open(), poses):
+                if ask_first and not grips.suits(number, grip):
                     continue
-                rotations = _turned(T_giving, grip.T_pinch_in_thing, rotation_z(turn) @ across, apart)
-                for T_thing in (pose(place, R) for R in rotations for place in places):
+                for T_thing in T_things:
                     meeting = _reached(giver, taker, T_thing @ T_giving, T_thing @ grip.T_pinch_in_thing, grip)
                     if meeting is None:
                         continue
@@ -186,8 +193,9 @@ class _TakingGrips:
         self._grips = CachedIterable(bench.grips(thing, taker.widest))
         self.faults: dict[int, str | None] = {}
 
-    def __iter__(self) -> Iterator[Grip]:
-        return iter(self._grips)
+    def open(self) -> Iterator[tuple[int, Grip]]:
+        """Yield the ways with which skills ahead can go on, as far as anybody asked, each with its number."""
+        return ((number, grip) for number, grip in enumerate(self._grips) if not self.faults.get(number))
 
     def suits(self, number: int, grip: Grip) -> bool:
         """Whether the skills ahead can go on with the grip that has a number."""
@@ -204,6 +212,22 @@ def _taking_grips(bench: Bench, cast: Cast, taker: Hand, thing: str, ahead: Sequ
     """The same grips for every search while nothing moves: whether one suits does not depend on where hands meet."""
     key = ("taking grips", taker.side, thing, tuple(ahead))
     return bench.once(key, lambda: _TakingGrips(bench, cast, taker, thing, ahead))
+
+
+def _within_reach(
+    giver: Hand, taker: Hand, T_giving: Array, grips: Iterator[tuple[int, Grip]], poses: _Poses
+) -> Iterator[tuple[int, Grip, Array]]:
+    """Yield each grip with those of a thing's poses (n, 4, 4) in `world` at which both hands may reach it."""
+    while batch := list(itertools.islice(grips, _BATCH)):
+        T_things = [poses.of(grip) for _, grip in batch]
+        T = np.concatenate(T_things)
+        T_taking = np.concatenate([T @ grip.T_pinch_in_thing for T, (_, grip) in zip(T_things, batch, strict=True)])
+        reached = taker.may_reach(T_taking)
+        reached[reached] = giver.may_reach(T[reached] @ T_giving, PASSING)
+        ends = np.cumsum([len(some) for some in T_things])[:-1]
+        for (number, grip), some, mask in zip(batch, T_things, np.split(reached, ends), strict=True):
+            if mask.any():
+                yield number, grip, some[mask]
 
 
 def _reached(giver: Hand, taker: Hand, T_giving: Array, T_taking: Array, grip: Grip) -> _Meeting | None:
@@ -232,23 +256,65 @@ def _is_free(bench: Bench, giver: Hand, taker: Hand, held: Held, meeting: _Meeti
     return not at_it and not touched(there, taker.number, meeting.before, wide)
 
 
-def _turned(T_giving: Array, T_taking: Array, across: Array, side_by_side: float) -> Iterator[Array]:
-    """Rotations (3, 3) of a thing in `world` for which both hands come from their own side, and as much from above.
+@dataclass(frozen=True)
+class _Attitude:
+    """How a thing has to be turned for two hands to take it from their own sides.
 
-    Args:
-        T_giving, T_taking: the hands' pinch frames (4, 4) in the thing's.
-        side_by_side: how far apart hands that point the same way have to be, m.
-        across: direction (3,) of the line from the giving to the taking hand, in `world`.
+    Attributes:
+        R_thing: rotation (3, 3) from the thing's frame to one whose first axis leads from the giving hand to the
+            taking one, and whose second axis points along both hands.
+        apart: distance between hands that point about the same way, m; None if they do not.
+        opposite: whether hands point at each other, so that the thing may be turned about the line between them.
     """
+
+    R_thing: Array
+    apart: float | None
+    opposite: bool
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """Poses of a thing at which both hands come from their own side, and as much from above.
+
+    Attributes:
+        across: direction (3,) of the line from the giving to the taking hand, in `world`.
+        side_by_side: how far apart hands that point the same way have to be, m.
+        places: of the thing (n, 3), in `world`, m.
+        attitude: of the thing by a taking grip.
+    """
+
+    across: Array
+    side_by_side: float
+    places: Array
+    attitude: Callable[[Grip], _Attitude | None]
+
+    def of(self, grip: Grip) -> Array:
+        """Return the poses (n, 4, 4) in `world` for a taking grip."""
+        attitude = self.attitude(grip)
+        if attitude is None or (attitude.apart is not None and attitude.apart < self.side_by_side):
+            return np.empty((0, 4, 4))
+        R = (self._rolled if attitude.opposite else self._rolled[:1]) @ attitude.R_thing
+        T = np.tile(np.eye(4), (len(R), len(self.places), 1, 1))
+        T[..., :3, :3], T[..., :3, 3] = R[:, None], self.places
+        return T.reshape(-1, 4, 4)
+
+    @functools.cached_property
+    def _rolled(self) -> Array:
+        down = np.array((0.0, 0.0, -1.0))
+        world = np.column_stack([self.across, down, np.cross(self.across, down)])
+        return np.array([rotation_from_vector(self.across * roll) @ world for roll in _ROLLS])
+
+
+def _attitude(T_giving: Array, T_taking: Array) -> _Attitude | None:
+    """The attitude for two hands' pinch frames (4, 4) in the thing's; None where hands are in each other's way."""
     giving, taking = T_giving[:3, 2], T_taking[:3, 2]
     apart = T_taking[:3, 3] - T_giving[:3, 3]
+    distance = float(np.linalg.norm(apart))
     angle = math.acos(max(-1.0, min(1.0, float(giving @ taking))))
-    if angle >= _LEAST_ANGLE:
-        one = giving - taking
-    elif np.linalg.norm(apart) >= side_by_side:
-        one = apart
-    else:
-        return
+    same_way = angle < _LEAST_ANGLE
+    if same_way and distance < _LEAST_APART:
+        return None
+    one = apart if same_way else giving - taking
     one = one / np.linalg.norm(one)
     two = giving + taking
     if angle > _OPPOSITE:
@@ -256,10 +322,7 @@ def _turned(T_giving: Array, T_taking: Array, across: Array, side_by_side: float
         two = np.array((0.0, 0.0, -1.0)) if abs(one[2]) < 0.9 else np.array((1.0, 0.0, 0.0))
     two = two - (two @ one) * one
     if np.linalg.norm(two) < 0.1:
-        return
+        return None
     two = two / np.linalg.norm(two)
-    down = np.array((0.0, 0.0, -1.0))
-    world = np.column_stack([across, down, np.cross(across, down)])
-    thing = np.column_stack([one, two, np.cross(one, two)])
-    for roll in _ROLLS if angle > _OPPOSITE else _ROLLS[:1]:
-        yield rotation_from_vector(across * roll) @ world @ thing.T
+    R_thing = np.array([one, two, np.cross(one, two)])
+    return _Attitude(R_thing, distance if same_way else None, angle > _OPPOSITE)
