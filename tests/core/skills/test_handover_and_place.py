@@ -8,7 +8,11 @@ import pytest
 
 from tests.programs import STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt.engine import demonstrate
+from yamsim_cli.core.attempt.sampling import sample
 from yamsim_cli.core.attempt.simulators import Simulators
+from yamsim_cli.core.opener import Opener
+from yamsim_cli.core.session import Session
+from yamsim_cli.core.types import EpisodeJob
 
 TASK = changed(
     {
@@ -75,3 +79,18 @@ def test_what_is_too_wide_for_the_hand_is_told_with_both_widths(tmp_path: Path) 
         outcome = demonstrate(simulator, attempt).outcome
     assert not outcome.success
     assert "mm wide where it can be held, and the right hand opens 95.0 mm" in (outcome.detail or ""), outcome.detail
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "number"), [("handover", 0), ("handover", 5), ("pickplace", 0)])
+def test_joints_stay_away_from_their_stops(task: str, number: int) -> None:
+    """In a hand-over they went down to 0 rad, where grips and retreats were chosen without a look at the stops."""
+    opener = Opener({}, lambda text: None, str)
+    where = opener.locations()
+    job = EpisodeJob(7, number)
+    with Simulators(Session(opener.config("default", where, task=task), where).without_meshes()) as simulators:
+        simulator = simulators.of(job)
+        outcome = demonstrate(simulator, sample(simulator, job)).outcome
+    assert outcome.success, outcome.detail
+    assert outcome.margins is not None
+    assert outcome.margins.joint > 0.08
