@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from yamsim_cli.core.stray_forks import forks_end_here
+from yamsim_cli.core.workers.serving import forks_end_here
 
 
 def _code(child: int) -> int:

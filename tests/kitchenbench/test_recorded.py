@@ -35,7 +35,7 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.world import SimWorld, world_of
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.verify.remake import EpisodeVerifier, Limits
+from yamsim_cli.core.verify import EpisodeVerifier, Limits
 from yamsim_cli.core.workers.stop import Stop
 from yamsim_cli.kitchen_scenes import task_of
 from yamsim_cli.kitchenbench.places import AHEAD, BESIDE

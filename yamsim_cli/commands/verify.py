@@ -62,8 +62,8 @@ def verify(
     else:
         opener.skip_gl()
 
-    from yamsim_cli.core.verify.remake import Limits
-    from yamsim_cli.core.verify.verifier import verify as run
+    from yamsim_cli.core.verify import Limits
+    from yamsim_cli.core.verify import verify as run
 
     limits = Limits(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:

@@ -25,7 +25,7 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Actions, Attempt, Cause, JointPath
-from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
+from yamsim_cli.core.verify import ACTIONS, SEED, EpisodeVerifier, Limits
 
 HELD_SLIP = 0.0075  # m, how far a thing that a hand holds may move in it
 

@@ -32,7 +32,7 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.world import SimWorld
 from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob
-from yamsim_cli.core.verify.remake import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits
+from yamsim_cli.core.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits
 from yamsim_cli.core.workers.stop import Stop
 
 

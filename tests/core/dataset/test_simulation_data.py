@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.core.dataset.making import CAMERA, frame
-from yamsim_cli.core.dataset.actions import recorded_actions
+from yamsim_cli.core.dataset.lowdim import recorded_actions
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.dataset.lowdim import (
     SimulationData,

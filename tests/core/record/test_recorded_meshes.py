@@ -28,7 +28,7 @@ from yamsim_cli.core.resources import Locations, Meshes
 from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.workers.inline import InlineExecutor
+from yamsim_cli.core.workers.executor import InlineExecutor
 
 Make = Callable[..., RecordConfig]
 ARM, YCB, SMALL, OBJECTS = "i2rt_yam_crank", "ycb", "ycb_small", "ycb_objects"

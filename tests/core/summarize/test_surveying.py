@@ -15,7 +15,7 @@ from yamsim_cli.core.dataset.checks.context import Context, EpisodeDirectory
 from yamsim_cli.core.dataset.checks.facts import EpisodeFacts
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.summarize.surveying import EpisodeChecker, survey_dataset
+from yamsim_cli.core.summarize import EpisodeChecker, survey_dataset
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_an_interruption_is_told_as_one(dataset: Path, locations: Locations) -> 
 
 
 def test_no_worker_is_started_for_nothing(tmp_path: Path, locations: Locations, monkeypatch: Any) -> None:
-    monkeypatch.setattr("yamsim_cli.core.summarize.surveying.WorkerPool", None)
+    monkeypatch.setattr("yamsim_cli.core.summarize.WorkerPool", None)
     with pytest.raises(DatasetError):
         survey_dataset(tmp_path, locations, 2, lambda *_: None)
     (tmp_path / "config.yaml").write_text("{}\n")
@@ -79,7 +79,7 @@ class Deadly:
 def test_an_episode_that_ends_every_process_is_told_and_the_rest_is_checked(
     dataset: Path, locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("yamsim_cli.core.summarize.surveying.EpisodeChecker", Deadly)
+    monkeypatch.setattr("yamsim_cli.core.summarize.EpisodeChecker", Deadly)
     found = survey_dataset(dataset, locations, 2, lambda *_: None)
     assert [(problem.code, problem.episode) for problem in found.problems][:2] == [
         ("episode.unchecked", "ep_000001"),

@@ -19,7 +19,7 @@ from yamsim_cli.core.dataset.selection import select_episodes
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.verify.remake import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits, Verdict
+from yamsim_cli.core.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits, Verdict
 
 EPISODES = 3
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..attempt.engine import Simulated, demonstrate
 from ..attempt.simulator import Simulator
-from ..dataset.actions import recorded_actions
+from ..dataset.lowdim import recorded_actions
 from ..dataset.layout import episode_directories
 from ..dataset.reader import open_episode
 from ..errors import UsageError

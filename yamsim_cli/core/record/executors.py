@@ -9,7 +9,7 @@ from typing import Protocol
 
 from ..attempt.runner import EpisodeRunner
 from ..session import Session
-from ..workers.inline import InlineExecutor
+from ..workers.executor import InlineExecutor
 from ..workers.pool import JOB_SECONDS
 from ..workers.processes import WorkerPool
 from ..workers.ray_pool import RayPool

@@ -22,7 +22,7 @@ from ..images.image import Image
 from ..images.video import VideoWriter
 from ..session import Session
 from ..types import EpisodeJob
-from ..verify.remake import repeat_actions
+from ..verify import repeat_actions
 from ..viewers.address import PageAddress
 from ..viewers.player import EpisodePlayer
 from .view import PERIOD, require_page, run_page, task_viewpoint
