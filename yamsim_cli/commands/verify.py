@@ -49,8 +49,7 @@ def verify(
     if image_tolerance and not images:
         raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
 
-    from yamsim_cli.core.dataset.reader import dataset_config
-    from yamsim_cli.core.dataset.selection import select_episodes
+    from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
     from yamsim_cli.core.session import Session
 
     where = opener.locations()

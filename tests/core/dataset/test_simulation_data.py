@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.core.dataset.making import CAMERA, frame
-from yamsim_cli.core.dataset.lowdim import recorded_actions
 from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.dataset.lowdim import (
     SimulationData,
@@ -14,6 +13,7 @@ from yamsim_cli.core.dataset.lowdim import (
     frame_data,
     has_simulation,
     load_frame,
+    recorded_actions,
     shapes,
 )
 from yamsim_cli.core.errors import DatasetError

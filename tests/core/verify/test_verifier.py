@@ -14,8 +14,7 @@ from tests.cli.run_cli import Run, yamsim
 from tests.core.unrendered import SIZE, change_frame, change_record, frame_count, read_frame, write_dataset
 from yamsim_cli.core.attempt.payload import ENGINE, LOOKS
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.reader import dataset_config
-from yamsim_cli.core.dataset.selection import select_episodes
+from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session

@@ -272,7 +272,9 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
     # Frames of a lone arm have no axis of arms.
     magnet = magnet.reshape(len(magnet), -1)
     planned = np.array([planned_joints(frame, magnet.shape[1]) for frame in frames])
-    actions = Actions(np.concatenate([frame["sim_ctrl"] for frame in frames]), magnet, np.repeat(planned, counts, axis=0))
+    actions = Actions(
+        np.concatenate([frame["sim_ctrl"] for frame in frames]), magnet, np.repeat(planned, counts, axis=0)
+    )
     return frames[0]["sim_qpos"], actions
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tests.core.dataset.checks.sample import CAMERA, HEIGHT, OUTCOME, WIDTH, Episode, Sample, black, encode, picture
-from yamsim_cli.core.dataset.checks.codes import CODES, Severity
+from yamsim_cli.core.dataset.checks.problem import CODES, Severity
 from yamsim_cli.core.dataset.lowdim import dump_frame
 from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.files import sha256_bytes

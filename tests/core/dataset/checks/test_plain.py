@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.core.dataset.checks.sample import CAMERA, FRAMES, Sample, black, picture
-from yamsim_cli.core.dataset.checks.timestamps import read_timestamps
+from yamsim_cli.core.dataset.checks.motion import read_timestamps
 from yamsim_cli.core.errors import DatasetError
 
 PLAIN = ("dataset.plain", "", "")
