@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.core.dataset.making import CONFIG
-from yamsim_cli.core.dataset.writing.directory_lock import DirectoryLock
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from yamsim_cli.core.dataset.writing.opening import DirectoryLock, OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ResourceError, UsageError
 

@@ -380,7 +380,7 @@ def test_the_line_of_an_episode_is_read_from_the_episode(with_failures, number, 
     spoiled = (with_failures / "attempts.jsonl").read_bytes()
     writer = resume(with_failures)
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
-    assert (writer.untold, writer.missing, len(writer.attempts), writer.episodes) == (set(), [], 6, 4)
+    assert (writer.lost_lines, writer.missing, len(writer.attempts), writer.episodes) == (set(), [], 6, 4)
     kept = with_failures / ".damaged/attempts.jsonl.1"
     if broken.strip():
         assert kept.read_bytes() == spoiled
@@ -399,12 +399,12 @@ def test_the_line_of_a_failure_has_to_be_made_again(with_failures, broken):
     whole = damage(with_failures, change)
     for _ in range(2):
         writer = resume(with_failures)
-        assert writer.untold == {1}
+        assert writer.lost_lines == {1}
         assert numbers(writer) == [(0, 0), (1, None), (2, 1), (3, 2), (4, None), (5, 3)]
         assert writer.attempts[1].outcome == LINE_LOST
         assert writer.repairs[-1] == "what attempts.jsonl said of attempt 1 is lost, and made again"
     writer.log(failed_attempt(1))
-    assert (writer.untold, writer.attempts[1]) == (set(), failed_attempt(1))
+    assert (writer.lost_lines, writer.attempts[1]) == (set(), failed_attempt(1))
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
     assert len(list(with_failures.glob(".damaged/*"))) == bool(broken.strip())
 
@@ -414,7 +414,7 @@ def test_a_ledger_that_is_gone_is_built_from_the_episodes(with_failures, lost):
     whole = (with_failures / "attempts.jsonl").read_bytes()
     lost(with_failures / "attempts.jsonl")
     writer = resume(with_failures)
-    assert writer.untold == {1, 4}
+    assert writer.lost_lines == {1, 4}
     for attempt in (4, 1):
         writer.log(failed_attempt(attempt))
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
@@ -452,9 +452,9 @@ def test_a_line_that_tells_what_cannot_be_is_left_out(with_failures, change, fau
     whole = damage(with_failures, change)
     writer = resume(with_failures)
     assert f"({fault}" in writer.repairs[0]
-    for attempt in writer.untold & {1, 4}:
+    for attempt in writer.lost_lines & {1, 4}:
         writer.log(failed_attempt(attempt))
-    assert writer.untold == set()
+    assert writer.lost_lines == set()
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
 
 
@@ -509,7 +509,7 @@ def test_an_episode_published_just_before_a_crash_is_adopted(dataset):
 def test_an_episode_far_ahead_of_the_ledger_leaves_attempts_to_be_made_again(dataset):
     resume(dataset).publish(made(3, attempt=9).record, made(3).files)
     writer = resume(dataset)
-    assert writer.untold == set(range(3, 9))
+    assert writer.lost_lines == set(range(3, 9))
     assert writer.attempts[9] == made(3, attempt=9).attempt
 
 

@@ -172,7 +172,7 @@ def open_seat(
             warn(f"What was in {out} is now in {writer.moved_aside}.")
         for repair in writer.repairs:
             warn(repair.removesuffix(", and made again"))
-        for number in sorted(writer.untold):
+        for number in sorted(writer.lost_lines):
             # A demonstration cannot be made again; this says so in the ledger too.
             writer.log(writer.attempts[number])
         for lost in writer.missing:
