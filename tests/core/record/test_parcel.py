@@ -9,7 +9,7 @@ import pytest
 
 from tests.core.attempts import planned
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.record.parcel import pack, unpack, unpacked_runner
+from yamsim_cli.core.record.executors import pack, unpack, unpacked_runner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob

@@ -17,7 +17,7 @@ from ..dataset.records import AttemptRecord
 from ..dataset.writing.opening import OpenMode
 from ..dataset.writing.writer import DatasetWriter
 from ..errors import PartialJobError
-from ..record.destination import as_said
+from ..record.destination import config_as_stated
 from ..scene.build import noting_meshes
 from ..session import Session
 from ..show.view import require_page, task_viewpoint
@@ -181,7 +181,7 @@ def open_seat(
             journal = Journal(writer.path)
             with (
                 open_worker(session) as worker,
-                Desk(as_said(config, writer), writer, worker, journal.drop) as desk,
+                Desk(config_as_stated(config, writer), writer, worker, journal.drop) as desk,
             ):
                 scene = DrivenScene(session, desk, journal, time_limit)
                 _take_up(scene, desk, journal, warn)
