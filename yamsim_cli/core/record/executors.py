@@ -109,10 +109,12 @@ def unpack(packed: PackedSession, place: Path) -> Session:
 @contextlib.contextmanager
 def unpacked_runner(packed: PackedSession) -> Iterator[EpisodeRunner]:
     """An `EpisodeRunner` of a packed session, whose files are removed at the end."""
-    with tempfile.TemporaryDirectory(prefix="yamsim-") as place:
-        # Every cast of things has a scene of its own, composed when first needed, so that the files stay.
-        with EpisodeRunner(unpack(packed, Path(place)), render=True) as runner:
-            yield runner
+    # Every cast of things has a scene of its own, composed when first needed, so that the files stay.
+    with (
+        tempfile.TemporaryDirectory(prefix="yamsim-") as place,
+        EpisodeRunner(unpack(packed, Path(place)), render=True) as runner,
+    ):
+        yield runner
 
 
 def _read(folder: Path, prefix: str) -> dict[str, bytes]:

@@ -56,7 +56,7 @@ NoBetterStart = Callable[[Cause, int], bool]
 
 
 class RetryLimit:
-    """Decides when a recording gives up, from the attempts in their order alone: the number of workers has no effect."""
+    """Decides from the attempts, in their order, when a recording gives up; the number of workers has no effect."""
 
     def __init__(self, config: RecordConfig, no_better_start: NoBetterStart) -> None:
         self._name, self._wanted = config.task.name, config.episodes
