@@ -13,41 +13,7 @@ from pathlib import Path, PurePosixPath
 
 _TABLE = Path("/proc/self/mountinfo")
 
-# Filesystems whose files lie on another machine. Every `fuse.*` counts too, except those in `_LOCAL_FUSE`.
-_NETWORK = frozenset(
-    "9p afs autofs beegfs ceph cifs coda davfs fuse gfs2 glusterfs gpfs lustre ncpfs nfs nfs4 ocfs2 orangefs prl_fs "
-    "pvfs2 smb3 smbfs vboxsf wekafs".split()
-)
-_LOCAL_FUSE`.
-_NETWORK = frozenset(
-    [
-        "9p",
-        "afs",
-        "autofs",
-        "beegfs",
-        "ceph",
-        "cifs",
-        "coda",
-        "davfs",
-        "fuse",
-        "gfs2",
-        "glusterfs",
-        "gpfs",
-        "lustre",
-        "ncpfs",
-        "nfs",
-        "nfs4",
-        "ocfs2",
-        "orangefs",
-        "prl_fs",
-        "pvfs2",
-        "smb3",
-        "smbfs",
-        "vboxsf",
-        "wekafs",
-    ]
-)
-_LOCAL_FUSE = frozenset(["fuse.fuse-overlayfs", "fuse.lxcfs", "fuse.portal", "fuse.snapfuse", "fuse.squashfuse"])
+# Filesystems whose files lie on another machine. Every `fuse.*` counts too, except those in `_LOCAL_FUSE = frozenset(["fuse.fuse-overlayfs", "fuse.lxcfs", "fuse.portal", "fuse.snapfuse", "fuse.squashfuse"])
 
 # Network filesystems whose locks (flock) hold between machines. Source: flock(2) on NFS and CIFS; the others' manuals.
 _SHARED_LOCKS = frozenset("ceph cifs gfs2 glusterfs fuse.glusterfs gpfs nfs nfs4 ocfs2 smb3".split())

@@ -7,7 +7,8 @@ A pickle is a program. Four restrictions make it harmless:
 - Only the instructions that data needs are known, and the standard library's unpickler in Python runs them. The
   unpickler in C would make a table as large as the largest memo index: gigabytes for a file of ten bytes.
 - A dictionary's keys are text or numbers. Hashing a tuple of tuples that share their parts could take forever.
-- The result is copied within a budget. Lists that are shared many times would otherwise multiply when printed or hashed.
+- The result is copied within a budget. Lists that are shared many times would otherwise multiply when printed
+  or hashed.
 """
 
 from __future__ import annotations
@@ -224,7 +225,7 @@ def read_pickle(data: bytes) -> Any:
     except DatasetError:
         raise
     # A broken pickle makes the unpickler raise almost anything.
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         raise DatasetError(f"not a whole pickle: {type(error).__name__}: {_short(str(error))}") from error
 
 
