@@ -13,10 +13,14 @@ from pathlib import Path, PurePosixPath
 
 _TABLE = Path("/proc/self/mountinfo")
 
-# Filesystems whose files lie on another machine. Every `fuse.*` counts too, except those in `_LOCAL_FUSE = frozenset(["fuse.fuse-overlayfs", "fuse.lxcfs", "fuse.portal", "fuse.snapfuse", "fuse.squashfuse"])
-
+# Filesystems whose files lie on another machine. Every `fuse.*` counts too, except those in `_LOCAL_FUSE`.
+_NETWORK = re.compile(
+    "9p|afs|autofs|beegfs|ceph|cifs|coda|davfs|fuse|gfs2|glusterfs|gpfs|lustre|ncpfs|nfs|nfs4|ocfs2|orangefs|prl_fs|"
+    "pvfs2|smb3|smbfs|vboxsf|wekafs"
+)
+_LOCAL_FUSE = re.compile(r"fuse\.(fuse-overlayfs|lxcfs|portal|snapfuse|squashfuse)")
 # Network filesystems whose locks (flock) hold between machines. Source: flock(2) on NFS and CIFS; the others' manuals.
-_SHARED_LOCKS = frozenset("ceph cifs gfs2 glusterfs fuse.glusterfs gpfs nfs nfs4 ocfs2 smb3".split())
+_SHARED_LOCKS = re.compile(r"ceph|cifs|gfs2|glusterfs|fuse\.glusterfs|gpfs|nfs|nfs4|ocfs2|smb3")
 _UNSHARED_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
 
 _MAX_LINKS = 40  # links of a path, beyond which they are a loop. Source: the kernel's limit, path_resolution(7)
@@ -44,14 +48,16 @@ class Mount:
     @property
     def is_network(self) -> bool:
         """Whether the files lie on another machine, or may: FUSE and automounters do not tell."""
-        return self.kind in _NETWORK or (self.kind.startswith("fuse.") and self.kind not in _LOCAL_FUSE)
+        return bool(_NETWORK.fullmatch(self.kind)) or (
+            self.kind.startswith("fuse.") and not _LOCAL_FUSE.fullmatch(self.kind)
+        )
 
     @property
     def locks_reach_others(self) -> bool:
         """Whether other machines that can write here see a lock of this machine."""
         if not self.is_network:
             return True
-        return self.kind in _SHARED_LOCKS and not self.options & _UNSHARED_OPTIONS
+        return bool(_SHARED_LOCKS.fullmatch(self.kind)) and not self.options & _UNSHARED_OPTIONS
 
 
 def read_mounts() -> list[Mount]:
