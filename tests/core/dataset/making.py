@@ -1,6 +1,7 @@
 """Hand-made episodes and frames of the right shape, for a small real dataset."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -97,6 +98,11 @@ def made(
         files=file_hashes(files),
     )
     return Made(record, files)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Path below `folder` -> content, of all files."""
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def publish(writer: DatasetWriter, episode: Made) -> None:

@@ -83,10 +83,6 @@ class Inline:
         self.close()
 
 
-def tree(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
 class Recording:
     """Records with fake attempts."""
 

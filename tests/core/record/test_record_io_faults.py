@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from tests.core.record.fake_episodes import Recording, tree
+from tests.core.dataset.making import tree
+from tests.core.record.fake_episodes import Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import CONFIG
 from yamsim_cli.core.dataset.writing.integrity import inspect_episodes

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.record.fake_episodes import Inline, Recording, tree
+from tests.core.dataset.making import tree
+from tests.core.record.fake_episodes import Inline, Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
 from yamsim_cli.core.dataset.writing import stage as stage_module

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from tests.core.record.fake_episodes import Inline, Recording, payload, tree
+from tests.core.dataset.making import tree
+from tests.core.record.fake_episodes import Inline, Recording, payload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
