@@ -190,17 +190,6 @@ def test_no_more_than_so_many_are_on_their_way(
     assert tree(recording.path) == undisturbed
 
 
-def test_episodes_lost_from_the_dataset_come_back_through_the_stage(
-    recording: Recording, undisturbed: dict[str, bytes]
-) -> None:
-    recording.run()
-    shutil.rmtree(recording.path / "ep_000001")
-    executor = Inline()
-    recording.resume(executor)
-    assert executor.made == [2]
-    assert tree(recording.path) == undisturbed
-
-
 def test_a_stage_of_another_recording_is_moved_not_thrown_away(
     recording: Recording, target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:

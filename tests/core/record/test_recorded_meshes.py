@@ -26,7 +26,7 @@ from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.documents.document import load_yaml
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.record.executors import LocalProcesses, pack, unpack, unpacked_runner
+from yamsim_cli.core.record.executors import pack, unpack, unpacked_runner
 from yamsim_cli.core.resources import Locations, Meshes
 from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.session import Session
@@ -240,17 +240,6 @@ def test_every_cast_of_a_task_shows_the_meshes_that_the_recording_states(tmp_pat
         (other[OBJECTS] / f"{mesh}.stl").write_bytes(stl_bytes(*box(0.021, cuts=1)))
         with pytest.raises(ResourceError, match=f"would show other meshes than the recorder: {OBJECTS}: full"):
             EpisodeRunner(replace(session, locations=replace(session.locations, meshes=other)), render=True)
-
-
-@pytest.mark.slow
-def test_a_process_that_would_draw_otherwise_is_refused_at_the_start(
-    config: RecordConfig, locations: Locations, meshes: Meshes
-) -> None:
-    noted = noting_meshes(Session(config, replace(locations, meshes=meshes)))
-    with LocalProcesses().open(noted.without_meshes(), 1) as executor:
-        executor.submit(EpisodeJob(0, 0))
-        with pytest.raises(ResourceError, match="would show other meshes than the recorder"):
-            executor.result()
 
 
 def test_what_is_unpacked_is_what_was_packed(tmp_path: Path, config: RecordConfig) -> None:
