@@ -273,11 +273,7 @@ def _add(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence[bytes]) 
 
 
 def film_trials(
-    trials: Sequence[dict[str, Any]],
-    limit: int,
-    films: TrialFilms,
-    session: Session,
-    progress: Progress,
+    trials: Sequence[dict[str, Any]], limit: int, films: TrialFilms, session: Session, progress: Progress
 ) -> list[FilmedTrial]:
     """Film at most `limit` trials of a batch, failures first; trials in which nothing moved are left out.
 

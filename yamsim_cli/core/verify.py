@@ -145,7 +145,7 @@ class EpisodeVerifier(Closing):
         checks = {SEED: _together(compare_frames(frames, made, self._limits.values), once)}
         if self._limits.images is None:
             return checks
-        if (looks := _looks(record)) != LOOKS:
+        if (looks := record.versions.get("looks", FIRST_LOOKS)) != LOOKS:
             skipped[IMAGES] = (
                 f"its pictures are of looks revision {looks}, and this version draws revision {LOOKS}: they differ as "
                 "intended, which is no damage"
@@ -211,11 +211,6 @@ def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames,
     keys = None if _engine(episode.record) == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
     once = compare_values({"outcome": _judgement(stored, keys)}, {"outcome": _judgement(judged, keys)}, tolerance)
     return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
-
-
-def _looks(record: EpisodeRecord) -> str:
-    """The revision of looks that a recording's pictures were drawn with."""
-    return record.versions.get("looks", FIRST_LOOKS)
 
 
 def _engine(record: EpisodeRecord) -> str:
@@ -287,11 +282,7 @@ def _pixels_apart(stored: bytes, made: bytes) -> float | None:
 
 
 def verify(
-    episodes: Sequence[tuple[int, Path]],
-    session: Session,
-    limits: Limits,
-    workers: int,
-    progress: Progress,
+    episodes: Sequence[tuple[int, Path]], session: Session, limits: Limits, workers: int, progress: Progress
 ) -> dict[str, Any]:
     """Verify episodes of one dataset.
 

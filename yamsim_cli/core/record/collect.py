@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Protocol
 
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
 from ..dataset.layout import PROGRAM_FORMAT_VERSION, episode_name
 from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file_hashes
 from ..dataset.writing.ledger import vacant_episode
+from ..dataset.writing.stage import StagedWriter
+from ..dataset.writing.writer import DatasetWriter
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
 from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 from ..workers.executor import Executor, LostJobError
@@ -33,28 +33,7 @@ _STOP_SECONDS = 60.0  # s, that attempts in hand may take after a request to sto
 _POLL_SECONDS = 0.5
 
 EpisodeExecutor = Executor[EpisodeJob, EpisodePayload]
-
-
-class Sink(Protocol):
-    """Where a recording goes: a `DatasetWriter` or a `StagedWriter`."""
-
-    path: Path
-    attempts: list[AttemptRecord]
-    episodes: int
-    lost_lines: set[int]
-
-    @property
-    def missing(self) -> list[AttemptRecord]:
-        """Attempts whose episode has to be made again."""
-        ...
-
-    def publish(self, record: EpisodeRecord, files: dict[str, bytes]) -> None:
-        """Make an episode visible."""
-        ...
-
-    def log(self, attempt: AttemptRecord) -> None:
-        """Add an attempt to the ledger, after its episode."""
-        ...
+Sink = DatasetWriter | StagedWriter
 
 
 @dataclass(frozen=True)
@@ -241,7 +220,7 @@ class Collector:
         self.check_prospects()
 
     def _publish(self, payload: EpisodePayload, episode: int) -> None:
-        self._sink.publish(episode_record(self._config, payload, episode), dict(payload.files))
+        self._sink.publish(episode_record(self._config, payload, episode), payload.files)
 
     def _compare_renderers(self, payload: EpisodePayload) -> None:
         """Warn if workers render with different drivers, which give different bytes."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import statistics
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from pathlib import Path
 from ..config.recording import RecordConfig
 from ..dataset.records import ManifestEntry
 from ..dataset.writing.opening import OpenMode
-from ..dataset.writing.space import EpisodeSize, block_size, check_space, files_per_episode
+from ..dataset.writing.space import EpisodeSize, check_space, files_per_episode
 from ..dataset.writing.stage import MAX_WAITING, StagedWriter
 from ..dataset.writing.writer import DatasetWriter
 from ..errors import InterruptedJobError
@@ -151,7 +152,7 @@ def _check_space(
     if episodes <= 0:
         return
     disk = nearest_directory(place)
-    block = block_size(disk)
+    block = os.statvfs(disk).f_frsize
     frames = _frames(config, entries)
     size = EpisodeSize.expected(frames, len(config.recorded_cameras), config.image, block, truth=config.truth)
     if warning := check_space(disk, episodes, size.learned(entries.values(), block)):

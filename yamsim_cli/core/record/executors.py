@@ -18,7 +18,6 @@ from ..config.recording import RecordConfig
 from ..resources import Locations
 from ..session import Session
 from ..workers.executor import InlineExecutor
-from ..workers.pool import JOB_SECONDS
 from ..workers.processes import WorkerPool
 from ..workers.ray_pool import RayPool
 from .collect import EpisodeExecutor
@@ -34,16 +33,12 @@ class Executors(Protocol):
         ...
 
 
-@dataclass(frozen=True)
 class LocalProcesses:
-    """Processes of this machine; `job_seconds` is the longest attempt before its worker is replaced."""
-
-    job_seconds: float = JOB_SECONDS
+    """Processes of this machine."""
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `Executors.open`."""
-        factory = functools.partial(EpisodeRunner, session, render=True)
-        return WorkerPool(factory, workers, self.job_seconds)
+        return WorkerPool(functools.partial(EpisodeRunner, session, render=True), workers)
 
 
 @dataclass(frozen=True)
@@ -52,12 +47,11 @@ class RayCluster:
 
     address: str | None = None
     environ: Mapping[str, str] = field(default_factory=dict)
-    job_seconds: float = JOB_SECONDS
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `Executors.open`."""
         factory = functools.partial(unpacked_runner, pack(session))
-        return RayPool(factory, workers, address=self.address, environ=self.environ, job_seconds=self.job_seconds)
+        return RayPool(factory, workers, address=self.address, environ=self.environ)
 
 
 class ThisProcess:

@@ -454,12 +454,7 @@ def test_frames_of_another_pickler_with_the_same_values_are_the_same(sample: Sam
 
 @pytest.mark.parametrize(
     "change",
-    [
-        {"frames": 0},
-        {"frame_period_s": 0.0},
-        {"cameras": {CAMERA: (0, HEIGHT)}},
-        {"cameras": {CAMERA: (WIDTH, -1)}},
-    ],
+    [{"frames": 0}, {"frame_period_s": 0.0}, {"cameras": {CAMERA: (0, HEIGHT)}}, {"cameras": {CAMERA: (WIDTH, -1)}}],
     ids=str,
 )
 def test_a_record_with_impossible_numbers_is_damaged(sample: Sample, path: Path, found: Any, change: Any) -> None:

@@ -91,11 +91,6 @@ def files_per_episode(frames: int, cameras: int, *, truth: bool) -> int:
     return frames * (cameras + 1) + (2 * frames * cameras + cameras + 1 if truth else 0)
 
 
-def block_size(place: Path) -> int:
-    """Size of a block of the filesystem at the directory `place`, bytes."""
-    return os.statvfs(place).f_frsize
-
-
 def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
     """Compare the free space with the size of `episodes` more episodes.
 

@@ -29,7 +29,7 @@ from ..layout import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, ep
 from ..records import AttemptRecord, EpisodeRecord, from_json, to_json
 from .integrity import inspect_episode
 from .opening import DirectoryLock
-from .writer import DatasetWriter
+from .writer import AttemptLog, DatasetWriter
 
 MAX_WAITING = 100  # attempts on their way; limits the space on the local disk if the target is slow
 _HALT_SECONDS = 10.0  # s, that moving one episode may take after the recording has ended
@@ -43,15 +43,10 @@ class _Item:
     attempt: AttemptRecord | None
 
 
-class StagedWriter:
+class StagedWriter(AttemptLog):
     """Takes a recording as a `DatasetWriter` does, and passes it on to a `DatasetWriter`.
 
     Attributes:
-        path: the dataset's directory.
-        attempts: all attempts, in order, including those on their way.
-        episodes: how many attempts are episodes.
-        lost_lines: see `DatasetWriter`.
-        repairs: a sentence on each part of the stage that was moved aside.
         folder: this dataset's directory in the stage.
     """
 
@@ -65,13 +60,12 @@ class StagedWriter:
         Raises:
             ResourceError: the stage cannot be made or written, or another recorder uses it.
         """
-        self.path = target.path
+        super().__init__(target.path)
         self.attempts = list(target.attempts)
         self.episodes = target.episodes
         self.missing = target.missing
         # A copy, since the target's own set changes in another thread.
         self.lost_lines = set(target.lost_lines)
-        self.repairs: list[str] = []
         self._target = target
         self._error: BaseException | None = None
         self._halt = threading.Event()
@@ -114,9 +108,7 @@ class StagedWriter:
         self._raise_error()
         if attempt.attempt in self.lost_lines:
             # The attempt's episode, if any, is on its way already. If the stage is lost, the episode is made again.
-            self.lost_lines.remove(attempt.attempt)
-            self.attempts[attempt.attempt] = attempt
-            self.episodes += attempt.episode is not None
+            self._restore(attempt)
             self._put(_Item(None, attempt))
             return
         append_line(self.folder / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
@@ -172,10 +164,6 @@ class StagedWriter:
     def _raise_error(self) -> None:
         if self._error is not None:
             raise self._error
-
-    def _count(self, attempt: AttemptRecord) -> None:
-        self.attempts.append(attempt)
-        self.episodes += attempt.episode is not None
 
     def _move_all(self) -> None:
         while True:

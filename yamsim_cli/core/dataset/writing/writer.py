@@ -19,18 +19,41 @@ from .ledger import Ledger, lost_line
 from .opening import MESHES, OpenMode, claim, require_same_config, unstated_meshes
 
 
-class DatasetWriter(Closing):
-    """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
+class AttemptLog:
+    """What a writer has recorded.
 
     Attributes:
         path: the dataset's directory.
+        attempts: all attempts so far, in order.
+        episodes: how many attempts are episodes.
+        lost_lines: attempts whose lines are lost; they count as failures until they are logged again.
+        repairs: a sentence on each damaged or missing part of what was found, and its repair.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.attempts: list[AttemptRecord] = []
+        self.episodes = 0
+        self.lost_lines: set[int] = set()
+        self.repairs: list[str] = []
+
+    def _count(self, attempt: AttemptRecord) -> None:
+        self.attempts.append(attempt)
+        self.episodes += attempt.episode is not None
+
+    def _restore(self, attempt: AttemptRecord) -> None:
+        self.lost_lines.remove(attempt.attempt)
+        self.attempts[attempt.attempt] = attempt
+        self.episodes += attempt.episode is not None
+
+
+class DatasetWriter(AttemptLog, Closing):
+    """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
+
+    Attributes:
         config: everything that decides the data, as in the dataset's config.yaml.
         moved_aside: the new place of an earlier dataset, with `OpenMode.OVERWRITE`.
-        repairs: a sentence on each damaged or missing part of a resumed dataset, and its repair.
-        attempts: the ledger so far, in the order of attempts.
-        lost_lines: attempts whose lines are lost; they count as failures until they are logged again.
         entries: episode's number -> its entry in the manifest.
-        episodes: how many attempts are episodes.
     """
 
     def __init__(
@@ -48,14 +71,10 @@ class DatasetWriter(Closing):
             DatasetError: resuming what is no dataset, or a dataset whose episodes and ledger contradict each other.
             ResourceError: the directory cannot be made or written, or another recorder holds it.
         """
-        self.path = path
+        super().__init__(path)
         self.config = config
-        self.repairs: list[str] = []
-        self.attempts: list[AttemptRecord] = []
-        self.lost_lines: set[int] = set()
         self._ledger: Ledger | None = None
         self.entries: dict[int, ManifestEntry] = {}
-        self.episodes = 0
         self._task = str(config["task"]["name"])
         self._seed = int(config["seed"])
         try:
@@ -94,9 +113,7 @@ class DatasetWriter(Closing):
             return
         assert self._ledger is not None
         self._ledger.insert(attempt)
-        self.lost_lines.remove(attempt.attempt)
-        self.attempts[attempt.attempt] = attempt
-        self.episodes += attempt.episode is not None
+        self._restore(attempt)
 
     def finish(self) -> Manifest:
         """Write and return the manifest of all published episodes, and remove the staging directory."""
@@ -116,10 +133,6 @@ class DatasetWriter(Closing):
     def close(self) -> None:
         """Release the directory for other recorders."""
         self._lock.release()
-
-    def _count(self, attempt: AttemptRecord) -> None:
-        self.attempts.append(attempt)
-        self.episodes += attempt.episode is not None
 
     def _resume(self, config: Mapping[str, Any]) -> None:
         self._compare(config)
