@@ -255,7 +255,9 @@ def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
 
 def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecord:
     """The ledger's line for a finished attempt; `episode` is the number of the published episode, or None."""
-    cast = payload.attempt.cast
+    cast, recorded = payload.attempt.cast, None
+    if cast is not None:
+        recorded = CastRecord(things=dict(cast.things), kinds=dict(cast.kinds), sizes=dict(cast.sizes))
     return AttemptRecord(
         attempt=payload.job.attempt,
         seed=payload.job.seed,
@@ -263,7 +265,7 @@ def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecor
         outcome=OutcomeRecord.of(payload.outcome),
         layout=payload.attempt.places,
         randomized=payload.attempt.variation,
-        cast=cast and CastRecord(things=dict(cast.things), kinds=dict(cast.kinds), sizes=dict(cast.sizes)),
+        cast=recorded,
         phrasing=payload.attempt.phrasing,
     )
 

@@ -18,6 +18,7 @@ from ..config.recording import RecordConfig
 from ..resources import Locations
 from ..session import Session
 from ..workers.executor import InlineExecutor
+from ..workers.pool import JOB_SECONDS
 from ..workers.processes import WorkerPool
 from ..workers.ray_pool import RayPool
 from .collect import EpisodeExecutor
@@ -33,12 +34,15 @@ class Executors(Protocol):
         ...
 
 
+@dataclass(frozen=True)
 class LocalProcesses:
-    """Processes of this machine."""
+    """Processes of this machine; see `WorkerPool`."""
+
+    job_seconds: float = JOB_SECONDS
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `Executors.open`."""
-        return WorkerPool(functools.partial(EpisodeRunner, session, render=True), workers)
+        return WorkerPool(functools.partial(EpisodeRunner, session, render=True), workers, self.job_seconds)
 
 
 @dataclass(frozen=True)
@@ -47,11 +51,12 @@ class RayCluster:
 
     address: str | None = None
     environ: Mapping[str, str] = field(default_factory=dict)
+    job_seconds: float = JOB_SECONDS
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `Executors.open`."""
         factory = functools.partial(unpacked_runner, pack(session))
-        return RayPool(factory, workers, address=self.address, environ=self.environ)
+        return RayPool(factory, workers, address=self.address, environ=self.environ, job_seconds=self.job_seconds)
 
 
 class ThisProcess:
