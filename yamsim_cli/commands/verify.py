@@ -61,10 +61,10 @@ def verify(
     else:
         opener.skip_gl()
 
-    from yamsim_cli.core.verify import Limits
+    from yamsim_cli.core.verify import Tolerances
     from yamsim_cli.core.verify import verify as run
 
-    limits = Limits(tolerance, image_tolerance if images else None)
+    limits = Tolerances(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, session, limits, workers, advance)
     report = {"path": str(dataset)} | report

@@ -47,7 +47,7 @@ Frames = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
-class Limits:
+class Tolerances:
     """How much may differ.
 
     Attributes:
@@ -61,7 +61,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class EpisodeVerdict:
     """The result of verifying one episode.
 
     Attributes:
@@ -91,12 +91,12 @@ class EpisodeVerifier(Closing):
         session: of the dataset's own config; its meshes matter to images alone.
     """
 
-    def __init__(self, session: Session, limits: Limits) -> None:
+    def __init__(self, session: Session, tolerances: Tolerances) -> None:
         self._simulators = Simulators(session)
         self._session = session
-        self._limits = limits
+        self._tolerances = tolerances
 
-    def run(self, job: tuple[int, Path]) -> Verdict:
+    def run(self, job: tuple[int, Path]) -> EpisodeVerdict:
         """Verify one episode, given by its number and its directory."""
         number, directory = job
         problems: dict[str, str] = {}
@@ -117,18 +117,18 @@ class EpisodeVerifier(Closing):
                     f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
                     "makes other episodes of the same seeds; its actions are repeated"
                 )
-                if self._limits.images is not None:
+                if self._tolerances.images is not None:
                     skipped[IMAGES] = skipped[SEED]
             else:
                 checks |= self._from_seed(episode, frames, skipped)
-            if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._limits.values):
+            if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._tolerances.values):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
         except DatasetError as error:
             # Stands first: the error says more than that a file was altered.
             problems = {"": str(error)} | problems
-        return Verdict(number, checks, skipped, problems, changed)
+        return EpisodeVerdict(number, checks, skipped, problems, changed)
 
     def _from_seed(self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]) -> dict[str, Comparison]:
         """Simulate the attempt from its seed and number; `skipped` gets why its images are not compared."""
@@ -140,10 +140,10 @@ class EpisodeVerifier(Closing):
             | {"randomized": asdict(record.randomized)},
             {"outcome": _judgement(OutcomeRecord.of(done.outcome)), "start": _arrays(done.attempt.places)}
             | {"randomized": asdict(done.attempt.variation)},
-            self._limits.values,
+            self._tolerances.values,
         )
-        checks = {SEED: _together(compare_frames(frames, made, self._limits.values), once)}
-        if self._limits.images is None:
+        checks = {SEED: _together(compare_frames(frames, made, self._tolerances.values), once)}
+        if self._tolerances.images is None:
             return checks
         if (looks := record.versions.get("looks", FIRST_LOOKS)) != LOOKS:
             skipped[IMAGES] = (
@@ -152,7 +152,7 @@ class EpisodeVerifier(Closing):
             )
         elif done.states:
             images = image_files(simulator, done.attempt, [state.qpos for state in done.states])
-            checks[IMAGES] = _compare_images(episode, images, self._limits.images)
+            checks[IMAGES] = _compare_images(episode, images, self._tolerances.images)
         return checks
 
     def _simulator(self, record: EpisodeRecord) -> Simulator:
@@ -162,7 +162,7 @@ class EpisodeVerifier(Closing):
         first = {"looks": FIRST_LOOKS, "engine": FIRST_ENGINE}
         then, now = first | episode.record.versions, versions()
         simulator = self._simulator(episode.record)
-        if self._limits.images is not None:
+        if self._tolerances.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
             for name, text in (episode.record.meshes or {}).items():
                 then[f"meshes {name}"] = shown(text)
@@ -282,7 +282,7 @@ def _pixels_apart(stored: bytes, made: bytes) -> float | None:
 
 
 def verify(
-    episodes: Sequence[tuple[int, Path]], session: Session, limits: Limits, workers: int, progress: Progress
+    episodes: Sequence[tuple[int, Path]], session: Session, tolerances: Tolerances, workers: int, progress: Progress
 ) -> dict[str, Any]:
     """Verify episodes of one dataset.
 
@@ -298,10 +298,10 @@ def verify(
         InterruptedJobError: stopped by the user.
     """
     began = time.monotonic()
-    factory = functools.partial(EpisodeVerifier, session, limits)
-    verdicts: list[Verdict] = []
+    factory = functools.partial(EpisodeVerifier, session, tolerances)
+    verdicts: list[EpisodeVerdict] = []
     try:
-        with WorkerPool[tuple[int, Path], Verdict](factory, min(workers, len(episodes))) as pool:
+        with WorkerPool[tuple[int, Path], EpisodeVerdict](factory, min(workers, len(episodes))) as pool:
             for _, verdict in run_all(pool, episodes):
                 verdicts.append(verdict)
                 progress(len(verdicts), len(episodes))
@@ -311,10 +311,10 @@ def verify(
             f"{sum(verdict.agrees for verdict in verdicts)} of which agree"
         ) from None
     verdicts.sort(key=lambda verdict: verdict.episode)
-    return _report(verdicts, limits) | {"seconds": round(time.monotonic() - began, 3)}
+    return _report(verdicts, tolerances) | {"seconds": round(time.monotonic() - began, 3)}
 
 
-def _report(verdicts: Sequence[Verdict], limits: Limits) -> dict[str, Any]:
+def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[str, Any]:
     divergences = [
         {"episode": verdict.episode, "check": check, **asdict(comparison.first)}
         for verdict in verdicts
@@ -337,12 +337,12 @@ def _report(verdicts: Sequence[Verdict], limits: Limits) -> dict[str, Any]:
         ],
         "checks": checks,
         "versions_changed": _versions(verdicts),
-        "tolerance": limits.values,
-        "image_tolerance": limits.images,
+        "tolerance": tolerances.values,
+        "image_tolerance": tolerances.images,
     }
 
 
-def _check_report(verdicts: Sequence[Verdict], check: str) -> dict[str, Any] | None:
+def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, Any] | None:
     """One check over all its episodes; None if no episode was checked or skipped, as when images are left out."""
     found = [verdict.checks[check] for verdict in verdicts if check in verdict.checks]
     reasons = sorted({verdict.skipped[check] for verdict in verdicts if check in verdict.skipped})
@@ -361,7 +361,7 @@ def _check_report(verdicts: Sequence[Verdict], check: str) -> dict[str, Any] | N
     }
 
 
-def _versions(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
+def _versions(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
     """Versions that changed since the recording, each with its episodes."""
     concerned: dict[tuple[str, str, str], list[int]] = {}
     for verdict in verdicts:

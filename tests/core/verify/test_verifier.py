@@ -18,7 +18,7 @@ from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits, Verdict
+from yamsim_cli.core.verify import ACTIONS, IMAGES, SEED, EpisodeVerdict, EpisodeVerifier, Tolerances
 
 EPISODES = 3
 
@@ -39,11 +39,11 @@ def dataset(original: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def verifier(original: Path, locations: Locations) -> EpisodeVerifier:
-    return EpisodeVerifier(Session(dataset_config(original, locations), locations), Limits(values=0.0, images=None))
+    return EpisodeVerifier(Session(dataset_config(original, locations), locations), Tolerances(values=0.0, images=None))
 
 
 @pytest.fixture
-def verdict(dataset: Path, verifier: EpisodeVerifier) -> Callable[[], Verdict]:
+def verdict(dataset: Path, verifier: EpisodeVerifier) -> Callable[[], EpisodeVerdict]:
     """Checks the dataset's second episode."""
     return lambda: verifier.run((1, dataset / "ep_000001"))
 
@@ -116,7 +116,7 @@ def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
 ) -> None:
     said = {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}
     config = dataset_config(dataset, locations).model_copy(update={"meshes": said})
-    with EpisodeVerifier(Session(config, locations), Limits(values=0.0, images=None)) as verifier:
+    with EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None)) as verifier:
         change_record(dataset / "ep_000001", meshes=said)
         assert verifier.run((1, dataset / "ep_000001")).agrees
         change_record(dataset / "ep_000001", meshes=said | {"i2rt_yam_crank": "primitives"})
@@ -236,14 +236,14 @@ def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_chang
     assert yamsim("verify", dataset, "--tolerance", "0.0011").code == 0
 
 
-def verdict_without_version(dataset: Path, locations: Locations, name: str) -> Verdict:
+def verdict_without_version(dataset: Path, locations: Locations, name: str) -> EpisodeVerdict:
     """The verdict on an episode of an earlier yamsim, whose record does not state the version `name`."""
     record = json.loads((dataset / "ep_000000" / "episode.json").read_text(encoding="utf-8"))
     change_record(
         dataset / "ep_000000", versions={key: text for key, text in record["versions"].items() if key != name}
     )
     session = Session(dataset_config(dataset, locations), locations)
-    with EpisodeVerifier(session, Limits(values=0.0, images=0.0)) as verifier:
+    with EpisodeVerifier(session, Tolerances(values=0.0, images=0.0)) as verifier:
         return verifier.run((0, dataset / "ep_000000"))
 
 

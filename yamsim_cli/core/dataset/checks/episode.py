@@ -13,7 +13,7 @@ from ..lowdim import content_hash
 from ..real import RealRecord
 from ..records import EpisodeRecord, from_json
 from .context import Context, EpisodeDirectory
-from .facts import POSE, EpisodeFacts, Values, each_hand, hand_keys, layout, numbered, places, pose_keys, seen_outcome
+from .facts import POSE, EpisodeFacts, Values, layout, numbered, places, rigid_poses, seen_outcome
 from .files import check_presence, list_files, read_file
 from .images import CameraChecks, ImageReader, TruthChecks, check_frozen
 from .lowdim import LowdimChecks, recorded_forms
@@ -230,24 +230,18 @@ class _EpisodeCheck:
             check_frozen(checks.fingerprints, self._files.images[camera], moving, self._problems)
 
     def _check_poses(self, values: Values, cameras: Mapping[str, CameraChecks]) -> None:
-        keys = pose_keys(values)
         before = len(self._problems)
-        for key in keys:
-            check_pose(key, numbered(values, key), self._frame_name, self._problems)
-        for key in hand_keys(values):
-            for arm in range(2):
-                hands = {k: T[arm] for k, T in numbered(values, key).items()}
-                check_pose(f"{key}[{arm}]", hands, self._frame_name, self._problems)
+        poses = rigid_poses(values)
+        for key, by_frame in poses.items():
+            check_pose(key, by_frame, self._frame_name, self._problems)
         for camera, checks in cameras.items():
             key = f"intrinsics[{camera}]"
             matrices = {k: K for k, K in numbered(values, key).items() if np.shape(K) == (3, 3)}
             check_intrinsics(key, matrices, checks.size, self._frame_name, self._problems)
         if len(self._problems) == before:
-            points = [key for key in keys if key.endswith(POSE)]
-            seen = {k: {**entries, **each_hand(entries)} for k, entries in values.items()}
-            points += each_hand(values[min(values)]) if values else {}
+            points = {key: T for key, T in poses.items() if key.partition("[")[0].endswith(POSE)}
             for camera, checks in cameras.items():
-                check_view(camera, seen, points, checks.size, self._problems)
+                check_view(camera, values, points, checks.size, self._problems)
 
     def _compare_outcomes(self, seen: float | None, stored: float | None) -> None:
         if seen is not None and (stored is None or abs(seen - stored) > _OUTCOME_TOLERANCE):

@@ -66,33 +66,32 @@ def numbered(values: Values, key: str) -> dict[int, Array]:
     return {k: entries[key] for k, entries in sorted(values.items()) if key in entries}
 
 
-def pose_keys(values: Values) -> list[str]:
-    """Flat keys of 4 x 4 poses: `<object>_pose`, `ee_pose`, `extrinsics[camera]`, and between bases."""
+def rigid_poses(values: Values) -> dict[str, dict[int, Array]]:
+    """Flat key -> frame -> pose (4, 4): objects, `ee_pose`, `extrinsics[camera]`, and between bases.
+
+    The hands of two arms have the keys `ee_pose[0]` and `ee_pose[1]`.
+    """
     keys = dict.fromkeys(key for entries in values.values() for key in entries)
     named = [key for key in keys if key.endswith(POSE) or key.startswith("extrinsics[") or key == BETWEEN_BASES]
-    return [key for key in named if _are(values, key, (4, 4))]
+    found = {key: numbered(values, key) for key in named}
+    poses = {key: by_frame for key, by_frame in found.items() if _have_shape(by_frame, (4, 4))}
+    hands = found.get(_HAND, {})
+    if hands and _have_shape(hands, (2, 4, 4)):
+        poses |= {f"{_HAND}[{arm}]": {k: T[arm] for k, T in hands.items()} for arm in range(2)}
+    return poses
 
 
-def hand_keys(values: Values) -> list[str]:
-    """The key of both hands' poses, in frames of two arms; else empty."""
-    there = any(_HAND in entries for entries in values.values())
-    return [_HAND] if there and _are(values, _HAND, (2, 4, 4)) else []
-
-
-def each_hand(entries: Mapping[str, Any]) -> dict[str, Array]:
-    """Key -> pose (4, 4) of each hand, in a frame of two arms; else empty."""
-    hands = np.asarray(entries.get(_HAND, ()))
-    return {f"{_HAND}[{k}]": hands[k] for k in range(2)} if hands.shape == (2, 4, 4) else {}
-
-
-def _are(values: Values, key: str, shape: tuple[int, ...]) -> bool:
-    return all(np.shape(entries[key]) == shape for entries in values.values() if key in entries)
+def _have_shape(by_frame: Mapping[int, Array], shape: tuple[int, ...]) -> bool:
+    return all(np.shape(value) == shape for value in by_frame.values())
 
 
 def object_poses(values: Values, frame: int) -> dict[str, Array]:
     """Object -> pose (4, 4) in the robot's base, in one frame."""
-    keys = [key for key in pose_keys(values) if key.endswith(POSE) and key != _HAND and key in values[frame]]
-    return {key.removesuffix(POSE): np.asarray(values[frame][key], dtype=np.float64) for key in keys}
+    return {
+        key.removesuffix(POSE): np.asarray(by_frame[frame], dtype=np.float64)
+        for key, by_frame in rigid_poses(values).items()
+        if key.endswith(POSE) and key != _HAND and frame in by_frame
+    }
 
 
 def places(values: Values, context: Context, *, last: bool) -> dict[str, tuple[float, float]]:

@@ -238,23 +238,23 @@ def check_intrinsics(
 def check_view(
     camera: str,
     values: Mapping[int, Mapping[str, Any]],
-    points: list[str],
+    points: Mapping[str, Mapping[int, Array]],
     size: tuple[int, int] | None,
     problems: Problems,
 ) -> None:
-    """Note a camera whose images show none of the poses under the keys `points`.
+    """Note a camera whose images show none of the poses `points`, key -> frame -> pose (4, 4).
 
     Such extrinsics are inverted, or in another frame. All poses must have passed the other checks.
     """
     if size is None or not points:
         return
     judged = False
-    for frame in values.values():
+    for k, frame in values.items():
         K, T_cam_in_base = frame.get(f"intrinsics[{camera}]"), frame.get(f"extrinsics[{camera}]")
-        if K is None or T_cam_in_base is None or any(key not in frame for key in points):
+        if K is None or T_cam_in_base is None or any(k not in by_frame for by_frame in points.values()):
             continue
         judged = True
-        positions = np.array([frame[key][:, 3] for key in points], dtype=np.float64)
+        positions = np.array([by_frame[k][:, 3] for by_frame in points.values()], dtype=np.float64)
         in_cam = (inverse(T_cam_in_base) @ positions.T).T[:, :3]
         in_front = in_cam[in_cam[:, 2] > 0.01]
         if len(in_front):
