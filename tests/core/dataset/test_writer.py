@@ -261,7 +261,7 @@ def test_the_line_of_a_failure_has_to_be_made_again(with_failures, broken):
         assert writer.lost_lines == {1}
         assert numbers(writer) == [(0, 0), (1, None), (2, 1), (3, 2), (4, None), (5, 3)]
         assert writer.attempts[1].outcome == LINE_LOST
-        assert writer.repairs[-1] == "what attempts.jsonl said of attempt 1 is lost, and made again"
+        assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost; the attempt is made again"
     writer.log(failed_attempt(1))
     assert (writer.lost_lines, writer.attempts[1]) == (set(), failed_attempt(1))
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
@@ -326,7 +326,7 @@ def test_lines_out_of_order_are_put_into_order(with_failures):
 def test_what_contradicts_its_episode_is_not_resumed(with_failures):
     damage(with_failures, lambda lines: lines.__setitem__(2, to_json(failed_attempt(2))))
     before = tree(with_failures)
-    with pytest.raises(DatasetError, match=r"ep_000001 is attempt 2, which attempts\.jsonl tells otherwise"):
+    with pytest.raises(DatasetError, match=r"ep_000001 is attempt 2, which attempts\.jsonl contradicts"):
         resume(with_failures)
     assert tree(with_failures) == before
 

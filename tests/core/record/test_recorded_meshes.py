@@ -167,7 +167,7 @@ class TestOfAnEarlierVersion:
             f"{old.path}/config.yaml does not say which meshes the episodes show, as an earlier yamsim recorded them. "
             f"New ones show {ARM}: full "
         )
-        assert f"`yamsim verify {old.path} --sample 1 --images` tells" in told
+        assert f"`yamsim verify {old.path} --sample 1 --images` shows whether" in told
         assert len(open_episodes(old.path)) == 3
         assert says_nothing(old.path)
         kept = {name: data for name, data in before.items() if name not in ("manifest.json", "attempts.jsonl")}

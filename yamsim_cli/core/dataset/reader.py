@@ -96,7 +96,7 @@ def open_episode(directory: Path) -> StoredEpisode:
     """The simulated episode in a directory; raises as `open_recorded`, and DatasetError if the episode is real."""
     episode = open_recorded(directory)
     if not isinstance(episode, StoredEpisode):
-        raise DatasetError(f"{directory} is a real recording: it was not simulated, so that cannot be done with it")
+        raise DatasetError(f"{directory} is an imported recording of real arms; give a simulated episode")
     return episode
 
 

@@ -107,13 +107,8 @@ def visible_name(cloth: str) -> str:
 
 def array_forms(labels: TruthLabels, frames: int) -> dict[str, tuple[np.dtype[Any], tuple[int, ...]]]:
     """Key -> dtype and shape of the arrays of one camera."""
-    lengths = {
-        "frames": frames,
-        "links": len(labels.links),
-        "objects": len(labels.objects),
-        "keypoints": len(labels.keypoints),
-        "instances": len(labels.instances),
-    }
+    lists = ("links", "objects", "keypoints", "instances")
+    lengths = {"frames": frames} | {name: len(getattr(labels, name)) for name in lists}
     forms = {
         key: (np.dtype(dtype), tuple(lengths[part] if isinstance(part, str) else part for part in shape))
         for key, (dtype, shape) in _ARRAYS.items()

@@ -120,7 +120,7 @@ class _Name:
 
     def __call__(self, *arguments: Any) -> Any:
         if self._call is None:
-            raise ForbiddenPickleError("the pickle makes an array out of nothing; it was not run")
+            raise ForbiddenPickleError("the pickle makes an array without content; it was not run")
         return self._call(*arguments)
 
     def __setstate__(self, state: Any) -> None:
@@ -134,7 +134,7 @@ _NDARRAY = _Name(None)
 def _reconstruct(kind: Any, shape: Any, _: Any) -> _Array:
     """The description of an empty array; the pickle sets its content later."""
     if kind is not _NDARRAY or shape != (0,):
-        raise ForbiddenPickleError(f"the pickle asks for an array of shape {_short(shape)} out of nothing")
+        raise ForbiddenPickleError(f"the pickle makes an array of shape {_short(shape)} without content")
     return _Array(b"", _DType("u1"), (0,), "C")
 
 

@@ -90,7 +90,7 @@ class Ledger:
             if line is not None and line.episode != record.episode:
                 raise DatasetError(
                     f"{self._file.parent / episode_name(record.episode)} is attempt {record.attempt}, which {ATTEMPTS} "
-                    "tells otherwise; it cannot be resumed"
+                    "contradicts; the dataset cannot be resumed"
                 )
             if line is None:
                 adopted = AttemptRecord.model_validate(

@@ -228,7 +228,7 @@ def _refusal(path: Path, holder: _Holder | None, flock: _Flock) -> str:
     if flock is _Flock.HELD:
         return f"{path.parent} is being recorded into by {who}; wait for it, end it, or choose another --out"
     return (
-        f"{path.parent} is marked as being recorded into by {who}, and this filesystem's locks cannot tell whether it "
+        f"{path.parent} is marked as being recorded into by {who}, and this filesystem's locks do not show whether it "
         f"still is; if it has ended, delete {path}"
     )
 
@@ -273,7 +273,7 @@ def unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
     texts = ", ".join(f"{name}: {shown(text)}" for name, text in _stated_meshes(wanted).items())
     return (
         f"{dataset / CONFIG} does not say which meshes the episodes show, as an earlier yamsim recorded them. New ones "
-        f"show {texts}; whether that is the same, `yamsim verify {dataset} --sample 1 --images` tells."
+        f"show {texts}; `yamsim verify {dataset} --sample 1 --images` shows whether the meshes are the same."
     )
 
 

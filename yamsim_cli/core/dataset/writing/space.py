@@ -116,7 +116,7 @@ def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
     if free < size.likely * episodes or inodes < size.inodes * episodes:
         return (
             f"{takes}, probably {size.inodes * episodes} files and {_amount(size.likely * episodes)}, and {there}: "
-            "watch it. --resume goes on if it fills up."
+            "if the disk fills up, continue with --resume."
         )
     return None
 
