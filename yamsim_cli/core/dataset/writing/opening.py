@@ -16,7 +16,7 @@ import shutil
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum, auto
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -125,16 +125,13 @@ def _remove_litter(path: Path) -> None:
             entry.unlink()
 
 
-class _Flock(Enum):
-    TAKEN = auto()
-    HELD = auto()
-    UNSUPPORTED = auto()
-
-
 @dataclass(frozen=True)
 class _Holder:
     pid: int
     host: str
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}"
 
     @property
     def is_here(self) -> bool:
@@ -143,14 +140,13 @@ class _Holder:
     @property
     def may_live(self) -> bool:
         """Whether the process may still run; a process on another machine always may."""
-        if not self.is_here:
-            return True
-        try:
-            os.kill(self.pid, 0)
-        except ProcessLookupError:
-            return False
-        except PermissionError:
-            return True
+        if self.is_here:
+            try:
+                os.kill(self.pid, 0)
+            except ProcessLookupError:
+                return False
+            except PermissionError:
+                pass
         return True
 
 
@@ -177,9 +173,17 @@ class DirectoryLock:
         while True:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
             try:
-                flock, holder = _flock(descriptor), _read(descriptor)
-                if _forbidden(flock, holder, reaches_others):
-                    raise ResourceError(_refusal(path, holder, flock))
+                taken, holder = _flock(descriptor), _read(descriptor)
+                if taken is False:
+                    raise ResourceError(
+                        f"{directory} is being recorded into by {holder or 'another process'}; wait for it, end it, or "
+                        "choose another --out"
+                    )
+                if holder and (holder.may_live if taken is None else not holder.is_here and not reaches_others):
+                    raise ResourceError(
+                        f"{directory} is marked as being recorded into by {holder}, and this filesystem's locks do not "
+                        f"show whether it still is; if it has ended, delete {path}"
+                    )
                 if _is_at(descriptor, path):
                     os.ftruncate(descriptor, 0)
                     os.pwrite(descriptor, json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode(), 0)
@@ -201,36 +205,17 @@ class DirectoryLock:
         os.close(self._descriptor)
 
 
-def _flock(descriptor: int) -> _Flock:
+def _flock(descriptor: int) -> bool | None:
+    """Whether this process has taken the lock; None on a filesystem without locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        return _Flock.HELD
+        return False
     except OSError as error:
         if error.errno in _NO_FLOCK:
-            return _Flock.UNSUPPORTED
+            return None
         raise
-    return _Flock.TAKEN
-
-
-def _forbidden(flock: _Flock, holder: _Holder | None, reaches_others: bool) -> bool:
-    if flock is _Flock.HELD:
-        return True
-    if holder is None:
-        return False
-    if flock is _Flock.UNSUPPORTED:
-        return holder.may_live
-    return not holder.is_here and not reaches_others
-
-
-def _refusal(path: Path, holder: _Holder | None, flock: _Flock) -> str:
-    who = f"process {holder.pid} on {holder.host}" if holder else "another process"
-    if flock is _Flock.HELD:
-        return f"{path.parent} is being recorded into by {who}; wait for it, end it, or choose another --out"
-    return (
-        f"{path.parent} is marked as being recorded into by {who}, and this filesystem's locks do not show whether it "
-        f"still is; if it has ended, delete {path}"
-    )
+    return True
 
 
 def _read(descriptor: int) -> _Holder | None:
