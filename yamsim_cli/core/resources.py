@@ -20,8 +20,6 @@ Meshes = Mapping[str, Path | None]
 
 # Kind -> path of its configs below a data root, with `*` for the name.
 _PLACES = {"robots": "robot_models/*/model.yaml", "grippers": "robot_models/grippers/*/gripper.yaml"}
-# Kind -> what is valid besides names of that kind.
-_ALSO_VALID = {"rigs": "; or an arm and its gripper, such as yam_pro+linear_4310"}
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -114,8 +112,9 @@ class Locations:
         if name not in self.config_names(kind):
             endings = _CAMERA_ENDINGS if kind == "cameras" else _ENDINGS
             hint = f"; the name of a file has to end in {' or '.join(endings)}" if path.is_file() else ""
-            valid = suggest(name, self.config_names(kind)) + _ALSO_VALID.get(kind, "")
-            raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{hint}")
+            robots = "; or an arm and its gripper, such as yam_pro+linear_4310" if kind == "rigs" else ""
+            valid = suggest(name, self.config_names(kind))
+            raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{robots}{hint}")
         chosen = self.auto_quality if (kind, name) == AUTO else name
         return self.file(config_place(kind).replace("*", chosen))
 

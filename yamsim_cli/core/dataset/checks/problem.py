@@ -22,12 +22,10 @@ class Code:
     """One kind of fault.
 
     Attributes:
-        name: `<what>.<fault>`, stable across versions.
         title: what is wrong, as a clause that values can follow.
-        advice: what to do about it.
+        advice: what to do about the fault.
     """
 
-    name: str
     severity: Severity
     title: str
     advice: str
@@ -124,8 +122,9 @@ _WARNINGS = {
     "camera.view": ("a camera sees neither the arm's hand nor an object", "check extrinsics: they are T_cam_in_base"),
 }
 
+# `<subject>.<fault>` -> kind of fault; keys are stable across versions.
 CODES: Mapping[str, Code] = {
-    name: Code(name, severity, *texts)
+    name: Code(severity, *texts)
     for severity, codes in ((Severity.ERROR, _ERRORS), (Severity.WARNING, _WARNINGS))
     for name, texts in codes.items()
 }
