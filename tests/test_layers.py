@@ -27,7 +27,6 @@ FLOORS: dict[str, int] = {
     "core.resources": 2,
     "core.gl": 2,
     "core.shown_meshes": 2,
-    "core.stray_forks": 2,
     "core.variation": 2,
     "core.robots": 2,
     "core.types": 3,

@@ -25,7 +25,7 @@ from .core.page_origin import refusal
 from .core.policies.loading import check_policy, reset_policy, wanted_images, wanted_state
 from .core.policies.policy_faults import fault_of
 from .core.policies.wire import PROTOCOL, UnsendableError, WireError, pack, require_msgpack, sendable, unpack
-from .core.stray_forks import forks_end_here
+from .core.workers.serving import forks_end_here
 
 LOOPBACK = "127.0.0.1"
 

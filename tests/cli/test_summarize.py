@@ -11,7 +11,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.checks.sample import Sample, episode
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.checks.codes import CODES
+from yamsim_cli.core.dataset.checks.problem import CODES
 
 WHOLE, BAD, USAGE, MISSING = 0, 4, 2, 4
 

@@ -18,8 +18,7 @@ from tests.core.recordings.foreign import PROMPT, START_NS, grey_of, shares
 from tests.core.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded
-from yamsim_cli.core.dataset.recorded_images import recorded_images
+from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded, recorded_images
 from yamsim_cli.core.export.lerobot import export_real_lerobot
 from yamsim_cli.core.export.raiden_options import RaidenOptions
 from yamsim_cli.core.export.raiden_real import export_real_raiden

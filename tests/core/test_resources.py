@@ -66,11 +66,6 @@ def test_a_missing_file_names_every_root_and_the_fix(two_roots):
     assert "\n" not in message
 
 
-def test_a_folder_is_not_taken_for_a_file(two_roots):
-    with pytest.raises(ResourceError):
-        two_roots.file("configs/rigs")
-
-
 def test_the_shipped_data_is_always_among_the_roots(repository):
     found = Locations.find({"HOME": "/home/someone"})
     assert found.data == (repository,)
@@ -92,9 +87,6 @@ def test_the_users_own_folder_comes_first():
 )
 def test_meshes_are_kept_where_the_environment_says(environment, assets):
     assert Locations.find(environment).assets == Path(assets)
-
-
-def test_without_a_home_the_users_own_is_found():
     assert Locations.find({}).assets == Path.home() / ".cache/yamsim/assets"
 
 

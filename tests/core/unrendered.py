@@ -21,7 +21,7 @@ from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, load_frame
 from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.files import sha256_bytes
-from yamsim_cli.core.record.episode_record import episode_record
+from yamsim_cli.core.record.collect import episode_record
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodePayload

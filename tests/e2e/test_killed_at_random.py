@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.e2e.recorder import digest, is_alive, run, start, wait_until, workers_of
-from yamsim_cli.core.dataset.writing.integrity import find_episodes
+from yamsim_cli.core.dataset.writing.integrity import inspect_episodes
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
@@ -47,7 +47,7 @@ def test_twenty_kills_lose_no_episode(tmp_path: Path) -> None:
             process.wait()
             ended += process.returncode == 0
         wait_until(lambda workers=workers: not any(map(is_alive, workers)), seconds=10)
-        assert [found.fault for found in find_episodes(path) if found.fault] == [] if path.exists() else True
+        assert [found.fault for found in inspect_episodes(path) if found.fault] == [] if path.exists() else True
         if process.returncode == 0:
             # All there already: begin again, so that every kill meets a recording.
             assert digest(path) == digest(undisturbed)

@@ -19,7 +19,7 @@ from yamsim_cli.core.record.recorder import record
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.task_proof.tasks_there import tasks_there
-from yamsim_cli.core.verify.remake import CHECKS, EpisodeVerifier, Limits
+from yamsim_cli.core.verify import CHECKS, EpisodeVerifier, Tolerances
 from yamsim_cli.core.workers.stop import Stop
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
@@ -62,7 +62,7 @@ def test_each_shipped_task_is_made_again_bit_for_bit(task: str, locations: Locat
     out = tmp_path / "dataset"
     watch = Notifier(lambda done, wanted, attempts: None, lambda text: None)
     record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
-    with EpisodeVerifier(session, Limits(0.0, 0.0)) as verifier:
+    with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, out / "ep_000000"))
     assert verdict.agrees, verdict
     assert set(verdict.checks) == set(CHECKS)

@@ -35,7 +35,7 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.world import SimWorld, world_of
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.verify.remake import EpisodeVerifier, Limits
+from yamsim_cli.core.verify import EpisodeVerifier, Tolerances
 from yamsim_cli.core.workers.stop import Stop
 from yamsim_cli.kitchen_scenes import task_of
 from yamsim_cli.kitchenbench.places import AHEAD, BESIDE
@@ -178,6 +178,6 @@ def test_what_is_recorded_is_made_again_without_the_benchmark(
     record(session, Output(out, OpenMode.NEW), ThisProcess(), watch, Stop())
     monkeypatch.setitem(__import__("sys").modules, "kitchenbench", None)
     again = Session(dataset_config(out, locations), locations).without_meshes()
-    with EpisodeVerifier(again, Limits(0.0, 0.0)) as verifier:
+    with EpisodeVerifier(again, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, out / "ep_000000"))
     assert verdict.agrees, verdict

@@ -173,7 +173,7 @@ def evaluate(
     from yamsim_cli.core.evaluate.compare import compare as compared
     from yamsim_cli.core.evaluate.compare import read_report, require_same
     from yamsim_cli.core.files import write_output
-    from yamsim_cli.core.trials.tally import require_success, what_ran
+    from yamsim_cli.core.trials import require_success, what_ran
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     # Read first: a file that is no report, or one of other trials, is told before hours of trials.
@@ -205,7 +205,7 @@ def evaluate(
         write_output(out, json_text(report).encode())
         note(f"Written to {out}.")
     if html is not None:
-        from yamsim_cli.core.summarize.report_files import write_leaderboard
+        from yamsim_cli.core.summarize import write_leaderboard
 
         write_leaderboard(reports, report.get("compared", []), html)
         note(f"The page is in {html}.")

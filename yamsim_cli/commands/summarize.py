@@ -41,14 +41,14 @@ def summarize(
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.dataset.summary import summarize as count
     from yamsim_cli.core.machine import usable_cores
-    from yamsim_cli.core.summarize.surveying import survey_dataset
+    from yamsim_cli.core.summarize import survey_dataset
 
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
         survey = survey_dataset(dataset, opener.locations(), workers or usable_cores(), advance)
     report = count(survey, thresholds)
     if html:
-        from yamsim_cli.core.summarize.report_files import write_report
+        from yamsim_cli.core.summarize import write_report
 
         write_report(survey, report, html)
         report["html"] = str(html)

@@ -101,7 +101,7 @@ def check(
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
         report = prove(session, least, advance)
     if films:
-        from yamsim_cli.core.trials.films import film_trials
+        from yamsim_cli.core.trials import film_trials
 
         report["videos"] = film(films, lambda told: film_trials(report["trials"], video_trials, films, session, told))
     if json:

@@ -84,9 +84,7 @@ def trials(
     from yamsim_cli.core.dataset.statistics import THRESHOLDS
     from yamsim_cli.core.documents.json_text import json_text
     from yamsim_cli.core.files import write_output
-    from yamsim_cli.core.trials.batch import run_batch
-    from yamsim_cli.core.trials.films import film_trials
-    from yamsim_cli.core.trials.tally import require_success
+    from yamsim_cli.core.trials import film_trials, require_success, run_batch
 
     films = films_at(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
@@ -97,7 +95,7 @@ def trials(
         write_output(out, json_text(report).encode())
         note(f"Written to {out}.")
     if html:
-        from yamsim_cli.core.summarize.report_files import write_trials_page
+        from yamsim_cli.core.summarize import write_trials_page
 
         write_trials_page(report, session.config, html)
         report["html"] = str(html)

@@ -49,8 +49,7 @@ def verify(
     if image_tolerance and not images:
         raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
 
-    from yamsim_cli.core.dataset.reader import dataset_config
-    from yamsim_cli.core.dataset.selection import select_episodes
+    from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
     from yamsim_cli.core.session import Session
 
     where = opener.locations()
@@ -62,10 +61,10 @@ def verify(
     else:
         opener.skip_gl()
 
-    from yamsim_cli.core.verify.remake import Limits
-    from yamsim_cli.core.verify.verifier import verify as run
+    from yamsim_cli.core.verify import Tolerances
+    from yamsim_cli.core.verify import verify as run
 
-    limits = Limits(tolerance, image_tolerance if images else None)
+    limits = Tolerances(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, session, limits, workers, advance)
     report = {"path": str(dataset)} | report

@@ -1,4 +1,4 @@
-"""What a `with` statement closes."""
+"""Base class of context managers that have a `close` method."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Self
 
 
 class Closing(ABC):
-    """Base of objects that own something to be given back, such as a renderer or workers: a `with` closes them."""
+    """Base of objects that own a resource, such as a renderer or workers: a `with` statement closes them."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give back what this object owns."""
+        """Free what this object owns."""
 
     def __enter__(self) -> Self:
         return self

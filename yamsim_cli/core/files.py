@@ -1,7 +1,7 @@
-"""Files that are either wholly there or not there at all.
+"""Writes files and directories whole or not at all.
 
-Everything yamsim publishes goes through here: written beside its destination, flushed to the disk, then renamed. A
-crash at any moment leaves the old state or the new one under the final name, never half of either.
+Content is written beside its destination, flushed to the disk, and then renamed. A crash at any moment leaves the old
+or the new state under the final name, never half of either.
 """
 
 from __future__ import annotations
@@ -22,11 +22,9 @@ from pathlib import Path
 
 from .errors import ResourceError, UsageError
 
-# Errors that come from the path itself, which `obstacle` explains better than the system's own text does.
-_OF_PATHS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
-
-# Threads that flush files: each one waits for the disk and leaves the interpreter free.
-_FLUSHERS = 16
+# Errors of a path, which `obstacle` explains better than the system's text.
+_PATH_ERRORS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
+_FLUSHERS = 16  # threads: each waits for the disk and releases the GIL
 
 
 def sha256_bytes(data: bytes) -> str:
@@ -48,7 +46,7 @@ def fsync_directory(path: Path) -> None:
 
 @contextlib.contextmanager
 def _opened(path: Path, flags: int) -> Iterator[int]:
-    """A descriptor for the block. Errors in the block name the file, as those of read and write otherwise do not."""
+    """A descriptor for the block. Errors in the block name the file, unlike errors of `os.read` and `os.write`."""
     descriptor = os.open(path, flags, 0o666)
     try:
         yield descriptor
@@ -72,17 +70,17 @@ def write_file(path: Path, data: bytes) -> None:
     """Replace or create one file atomically; its directory must exist.
 
     Raises:
-        OSError: the file could not be written; the old content, if any, is untouched. Only where the very last flush,
-            of the directory, fails is the new content there, whole.
+        OSError: the file could not be written, and has its old content. If only the last flush, of the directory,
+            fails, the file has the new content.
     """
     write_files({path: data})
 
 
 def write_files(files: Mapping[Path, bytes]) -> None:
-    """Replace or create several files: all of their content is on the disk before the first gets its name.
+    """Replace or create several files: all content is on the disk before the first file gets its name.
 
     Raises:
-        OSError: a file could not be written; none has changed, unless a rename failed.
+        OSError: a file could not be written; no file has changed, unless a rename failed.
     """
     parts = {path: path.with_name(f".{path.name}.{uuid.uuid4().hex}.part") for path in files}
     try:
@@ -98,20 +96,20 @@ def write_files(files: Mapping[Path, bytes]) -> None:
 
 
 def write_output(path: Path, data: bytes, flag: str = "--out") -> None:
-    """Write one file of a command's result, see `write_outputs`."""
+    """Write a command's result that is one file, see `write_outputs`."""
     write_outputs({path: data}, flag)
 
 
 def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_folder: bool = False) -> None:
-    """Write a command's result, all files of it or none, and keep the result elsewhere if that fails.
+    """Write all files of a command's result or none; if that fails, keep the result among the temporary files.
 
     Args:
-        files: path -> content, all in one directory; files that exist are replaced.
+        files: path -> content, all in one directory; existing files are replaced.
         flag: the option that names the files, for the message.
-        make_folder: make the directory where it does not exist.
+        make_folder: make the directory if missing.
 
     Raises:
-        ResourceError: a file cannot be written; the message says where the result is kept instead.
+        ResourceError: a file cannot be written; the message says where the result is kept.
     """
     folder = next(iter(files)).parent
     try:
@@ -127,7 +125,7 @@ def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_fold
 
 
 def _keep(files: Mapping[str, bytes]) -> Path | None:
-    """Save a result in a new folder for temporary files; None where that fails too."""
+    """Save a result in a new temporary folder; None if that fails too."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="yamsim-"))
         write_files({folder / name: data for name, data in files.items()})
@@ -137,24 +135,16 @@ def _keep(files: Mapping[str, bytes]) -> Path | None:
 
 
 def publish_file(part: Path, final: Path) -> None:
-    """Give a finished file its name, replacing what had it; `part` lies in the same directory.
-
-    Raises:
-        OSError: as for `write_file`; `part` is left to the caller.
-    """
-    descriptor = os.open(part, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    """Rename the finished file `part` to `final`, in the same directory; raises as `write_file`, and keeps `part`."""
+    _fsync(part)
     os.replace(part, final)
     fsync_directory(final.parent)
 
 
 def append_line(path: Path, line: str) -> None:
-    """Append one line and flush it to the disk. It is a single write, so that a crash leaves a whole line or none.
+    """Append one line by a single write, and flush it to the disk: a crash leaves a whole line or none.
 
-    A power cut can leave a last line without its end. That line is ended first, so that the new one stands alone.
+    A last line without an end, from a power cut, is ended first.
     """
     with _opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND) as descriptor:
         size = os.fstat(descriptor).st_size
@@ -170,9 +160,9 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
     """Create directory `final` with all of `files` in one step.
 
     Args:
-        final: the directory to create; it must not exist, its parent must.
+        final: must not exist; its parent must exist.
         files: relative POSIX path -> content.
-        staging: a directory on the same filesystem in which the tree is built first; created when missing.
+        staging: a directory on the same filesystem where the tree is built first; made if missing.
 
     Raises:
         OSError: nothing appeared under `final`, and the staged tree was removed.
@@ -189,7 +179,7 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
             _write_and_fsync(path, data)
         for directory in directories:
             fsync_directory(directory)
-        # rename(2) refuses a non-empty target, and would silently replace an empty one.
+        # rename(2) refuses a non-empty target, and silently replaces an empty directory.
         if final.exists():
             raise FileExistsError(f"{final} already exists")
         os.rename(stage, final)
@@ -208,8 +198,8 @@ class StagedDirectory:
     """A directory that is being filled.
 
     Attributes:
-        path: where to write until all is done.
-        moved_aside: the new place of what stood in the way; None if nothing did, and until all is done.
+        path: where to write.
+        moved_aside: after the block, the new place of an earlier directory; None if there was none.
     """
 
     path: Path
@@ -220,11 +210,11 @@ class StagedDirectory:
 def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[StagedDirectory]:
     """A hidden directory beside `final`, to be filled in the block; then flushed to the disk and renamed to `final`.
 
-    For trees that are too large for `publish_directory`. An exception in the block removes what was written,
-    and the next call for the same `final` removes what a killed process left.
+    For trees that are too large for `publish_directory`. An exception in the block removes what was written, and the
+    next call for the same `final` removes what a killed process left.
 
     Args:
-        overwrite: move what is at `final` aside, once the new directory is whole.
+        overwrite: move what is at `final` aside, after the block.
 
     Raises:
         UsageError: the process's current directory is `final` or lies in it.
@@ -252,7 +242,7 @@ def _filled(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator
             final.rmdir()
         if overwrite and os.path.lexists(final):
             stage.moved_aside = move_aside(final)
-        # rename(2) refuses a non-empty target, and would silently replace a file.
+        # rename(2) refuses a non-empty target, and silently replaces a file.
         if final.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(final))
         os.rename(stage.path, final)
@@ -264,7 +254,7 @@ def _filled(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator
 
 @contextlib.contextmanager
 def scratch_directory(prefix: str) -> Iterator[Path]:
-    """A new folder among the temporary files for the block; folders of killed processes are removed first."""
+    """A new temporary folder for the block; folders of killed processes are removed first."""
     _remove_stale(Path(tempfile.gettempdir()), re.compile(rf"{re.escape(prefix)}\w{{8}}"))
     with _held(lambda: Path(tempfile.mkdtemp(prefix=prefix))) as folder:
         try:
@@ -278,13 +268,13 @@ def _held(make: Callable[[], Path]) -> Iterator[Path]:
     """A new folder, locked for the block as a sign that a living process uses it."""
     while True:
         folder = make()
-        # Another process may take the folder for stale before it is locked here, and remove it: then make another.
+        # Another process may remove the folder as stale before it is locked here: then another folder is made.
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
             continue
         try:
-            # On a filesystem without locks, nobody can remove it either.
+            # On a filesystem without locks, no process removes folders either.
             with contextlib.suppress(OSError):
                 fcntl.flock(descriptor, fcntl.LOCK_EX)
             if folder.exists():
@@ -295,11 +285,11 @@ def _held(make: Callable[[], Path]) -> Iterator[Path]:
 
 
 def _remove_stale(parent: Path, names: re.Pattern[str]) -> None:
-    """Remove the folders of these names that a killed process left: those that no process has locked."""
+    """Remove folders of these names that no process has locked: killed processes left them."""
     for folder in parent.iterdir() if parent.is_dir() else ():
         if not names.fullmatch(folder.name):
             continue
-        # The system refuses what is another user's, in use, or on a filesystem without locks: it stays.
+        # Folders of other users, in use, or on a filesystem without locks raise OSError, and stay.
         with contextlib.suppress(OSError):
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
@@ -311,11 +301,10 @@ def _remove_stale(parent: Path, names: re.Pattern[str]) -> None:
 
 
 def _fsync_tree(root: Path) -> None:
-    """Flush all files and directories below `root`; many at a time, which the disk then flushes together."""
+    """Flush all files and directories below `root`, many at a time."""
     paths = [root, *root.rglob("*")]
     with ThreadPoolExecutor(_FLUSHERS) as flushers:
-        for _ in flushers.map(_fsync, paths):
-            pass
+        list(flushers.map(_fsync, paths))
 
 
 def _fsync(path: Path) -> None:
@@ -325,12 +314,12 @@ def _fsync(path: Path) -> None:
 
 def nearest_directory(path: Path) -> Path:
     """The directory at `path`, or the nearest one above it that exists."""
-    # Not Path.is_dir, which raises where a name is too long or a directory may not be looked into.
+    # Not Path.is_dir, which raises for names that are too long and directories that may not be read.
     return next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
 
 
 def obstacle(path: Path) -> str | None:
-    """What keeps a directory from being at `path`, such as `it is a file`; None if nothing is known to."""
+    """Why no directory can be made at `path`, such as `it is a file`; None if no reason is known."""
     try:
         path.lstat()
     except OSError as error:
@@ -348,18 +337,18 @@ def obstacle(path: Path) -> str | None:
 
 
 def refusal(error: OSError, path: Path) -> str:
-    """Why a directory cannot be made or filled at `path`, as a clause."""
-    found = obstacle(path) if error.errno in _OF_PATHS else None
+    """Why a directory cannot be made or filled at `path`: an error of the system as a clause."""
+    found = obstacle(path) if error.errno in _PATH_ERRORS else None
     return found or error.strerror or str(error)
 
 
 def _named(path: Path) -> Path:
-    """The same place as a path that ends in a name, and not in `.` or `..`."""
+    """The same path, resolved if it does not end in a name."""
     return path.resolve() if path.name in ("", "..") else path
 
 
 def _require_elsewhere(path: Path) -> None:
-    """Refuse to rename the directory that this process is in, or one above it."""
+    """Raise UsageError if `path` is this process's directory, or contains it."""
     if not path.is_symlink() and Path.cwd().is_relative_to(path.resolve()):
         raise UsageError(
             f"{path} cannot be moved aside, because you are in it: run from another directory, or write elsewhere"
@@ -367,11 +356,11 @@ def _require_elsewhere(path: Path) -> None:
 
 
 def move_aside(path: Path) -> Path:
-    """The new place of what was at `path`: the first free `<name>.old-<n>` beside it.
+    """Rename `path` to the first free `<name>.old-<n>` beside it, and return that.
 
     Raises:
-        UsageError: it is the directory that this process is in, or one above that. The user's shell is there too.
-        OSError: it cannot be renamed.
+        UsageError: `path` is this process's directory, or contains it: the user's shell is there too.
+        OSError: `path` cannot be renamed.
     """
     path = _named(path)
     _require_elsewhere(path)
@@ -384,7 +373,7 @@ def move_aside(path: Path) -> Path:
 
 @contextlib.contextmanager
 def exclusive_lock(path: Path) -> Iterator[None]:
-    """Hold an advisory lock on `path` (created when missing) for the block; waits for another holder to finish."""
+    """Hold an advisory lock on `path`, made if missing, for the block; waits for another holder to finish."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

@@ -1,6 +1,6 @@
 """Which filesystem a path is on, from the kernel's mount table alone.
 
-Nothing on a network mount is touched for that: a process that asks a dead server for a file cannot even be killed.
+No file of a network mount is opened: a process that waits for a dead server cannot even be killed.
 """
 
 from __future__ import annotations
@@ -14,44 +14,16 @@ from pathlib import Path, PurePosixPath
 _TABLE = Path("/proc/self/mountinfo")
 
 # Filesystems whose files lie on another machine. Every `fuse.*` counts too, except those in `_LOCAL_FUSE`.
-_NETWORK = frozenset(
-    [
-        "9p",
-        "afs",
-        "autofs",
-        "beegfs",
-        "ceph",
-        "cifs",
-        "coda",
-        "davfs",
-        "fuse",
-        "gfs2",
-        "glusterfs",
-        "gpfs",
-        "lustre",
-        "ncpfs",
-        "nfs",
-        "nfs4",
-        "ocfs2",
-        "orangefs",
-        "prl_fs",
-        "pvfs2",
-        "smb3",
-        "smbfs",
-        "vboxsf",
-        "wekafs",
-    ]
+_NETWORK = re.compile(
+    "9p|afs|autofs|beegfs|ceph|cifs|coda|davfs|fuse|gfs2|glusterfs|gpfs|lustre|ncpfs|nfs|nfs4|ocfs2|orangefs|prl_fs|"
+    "pvfs2|smb3|smbfs|vboxsf|wekafs"
 )
-_LOCAL_FUSE = frozenset(["fuse.fuse-overlayfs", "fuse.lxcfs", "fuse.portal", "fuse.snapfuse", "fuse.squashfuse"])
-
+_LOCAL_FUSE = re.compile(r"fuse\.(fuse-overlayfs|lxcfs|portal|snapfuse|squashfuse)")
 # Network filesystems whose locks (flock) hold between machines. Source: flock(2) on NFS and CIFS; the others' manuals.
-_SHARED_LOCKS = frozenset(
-    ["ceph", "cifs", "gfs2", "glusterfs", "fuse.glusterfs", "gpfs", "nfs", "nfs4", "ocfs2", "smb3"]
-)
+_SHARED_LOCKS = re.compile(r"ceph|cifs|gfs2|glusterfs|fuse\.glusterfs|gpfs|nfs|nfs4|ocfs2|smb3")
 _UNSHARED_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
 
-# A chain of more links counts as a loop. Source: the kernel's own limit, path_resolution(7).
-_MAX_LINKS = 40
+_MAX_LINKS = 40  # links of a path, beyond which they are a loop. Source: the kernel's limit, path_resolution(7)
 
 
 @dataclass(frozen=True)
@@ -59,8 +31,8 @@ class Mount:
     """One line of the mount table.
 
     Attributes:
-        number, parent: of the mount and of the one it is mounted on.
-        point: where it is mounted.
+        number, parent: number of the mount, and of the mount below it.
+        point: where the filesystem is mounted.
         kind: type of filesystem, such as `ext4` or `fuse.sshfs`.
         source: what is mounted, such as `server:/export`.
         options: of the mount and of the filesystem.
@@ -75,19 +47,21 @@ class Mount:
 
     @property
     def is_network(self) -> bool:
-        """Whether its files lie on another machine, or may: behind FUSE and automounters nobody can tell."""
-        return self.kind in _NETWORK or (self.kind.startswith("fuse.") and self.kind not in _LOCAL_FUSE)
+        """Whether the files lie on another machine, or may: FUSE and automounters do not tell."""
+        return bool(_NETWORK.fullmatch(self.kind)) or (
+            self.kind.startswith("fuse.") and not _LOCAL_FUSE.fullmatch(self.kind)
+        )
 
     @property
     def locks_reach_others(self) -> bool:
-        """Whether a lock on one machine is seen on the others that can write here."""
+        """Whether other machines that can write here see a lock of this machine."""
         if not self.is_network:
             return True
-        return self.kind in _SHARED_LOCKS and not self.options & _UNSHARED_OPTIONS
+        return bool(_SHARED_LOCKS.fullmatch(self.kind)) and not self.options & _UNSHARED_OPTIONS
 
 
 def read_mounts() -> list[Mount]:
-    """The mount table as it is now; empty where the system has none, as on macOS."""
+    """The current mount table; empty on systems without one, such as macOS."""
     try:
         return parse_mounts(_TABLE.read_text(errors="surrogateescape"))
     except OSError:
@@ -108,9 +82,9 @@ def parse_mounts(text: str) -> list[Mount]:
 
 
 def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
-    """The mount that an absolute path without links lies on; None when the table has none for it.
+    """The mount of an absolute path without links; None if the table has none.
 
-    The search walks down from the root: a mount that a later one covers does not count.
+    The search walks down from the root, so that mounts covered by later mounts do not count.
     """
     numbers = {mount.number for mount in mounts}
     current = next((mount for mount in mounts if mount.parent not in numbers or mount.parent == mount.number), None)
@@ -127,13 +101,13 @@ def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
 
 
 def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str], str] = os.readlink) -> Mount | None:
-    """The network mount that a path leads to, if it does.
+    """The network mount that a path leads to, or None.
 
-    Links are followed as long as they lie on local filesystems. At the first step onto a network mount this stops.
+    Links on local filesystems are followed, up to the first step onto a network mount.
 
     Args:
         path: need not exist; relative to the current directory, or absolute.
-        readlink: reads a link, or raises OSError for what is none.
+        readlink: reads a link; raises OSError for anything else.
     """
     rest = list(Path.cwd().joinpath(path).parts[1:])
     here = PurePosixPath("/")
@@ -146,7 +120,7 @@ def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str],
         step = here / part
         mount = mount_at(step, mounts)
         if mount is not None and mount.is_network:
-            # The rest is taken as it is written, without following links. A local filesystem may be mounted below.
+            # Links in the rest of the path are not followed. A local filesystem may be mounted below.
             mount = mount_at(PurePosixPath(os.path.normpath(step.joinpath(*rest))), mounts)
             return mount if mount is not None and mount.is_network else None
         try:
@@ -164,5 +138,5 @@ def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str],
 
 
 def _unescaped(text: str) -> str:
-    """A field as plain text: the table writes blanks, tabs, newlines and backslashes as three octal digits."""
+    """A field as plain text: the table escapes blanks, tabs, newlines and backslashes as three octal digits."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match.group(1), 8)), text)

@@ -118,7 +118,7 @@ class Opener:
             self.skip_gl()
             return session
         where = self.use_gl(where, workers=parallel)
-        from .dataset.writing.same_config import shown_in
+        from .dataset.writing.opening import shown_in
 
         # What the config of another dataset says of its meshes does not bind this one.
         session = Session(self.config(name, where, **given), where)

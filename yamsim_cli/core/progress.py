@@ -1,8 +1,8 @@
-"""How whoever waits for many things of one kind is told how far they are."""
+"""Progress of a job, for callbacks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-# Called with how many are done, and how many there are in all.
+# Called with how many parts are done, and how many there are.
 Progress = Callable[[int, int], None]

@@ -1,4 +1,4 @@
-"""Where configs, robot models and assets lie: in a checkout, in an installed wheel, or in the user's own folder."""
+"""Locations of configs, robot models and assets: a checkout, an installed wheel, or the user's own folder."""
 
 from __future__ import annotations
 
@@ -9,43 +9,34 @@ from pathlib import Path
 
 from .errors import ConfigError, ResourceError, suggest
 
-# Kind and name of the config that stands for another quality, `Locations.auto_quality`, which depends on the GPU.
-AUTO = ("quality", "auto")
+AUTO = ("quality", "auto")  # kind and name of the config that stands for `Locations.auto_quality`
+IMPORTED = "imported"  # asset set of the user's own meshes: a folder of the cache that no lock lists
+_ENDINGS = (".yaml", ".yml")  # of config files
+_CAMERA_ENDINGS = (*_ENDINGS, ".json", ".xml")  # of camera files, which may come from other programs
+_KITCHEN = "kitchen_"  # prefix of the names of kitchen things
 
-# The asset set of the user's own meshes: a folder among the fetched ones that no lock lists.
-IMPORTED = "imported"
-
-# What a config file's name ends in. Cameras may come from other programs.
-_ENDINGS = (".yaml", ".yml")
-_CAMERA_ENDINGS = (*_ENDINGS, ".json", ".xml")
-
-# What the names of the things of our own kitchen begin with.
-_KITCHEN = "kitchen_"
-# Asset set -> folder of its meshes, or None where they are not here. Primitives stand in for what has no folder.
+# Asset set -> folder of its meshes; None shows primitives instead.
 Meshes = Mapping[str, Path | None]
 
-# Where the configs of a kind lie under a root of data, `*` standing for their names.
+# Kind -> path of its configs below a data root, with `*` for the name.
 _PLACES = {"robots": "robot_models/*/model.yaml", "grippers": "robot_models/grippers/*/gripper.yaml"}
-
-# Kind -> what else may stand where a name of that kind is asked for.
-_ALSO_VALID = {"rigs": "; or an arm and its gripper, such as yam_pro+linear_4310"}
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def _built_in() -> Path:
-    """The folder of the data shipped with yamsim: `_data` in an installed wheel, else the checkout's top level."""
+    """The data root that ships with yamsim: `_data` in an installed wheel, else the checkout's top level."""
     packaged = _PACKAGE / "_data"
     return packaged if packaged.is_dir() else _PACKAGE.parent
 
 
 def config_place(kind: str) -> str:
-    """Where the configs of a kind lie under a root of data, `*` standing for a name."""
+    """Path of the configs of a kind below a data root, with `*` for the name."""
     return _PLACES.get(kind, f"configs/{kind}/*.yaml")
 
 
 def camera_file(name: str) -> tuple[Path, str] | None:
-    """The file that `FILE` or `FILE:CAMERA` names, and the camera, empty without one; None if it names no file."""
+    """File and camera of `FILE` or `FILE:CAMERA`, the camera empty if not given; None if `name` names no file."""
     if name.endswith(_CAMERA_ENDINGS):
         return Path(name), ""
     file, _, camera = name.rpartition(":")
@@ -54,13 +45,13 @@ def camera_file(name: str) -> tuple[Path, str] | None:
 
 @dataclass(frozen=True)
 class Locations:
-    """The directories that a job may read from. Plain data, so that it can be sent to workers on any machine.
+    """The directories that a job may read from; plain data that can be sent to workers on any machine.
 
     Attributes:
         data: roots that hold `configs/`, `robot_models/` and `assets/`, most important first.
         assets: the cache of fetched meshes.
-        auto_quality: the quality that the name `auto` stands for.
-        meshes: the folders of those that a scene is to show, once they were looked for; empty shows primitives.
+        auto_quality: the quality that the name `auto` stands for; depends on the GPU.
+        meshes: folders of the meshes that scenes show; empty shows primitives.
     """
 
     data: tuple[Path, ...]
@@ -70,7 +61,7 @@ class Locations:
 
     @classmethod
     def find(cls, environ: Mapping[str, str]) -> Locations:
-        """The locations that `YAMSIM_DATA_DIR`, `YAMSIM_ASSETS`, `XDG_CACHE_HOME` and `HOME` name. Touches no file."""
+        """The locations from `YAMSIM_DATA_DIR`, `YAMSIM_ASSETS`, `XDG_CACHE_HOME` and `HOME`; opens no file."""
         roots = [Path(environ["YAMSIM_DATA_DIR"])] if environ.get("YAMSIM_DATA_DIR") else []
         if environ.get("YAMSIM_ASSETS"):
             assets = Path(environ["YAMSIM_ASSETS"])
@@ -81,11 +72,7 @@ class Locations:
         return cls(data=(*roots, _built_in()), assets=assets)
 
     def file(self, relative: str) -> Path:
-        """The first data root's file at `relative`.
-
-        Raises:
-            ResourceError: no root has it.
-        """
+        """The file at `relative` in the first data root that has it; ResourceError if none has."""
         for root in self.data:
             if (root / relative).is_file():
                 return root / relative
@@ -102,17 +89,17 @@ class Locations:
         return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
 
     def config_file(self, kind: str, name: str) -> Path:
-        """The file of a named config, or of a path the user gave (anything ending in `.yaml` or `.yml`).
+        """The file of a named config, or of a path that ends in `.yaml` or `.yml`.
 
-        What stands in front, as in `013_apple` and `kitchen_spoon`, may be left out. A camera's file may also end in
-        `.json` or `.xml`. One of its cameras may be named behind it, as in `calibration.json:left`, and stays in the
-        path that comes back.
+        Names may leave out a prefix, as in `013_apple` and `kitchen_spoon`. A camera's file may also end in `.json` or
+        `.xml`, and be followed by the name of one of its cameras, as in `calibration.json:left`. The returned path
+        keeps that name.
 
         Raises:
-            ConfigError: no such config; the message lists the names there are.
+            ConfigError: no such config; the message lists valid names.
         """
         path = Path(name)
-        # A robot is recorded by its name, so it has to be where names are looked up.
+        # Recordings state a robot by its name, so that robots and grippers are found by names alone.
         file = path if name.endswith(_ENDINGS) and kind not in _PLACES else None
         if kind == "cameras" and (found := camera_file(name)):
             file = found[0]
@@ -121,19 +108,18 @@ class Locations:
                 return path
             raise ConfigError(f"{kind.removesuffix('s')} config file {file} does not exist")
         if name not in self.config_names(kind):
-            name = self._numbered(kind, name) or name
+            name = self._prefixed(kind, name) or name
         if name not in self.config_names(kind):
             endings = _CAMERA_ENDINGS if kind == "cameras" else _ENDINGS
             hint = f"; the name of a file has to end in {' or '.join(endings)}" if path.is_file() else ""
-            valid = suggest(name, self.config_names(kind)) + _ALSO_VALID.get(kind, "")
-            raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{hint}")
+            robots = "; or an arm and its gripper, such as yam_pro+linear_4310" if kind == "rigs" else ""
+            valid = suggest(name, self.config_names(kind))
+            raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{robots}{hint}")
         chosen = self.auto_quality if (kind, name) == AUTO else name
         return self.file(config_place(kind).replace("*", chosen))
 
-    def _numbered(self, kind: str, name: str) -> str | None:
-        """The only config whose name is a number and this name, as `013_apple` for `apple`; else the kitchen's of this
-        name, as `kitchen_spoon` for `spoon`; None if there is none.
-        """
+    def _prefixed(self, kind: str, name: str) -> str | None:
+        """The only config named by a number and `name` (`013_apple`), or else `kitchen_` and `name`; or None."""
         names = self.config_names(kind)
         found = [other for other in names if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]
         if not found and (ours := f"{_KITCHEN}{name}") in names:

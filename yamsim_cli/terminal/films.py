@@ -11,12 +11,12 @@ from .console import note, progress_bar
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.progress import Progress
-    from yamsim_cli.core.trials.films import FilmedTrial, TrialFilms
+    from yamsim_cli.core.trials import FilmedTrial, TrialFilms
 
 
 def films_at(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
     """The place for a job's films; a path that cannot be used is refused before any trial runs."""
-    from yamsim_cli.core.trials.films import TrialFilms
+    from yamsim_cli.core.trials import TrialFilms
 
     timing = settings.task.timing
     return TrialFilms(path, timing.tick * timing.ticks_per_frame, overwrite=overwrite)

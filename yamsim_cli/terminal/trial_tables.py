@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def trials_table(report: dict[str, Any]) -> Facts:
-    """What `core.trials.batch.run_batch` reports, as a table."""
+    """What `core.trials.run_batch` reports, as a table."""
     return facts([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
@@ -22,7 +22,7 @@ def evaluation_table(report: dict[str, Any]) -> Facts:
 
 
 def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """What `core.trials.tally.tally` counts."""
+    """What `core.trials.tally` counts."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
     limit_m = counts["threshold_m"]

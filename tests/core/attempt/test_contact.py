@@ -25,7 +25,7 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Actions, Attempt, Cause, JointPath
-from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
+from yamsim_cli.core.verify import ACTIONS, SEED, EpisodeVerifier, Tolerances
 
 HELD_SLIP = 0.0075  # m, how far a thing that a hand holds may move in it
 
@@ -157,7 +157,7 @@ def test_a_joint_that_is_driven_too_hard_fails(simulator: Simulator, succeeded: 
 
 def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locations) -> None:
     config = dataset_config(original, locations)
-    verifier = EpisodeVerifier(Session(config, locations), Limits(values=0.0, images=None))
+    verifier = EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None))
     for number in range(2):
         verdict = verifier.run((number, original / f"ep_{number:06d}"))
         assert verdict.agrees

@@ -32,7 +32,7 @@ from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.world import SimWorld
 from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob
-from yamsim_cli.core.verify.remake import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits
+from yamsim_cli.core.verify import ACTIONS, IMAGES, SEED, EpisodeVerifier, Tolerances
 from yamsim_cli.core.workers.stop import Stop
 
 
@@ -61,7 +61,7 @@ def dataset(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.render
 def test_what_was_recorded_is_made_again_bit_for_bit(dataset: Path, locations: Locations) -> None:
     session = Session(dataset_config(dataset, locations), locations).without_meshes()
-    with EpisodeVerifier(session, Limits(0.0, 0.0)) as verifier:
+    with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, dataset / "ep_000000"))
     assert verdict.agrees, verdict
     assert set(verdict.checks) == {SEED, ACTIONS, IMAGES}

@@ -26,7 +26,7 @@ from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import Cause
-from yamsim_cli.core.verify.remake import ACTIONS, SEED, EpisodeVerifier, Limits
+from yamsim_cli.core.verify import ACTIONS, SEED, EpisodeVerifier, Tolerances
 
 OBJECTS = ("banana", "plate")
 LEFT, RIGHT = slice(0, 7), slice(7, 14)
@@ -187,7 +187,9 @@ def dataset(tmp_path_factory: pytest.TempPathFactory, handover: RecordConfig, lo
 
 
 def test_a_hand_over_is_made_again_bit_for_bit(dataset: Path, locations: Locations) -> None:
-    verifier = EpisodeVerifier(Session(dataset_config(dataset, locations), locations), Limits(values=0.0, images=None))
+    verifier = EpisodeVerifier(
+        Session(dataset_config(dataset, locations), locations), Tolerances(values=0.0, images=None)
+    )
     verdict = verifier.run((0, dataset / "ep_000000"))
     assert verdict.agrees
     assert set(verdict.checks) == {SEED, ACTIONS}

@@ -1,6 +1,7 @@
 """Hand-made episodes and frames of the right shape, for a small real dataset."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,14 +15,7 @@ CAMERA = "scene_camera"
 CONFIG = {"task": {"name": "pickplace", "success": {"threshold": 0.05}}, "seed": 7, "arms": [{"name": "arm1"}]}
 FRAMES = 4
 SUCCESS = OutcomeRecord(
-    success=True,
-    cause=None,
-    detail="",
-    dxy_m=0.02,
-    dz_m=0.01,
-    speed_mps=0.0,
-    plan_error_m=0.0001,
-    tilt_rad=0.01,
+    success=True, cause=None, detail="", dxy_m=0.02, dz_m=0.01, speed_mps=0.0, plan_error_m=0.0001, tilt_rad=0.01
 )
 FAILURE = SUCCESS.model_copy(update={"success": False, "cause": "off_target", "detail": "0.2 m off", "dxy_m": 0.2})
 
@@ -97,6 +91,11 @@ def made(
         files=file_hashes(files),
     )
     return Made(record, files)
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Path below `folder` -> content, of all files."""
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def publish(writer: DatasetWriter, episode: Made) -> None:

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.dataset.making import CONFIG
-from yamsim_cli.core.dataset.writing.directory_lock import DirectoryLock
-from yamsim_cli.core.dataset.writing.opening import OpenMode
+from tests.core.dataset.making import CONFIG, tree
+from yamsim_cli.core.dataset.writing.opening import DirectoryLock, OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ResourceError, UsageError
 
@@ -46,10 +45,6 @@ def recorder(path: Path) -> Iterator[subprocess.Popen[str]]:
             yield process
         finally:
             process.kill()
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 @pytest.mark.parametrize("mode", OpenMode)

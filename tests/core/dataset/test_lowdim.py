@@ -1,9 +1,7 @@
 import contextlib
 import pickle
-import pickletools
 import random
 import re
-import struct
 import subprocess
 import sys
 
@@ -14,13 +12,16 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from tests.core.dataset.making import CAMERA, frame
+from yamsim_cli.core.dataset.checks.lowdim import expected_forms, frame_faults
 from yamsim_cli.core.dataset.lowdim import (
     SimulationData,
     content_hash,
     dump_frame,
     flat,
     frame_data,
+    has_simulation,
     load_frame,
+    recorded_actions,
     shapes,
 )
 from yamsim_cli.core.errors import DatasetError
@@ -47,11 +48,8 @@ def whole() -> bytes:
     return dump_frame(frame(1))
 
 
-def test_a_frame_survives_the_way_through_a_pickle(whole):
+def test_a_frame_survives_a_pickle_and_reads_back_without_yamsim(whole):
     assert same(load_frame(whole), frame(1))
-
-
-def test_a_frame_reads_back_without_yamsim(whole):
     assert same(pickle.loads(whole), frame(1))
 
 
@@ -149,32 +147,19 @@ def test_a_frames_bytes_do_not_depend_on_the_process(whole):
     assert other.stdout == whole, other.stderr.decode()
 
 
-def test_different_values_give_different_bytes():
-    assert len({dump_frame(frame(k, seed)) for k in range(4) for seed in range(3)}) == 12
-
-
 @pytest.mark.parametrize(
     ("module", "name", "arguments"),
     [
         ("os", "system", ("touch pwned",)),
-        ("posix", "system", ("touch pwned",)),
         ("builtins", "eval", ("open('pwned', 'w')",)),
-        ("builtins", "open", ("pwned", "w")),
-        ("builtins", "getattr", ("", "join")),
-        ("subprocess", "Popen", ("touch pwned",)),
         ("numpy", "load", ("pwned",)),
-        ("numpy", "save", ("pwned", 1)),
-        ("numpy", "fromfile", ("pwned",)),
-        ("numpy.f2py", "compile", ("pwned",)),
         ("numpy", "core", ()),
         ("numpy", "ndarray.tofile", ()),
         ("numpy", "dtype.type", ()),
         ("numpy._core.multiarray", "fromstring", ("",)),
         ("numpy._core.numeric", "load", ("pwned",)),
         ("numpy.core.multiarray", "os.system", ("touch pwned",)),
-        ("numpy.lib.npyio", "NpzFile", ("pwned",)),
         ("yamsim_cli.core.dataset.lowdim", "load_frame", (b"",)),
-        ("collections", "OrderedDict", ()),
     ],
 )
 def test_a_pickle_that_names_anything_but_arrays_is_refused_by_name(module, name, arguments, tmp_path, monkeypatch):
@@ -201,22 +186,6 @@ def test_a_bomb_deep_inside_a_frame_is_refused_in_any_protocol(tmp_path, monkeyp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_instance_of_any_class_is_refused():
-    with pytest.raises(DatasetError, match="pathlib"):
-        load_frame(pickle.dumps({"joints": __import__("pathlib").PurePosixPath("x")}))
-
-
-@pytest.mark.parametrize("code", [b"cos\nsystem\n(S'ls'\ntR.", b"(S'ls'\nios\nsystem\n.", b"\x80\x02\x82\x01."])
-def test_the_old_ways_to_name_something_are_refused_too(code):
-    with pytest.raises(DatasetError):
-        load_frame(code)
-
-
-def test_a_persistent_id_is_refused():
-    with pytest.raises(DatasetError):
-        load_frame(b"\x80\x04\x8c\x01xQ.")
-
-
 @pytest.mark.parametrize("content", [[1, 2], "text", None, 5, np.zeros(3)])
 def test_a_frame_is_a_dictionary(content):
     with pytest.raises(DatasetError, match=f"must be a dictionary, not {type(content).__name__}"):
@@ -233,45 +202,6 @@ def test_a_frame_cut_off_anywhere_is_a_dataset_error(whole):
 def test_random_bytes_are_a_dataset_error_or_a_dictionary(data):
     with contextlib.suppress(DatasetError):
         assert isinstance(load_frame(data), dict)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"\x80\x04\x95" + struct.pack("<Q", 2**64 - 1) + b"}.",
-        b"\x80\x04\x8d" + struct.pack("<Q", 2**63) + b"x.",
-        b"\x80\x04\x8e" + struct.pack("<Q", 2**64 - 1) + b"x.",
-        b"\x80\xff}.",
-        b"\x80\x04}" + b"\x8a\xff.",
-        b"\x80\x04" + b"l" * 3 + b".",
-        b"\x80\x04\x8c\x02\xff\xff.",
-        b"",
-        b".",
-        b"}",
-        b"{}",
-        b"\xff\xd8\xff\xe0JFIF",
-    ],
-)
-def test_what_is_no_pickle_is_a_dataset_error(data):
-    with pytest.raises(DatasetError):
-        load_frame(data)
-
-
-def test_a_changed_value_is_read_as_another_value(whole):
-    """Bytes inside strings and arrays carry no structure: that is what hashes are for."""
-    operations = list(pickletools.genops(whole))
-    arrays = [position for _, argument, position in operations if isinstance(argument, bytes) and len(argument) > 16]
-    assert len(arrays) == 8
-    for position in arrays:
-        damaged = bytearray(whole)
-        damaged[position + 10] ^= 0x01
-        assert not same(load_frame(bytes(damaged)), frame(1))
-
-
-@pytest.mark.parametrize("protocol", [3, 4, 5])
-def test_frames_pickled_by_others_are_read_in_every_protocol_that_has_bytes(protocol):
-    data = frame(1) | {"scale": np.float64(0.5), "counts": [1, 2**70, -3], "pair": (None, False)}
-    assert same(load_frame(pickle.dumps(data, protocol)), data)
 
 
 def test_frames_written_with_numpy_1_are_read():
@@ -293,7 +223,7 @@ def test_the_content_hash_knows_values_and_not_pickles():
     frames = [frame(k) for k in range(3)]
     again = [load_frame(pickle.dumps(data, protocol)) for data, protocol in zip(frames, (3, 4, 5), strict=True)]
     shuffled = [dict(random.Random(1).sample(list(data.items()), len(data))) for data in frames]
-    assert content_hash(frames) == content_hash(again) == content_hash(shuffled)
+    assert content_hash(frames) == content_hash(again) == content_hash(shuffled) != content_hash(frames[::-1])
 
 
 @pytest.mark.parametrize(
@@ -314,11 +244,83 @@ def test_the_content_hash_changes_with_any_value(change):
     assert content_hash([frame() | change]) != content_hash([frame()])
 
 
-def test_the_content_hash_knows_the_order_of_frames():
-    assert content_hash([frame(0), frame(1)]) != content_hash([frame(1), frame(0)])
-
-
 def test_a_flat_frame_names_what_its_dictionaries_hold():
     entries = flat(frame())
     assert list(entries)[:4] == ["joints", "timestamp", f"intrinsics[{CAMERA}]", f"extrinsics[{CAMERA}]"]
     assert entries[f"intrinsics[{CAMERA}]"] is not None
+
+
+OBJECTS = ("banana", "plate")
+# No two of these are the same number in float32.
+QPOS = 0.1 + np.arange(22) * 1e-12
+CTRL = 0.2 + np.arange(14).reshape(2, 7) * 1e-12
+
+
+def simulated() -> dict:
+    plain = {key: np.zeros((1, *shape)) for key, shape in shapes(1, 7).items()}
+    return frame_data(
+        **plain,
+        timestamp=0.064,
+        intrinsics={CAMERA: np.eye(3)},
+        extrinsics={CAMERA: np.eye(4)},
+        object_poses={name: np.eye(4) for name in OBJECTS},
+        magnet=np.array([False]),
+        language_task="",
+        language_prompt="",
+        simulation=SimulationData(QPOS, CTRL, np.array([[False], [True]])),
+    )
+
+
+def test_simulation_data_comes_last_and_keeps_every_bit():
+    assert list(simulated())[-3:] == ["sim_qpos", "sim_ctrl", "sim_magnet"]
+    data = load_frame(dump_frame(simulated()))
+    np.testing.assert_array_equal(data["sim_qpos"], QPOS)
+    np.testing.assert_array_equal(data["sim_ctrl"], CTRL)
+    assert data["sim_magnet"].tolist() == [False, True]
+    assert (data["sim_qpos"].dtype, data["sim_magnet"].dtype) == (np.float64, np.bool_)
+
+
+def test_a_frame_has_all_simulation_data_or_none():
+    assert has_simulation(simulated())
+    assert not has_simulation(frame())
+    assert frame_faults(simulated(), expected_forms(OBJECTS, [CAMERA], 1, 7)) == []
+    assert frame_faults(frame(), expected_forms(OBJECTS, [CAMERA], 1, 7)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"sim_qpos": None}, "sim_qpos is missing"),
+        ({"sim_qpos": QPOS.astype(np.float32)}, "sim_qpos is float32 (22,), not float64 with 1 dimensions"),
+        ({"sim_ctrl": CTRL[0]}, "sim_ctrl is float64 (7,), not float64 with 2 dimensions"),
+        ({"sim_ctrl": CTRL * np.nan}, "sim_ctrl has values that are not finite, or beyond 1000 m or rad"),
+        ({"sim_qpos": QPOS * 1e300}, "sim_qpos has values that are not finite, or beyond 1000 m or rad"),
+        ({"sim_magnet": [True, False]}, "sim_magnet is list, not bool with 1 dimensions"),
+        ({"sim_magnet": np.array([True])}, "sim_ctrl has 2 ticks and sim_magnet 1"),
+        ({"sim_magnet": np.ones((2, 2), bool)}, "sim_magnet is bool (2, 2), not bool with 1 dimensions"),
+    ],
+)
+def test_each_fault_of_simulation_data_is_named(change, fault):
+    (found,) = frame_faults(simulated() | change, expected_forms(OBJECTS, [CAMERA], 1, 7))
+    assert found.endswith(fault)
+
+
+def test_the_actions_of_an_episode_are_those_of_every_tick():
+    last = simulated() | {"sim_ctrl": CTRL[:1] + 1, "sim_magnet": np.array([True])}
+    recorded = recorded_actions([simulated(), last], 22, 7)
+    assert recorded is not None
+    start, actions = recorded
+    np.testing.assert_array_equal(start, QPOS)
+    np.testing.assert_array_equal(actions.ctrl, [*CTRL, CTRL[0] + 1])
+    assert actions.magnet.tolist() == [[False], [True], [True]]
+    assert actions.joints.shape == (3, 1, 7)
+
+
+def test_without_simulation_data_in_every_frame_there_are_no_actions():
+    assert recorded_actions([simulated(), frame()], 22, 7) is None
+    assert recorded_actions([], 22, 7) is None
+
+
+def test_an_episode_of_another_scene_is_refused():
+    with pytest.raises(DatasetError, match="frame 0 has 22 positions and 7 drives, and its scene 44 and 14"):
+        recorded_actions([simulated()], 44, 14)

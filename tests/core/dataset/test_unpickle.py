@@ -33,14 +33,21 @@ def shape(*sides: int) -> bytes:
     return pickle.MARK + b"".join(map(number, sides)) + pickle.TUPLE
 
 
-DTYPE = named("numpy", "dtype") + text("f4") + pickle.NEWFALSE + pickle.NEWTRUE + pickle.TUPLE3 + pickle.REDUCE
-EMPTY = named("numpy._core.multiarray", "_reconstruct") + named("numpy", "ndarray") + shape(0)
-EMPTY += pickle.SHORT_BINBYTES + b"\x01b" + pickle.TUPLE3 + pickle.REDUCE
+def dtype(name: str) -> bytes:
+    return named("numpy", "dtype") + text(name) + pickle.NEWFALSE + pickle.NEWTRUE + pickle.TUPLE3 + pickle.REDUCE
+
+
+def empty(*sides: int) -> bytes:
+    """An array of this shape without content."""
+    code = named("numpy._core.multiarray", "_reconstruct") + named("numpy", "ndarray") + shape(*sides)
+    return code + pickle.SHORT_BINBYTES + b"\x01b" + pickle.TUPLE3 + pickle.REDUCE
 
 
 def state(sides: bytes, raw: bytes) -> bytes:
     """An array of float32 with this shape, made of these bytes."""
-    return EMPTY + pickle.MARK + number(1) + sides + DTYPE + pickle.NEWFALSE + raw + pickle.TUPLE + pickle.BUILD
+    return (
+        empty(0) + pickle.MARK + number(1) + sides + dtype("f4") + pickle.NEWFALSE + raw + pickle.TUPLE + pickle.BUILD
+    )
 
 
 def frame(value: bytes) -> bytes:
@@ -48,18 +55,17 @@ def frame(value: bytes) -> bytes:
     return PROTO + pickle.EMPTY_DICT + text("joints") + value + pickle.SETITEM + pickle.STOP
 
 
-def doubled(start: bytes, pair: bytes, times: int) -> bytes:
-    """A value made of two references to a value made of two references ..."""
-    code = start + pickle.BINPUT + b"\x00"
+def doubled(times: int) -> bytes:
+    """A tuple of two references to a tuple of two references ..."""
+    code = pickle.EMPTY_TUPLE + pickle.BINPUT + b"\x00"
     for k in range(times):
-        code += (
-            pickle.POP + pickle.BINGET + bytes([k]) + pickle.BINGET + bytes([k]) + pair + pickle.BINPUT + bytes([k + 1])
-        )
+        twice = (pickle.BINGET + bytes([k])) * 2
+        code += pickle.POP + twice + pickle.TUPLE2 + pickle.BINPUT + bytes([k + 1])
     return code
 
 
+DOUBLED = doubled(60)
 FOUR_BYTES = pickle.SHORT_BINBYTES + b"\x04\0\0\0\0"
-PAIR_LIST = pickle.TUPLE2  # two values from the stack into one
 BOMBS = {
     # An index into the memo: the C unpickler makes a table of that many entries.
     "memo": frame(pickle.NONE + pickle.LONG_BINPUT + struct.pack("<I", 2**31)),
@@ -70,31 +76,14 @@ BOMBS = {
     "text": frame(pickle.BINUNICODE8 + struct.pack("<Q", 2**40)),
     "pickle frame": PROTO + pickle.FRAME + struct.pack("<Q", 2**40) + b"}.",
     # Shapes beyond their bytes.
-    "reconstruct": frame(
-        named("numpy._core.multiarray", "_reconstruct")
-        + named("numpy", "ndarray")
-        + shape(2**33)
-        + pickle.SHORT_BINBYTES
-        + b"\x01b"
-        + pickle.TUPLE3
-        + pickle.REDUCE
-    ),
+    "reconstruct": frame(empty(2**33)),
     "ndarray itself": frame(named("numpy", "ndarray") + shape(2**33) + pickle.TUPLE1 + pickle.REDUCE),
     "shape": frame(state(shape(2**20, 2**20), FOUR_BYTES)),
     "shape of zeros": frame(state(shape(2**62, 0), FOUR_BYTES)),
     "negative shape": frame(state(shape(-1, -1), FOUR_BYTES)),
     "endless shape": frame(state(shape(*[1] * 2000), FOUR_BYTES)),
-    "wide type": frame(
-        named("numpy", "dtype") + text("V2147483647") + pickle.NEWFALSE + pickle.NEWTRUE + pickle.TUPLE3 + pickle.REDUCE
-    ),
-    "array of arrays": frame(
-        named("numpy", "dtype")
-        + text("(9999,9999)f4")
-        + pickle.NEWFALSE
-        + pickle.NEWTRUE
-        + pickle.TUPLE3
-        + pickle.REDUCE
-    ),
+    "wide type": frame(dtype("V2147483647")),
+    "array of arrays": frame(dtype("(9999,9999)f4")),
     # One long value, many times over.
     "shared bytes": frame(
         pickle.BINBYTES
@@ -109,14 +98,9 @@ BOMBS = {
         + pickle.APPENDS
     ),
     # 2^60 values out of 200 bytes: as a value, as a dictionary's key, as a shape.
-    "doubled tuples": frame(doubled(pickle.EMPTY_TUPLE, pickle.TUPLE2, 60)),
-    "doubled key": PROTO
-    + pickle.EMPTY_DICT
-    + doubled(pickle.EMPTY_TUPLE, pickle.TUPLE2, 60)
-    + pickle.NONE
-    + pickle.SETITEM
-    + b".",
-    "doubled shape": frame(state(doubled(pickle.EMPTY_TUPLE, pickle.TUPLE2, 60), FOUR_BYTES)),
+    "doubled tuples": frame(DOUBLED),
+    "doubled key": PROTO + pickle.EMPTY_DICT + DOUBLED + pickle.NONE + pickle.SETITEM + b".",
+    "doubled shape": frame(state(DOUBLED, FOUR_BYTES)),
     "deep": frame(pickle.EMPTY_LIST * 50_000 + pickle.APPEND * 49_999),
     "a list in itself": frame(pickle.EMPTY_LIST + pickle.BINPUT + b"\x00" + pickle.BINGET + b"\x00" + pickle.APPEND),
     "long number": frame(pickle.LONG4 + struct.pack("<i", 100_000) + b"\x7f" * 100_000),

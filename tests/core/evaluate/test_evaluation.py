@@ -25,7 +25,7 @@ from yamsim_cli.core.evaluate.evaluation import Evaluation, evaluate, require_ru
 from yamsim_cli.core.evaluate.policy_trial import Ended, TrialResult, TrialRunner
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.trials.batch import run_batch
+from yamsim_cli.core.trials import run_batch
 from yamsim_cli.core.types import Actions, Attempt, Cause, EpisodeJob, Outcome
 
 SAMPLES = Path(__file__).parents[1] / "policies"

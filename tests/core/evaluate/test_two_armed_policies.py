@@ -20,7 +20,7 @@ from yamsim_cli.core.evaluate.policy_trial import TrialRunner
 from yamsim_cli.core.policies.base import SCENE, WRIST
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.trials.batch import run_batch
+from yamsim_cli.core.trials import run_batch
 from yamsim_cli.core.types import EpisodeJob
 
 HERE = Path(__file__).parent

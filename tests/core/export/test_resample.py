@@ -21,8 +21,7 @@ from tests.core.unrendered import change_frame, frame_count, write_dataset
 from yamsim_cli.core.attempt.engine import repeat
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.actions import recorded_actions
-from yamsim_cli.core.dataset.lowdim import SIMULATION
+from yamsim_cli.core.dataset.lowdim import SIMULATION, recorded_actions
 from yamsim_cli.core.dataset.reader import dataset_config, open_episode
 from yamsim_cli.core.episode.rules import EXPERT_RULES
 from yamsim_cli.core.errors import DatasetError

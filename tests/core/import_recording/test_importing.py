@@ -25,7 +25,7 @@ from yamsim_cli.core.motion import Motion
 from yamsim_cli.core.overlay.photos import episode_photos
 from yamsim_cli.core.recordings.reading import read_motions
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.summarize.surveying import survey_dataset
+from yamsim_cli.core.summarize import survey_dataset
 
 NAMES = [f"{side}_{what}" for side in ("left", "right") for what in (*[f"joint_{k}" for k in range(1, 7)], "gripper")]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import TracebackType
 
+from yamsim_cli.core.closing import Closing
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import image_name, lowdim_name
 from yamsim_cli.core.dataset.writing.ledger import Ledger
@@ -34,12 +34,12 @@ def payload(job: EpisodeJob) -> EpisodePayload:
 
 
 @dataclass
-class Inline:
-    """An `Executor` that does a job when its result is asked for, the newest first, so that order is put to the test.
+class Inline(Closing):
+    """An `Executor` that runs the newest job first when a result is requested, so that results come out of order.
 
     Attributes:
-        make: what a job gives; may raise.
-        lose: attempts that end their worker, as often as they are tried.
+        make: gives a job's result; may raise.
+        lose: attempts that end every worker.
     """
 
     make: Callable[[EpisodeJob], EpisodePayload] = payload
@@ -73,18 +73,6 @@ class Inline:
 
     def close(self) -> None:
         self.jobs.clear()
-
-    def __enter__(self) -> Inline:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 class Recording:

@@ -12,10 +12,11 @@ from typing import Any
 
 import pytest
 
-from tests.core.record.fake_episodes import Recording, tree
+from tests.core.dataset.making import tree
+from tests.core.record.fake_episodes import Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.layout import CONFIG
-from yamsim_cli.core.dataset.writing.integrity import find_episodes
+from yamsim_cli.core.dataset.writing.integrity import inspect_episodes
 from yamsim_cli.core.dataset.writing.ledger import Ledger
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import PartialJobError, ResourceError
@@ -73,8 +74,8 @@ def assert_whole(path: Path) -> None:
     """What there is can be read, and nothing half-written has a final name."""
     if not path.is_dir():
         return
-    assert all(found.fault is None for found in find_episodes(path))
-    episodes = {found.number for found in find_episodes(path)}
+    assert all(found.fault is None for found in inspect_episodes(path))
+    episodes = {found.number for found in inspect_episodes(path)}
     logged = {attempt.episode for attempt in Ledger(path).known.values()} - {None}
     assert logged <= episodes
     assert len(episodes - logged) <= 1, "the one that was published when the ledger failed"

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.record.fake_episodes import Inline, Recording, tree
+from tests.core.dataset.making import tree
+from tests.core.record.fake_episodes import Inline, Recording
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord
 from yamsim_cli.core.dataset.writing import stage as stage_module
@@ -186,17 +187,6 @@ def test_no_more_than_so_many_are_on_their_way(
     recording.run()
     thread.join()
     assert most[0] <= 3, "one being moved, one in the queue, one at its door"
-    assert tree(recording.path) == undisturbed
-
-
-def test_episodes_lost_from_the_dataset_come_back_through_the_stage(
-    recording: Recording, undisturbed: dict[str, bytes]
-) -> None:
-    recording.run()
-    shutil.rmtree(recording.path / "ep_000001")
-    executor = Inline()
-    recording.resume(executor)
-    assert executor.made == [2]
     assert tree(recording.path) == undisturbed
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import pickle
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.record.fake_episodes import Inline, Recording, tree
+from tests.core.attempts import planned
+from tests.core.dataset.making import tree
+from tests.core.record.fake_episodes import Inline, Recording
 from tests.meshes import box
 from tests.programs import session_of
 from tests.stand_in_meshes import stand_ins
@@ -23,12 +26,12 @@ from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.documents.document import load_yaml
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.record.executors import LocalProcesses
+from yamsim_cli.core.record.executors import pack, unpack, unpacked_runner
 from yamsim_cli.core.resources import Locations, Meshes
 from yamsim_cli.core.scene.build import noting_meshes
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.workers.inline import InlineExecutor
+from yamsim_cli.core.workers.executor import InlineExecutor
 
 Make = Callable[..., RecordConfig]
 ARM, YCB, SMALL, OBJECTS = "i2rt_yam_crank", "ycb", "ycb_small", "ycb_objects"
@@ -164,7 +167,7 @@ class TestOfAnEarlierVersion:
             f"{old.path}/config.yaml does not say which meshes the episodes show, as an earlier yamsim recorded them. "
             f"New ones show {ARM}: full "
         )
-        assert f"`yamsim verify {old.path} --sample 1 --images` tells" in told
+        assert f"`yamsim verify {old.path} --sample 1 --images` shows whether" in told
         assert len(open_episodes(old.path)) == 3
         assert says_nothing(old.path)
         kept = {name: data for name, data in before.items() if name not in ("manifest.json", "attempts.jsonl")}
@@ -239,12 +242,32 @@ def test_every_cast_of_a_task_shows_the_meshes_that_the_recording_states(tmp_pat
             EpisodeRunner(replace(session, locations=replace(session.locations, meshes=other)), render=True)
 
 
-@pytest.mark.slow
-def test_a_process_that_would_draw_otherwise_is_refused_at_the_start(
-    config: RecordConfig, locations: Locations, meshes: Meshes
+def test_what_is_unpacked_is_what_was_packed(tmp_path: Path, config: RecordConfig) -> None:
+    for root, text in (("mine", "mine"), ("built_in", "theirs")):
+        for name in ("arm/arm.xml", "arm/deep/part.xml"):
+            (tmp_path / root / "robot_models" / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / root / "robot_models" / name).write_text(text)
+    (tmp_path / "mine/robot_models/arm/deep/part.xml").unlink()
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set/link.stl").write_bytes(b"\0\xff")
+    locations = Locations((tmp_path / "mine", tmp_path / "built_in", tmp_path / "nowhere"), tmp_path / "cache")
+
+    locations = replace(locations, meshes={"set": tmp_path / "set", "missing": None})
+    packed = pickle.loads(pickle.dumps(pack(Session(config, locations))))
+    unpacked = unpack(packed, tmp_path / "there")
+    assert unpacked.config == config
+    there = unpacked.locations
+    assert there.file("robot_models/arm/arm.xml").read_text() == "mine"
+    assert there.file("robot_models/arm/deep/part.xml").read_text() == "theirs"
+    assert there.meshes == {"set": tmp_path / "there/meshes/set", "missing": None}
+    assert (tmp_path / "there/meshes/set/link.stl").read_bytes() == b"\0\xff"
+
+
+def test_a_runner_needs_nothing_but_its_packed(
+    make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    noted = noting_meshes(Session(config, replace(locations, meshes=meshes)))
-    with LocalProcesses().open(noted.without_meshes(), 1) as executor:
-        executor.submit(EpisodeJob(0, 0))
-        with pytest.raises(ResourceError, match="would show other meshes than the recorder"):
-            executor.result()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    config = make_config({("image", "size_px"): [16, 16]})
+    with unpacked_runner(pack(Session(config, locations))) as runner:
+        assert planned(runner._simulators.of(EpisodeJob(0, 0)), 0).states
+    assert list(tmp_path.iterdir()) == [], "something is left on the node"

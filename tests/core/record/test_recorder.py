@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from tests.core.record.fake_episodes import Inline, Recording, payload, tree
+from tests.core.dataset.making import tree
+from tests.core.record.fake_episodes import Inline, Recording, payload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.opening import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
@@ -93,12 +94,6 @@ def test_a_machine_that_loses_every_worker_is_not_believed(
     assert tree(recording.path) == undisturbed
 
 
-def test_a_lost_attempt_may_be_the_last_that_was_needed(recording: Recording) -> None:
-    report = recording.run(Inline(lose={6}))
-    assert report.attempts == 9
-    assert recording.causes()[6] == "worker_lost"
-
-
 def test_an_episode_that_cannot_be_made_again_is_named(recording: Recording) -> None:
     recording.run()
     (recording.path / "ep_000001/lowdim/000000.pkl").unlink()
@@ -150,26 +145,6 @@ def test_what_a_broken_line_said_is_found_out_again(
     assert without_damaged(recording.path) == undisturbed
     assert (recording.path / ".damaged/attempts.jsonl.1").read_bytes() == spoiled
     assert "attempts.jsonl is damaged (line" in recording.warnings[0]
-
-
-def test_a_broken_line_does_not_keep_a_recording_from_going_on(
-    recording: Recording, undisturbed: dict[str, bytes]
-) -> None:
-    recording.config = recording.config.model_copy(update={"episodes": 3})
-    recording.run()
-    spoil(recording, 1)
-    recording.config = recording.config.model_copy(update={"episodes": 5})
-    recording.resume()
-    assert without_damaged(recording.path) == undisturbed
-
-
-def test_a_lost_ledger_is_made_again_from_episodes_and_seeds(
-    recording: Recording, undisturbed: dict[str, bytes]
-) -> None:
-    recording.run()
-    (recording.path / "attempts.jsonl").unlink()
-    recording.resume()
-    assert tree(recording.path) == undisturbed
 
 
 def test_a_line_and_its_episode_can_both_be_lost(recording: Recording, undisturbed: dict[str, bytes]) -> None:
@@ -254,15 +229,6 @@ def test_a_wish_to_stop_does_not_wait_for_ever(recording: Recording, monkeypatch
         recording.run(Inline(hang))
 
 
-def test_a_wish_that_comes_too_late_changes_nothing(recording: Recording) -> None:
-    def late(job: EpisodeJob) -> EpisodePayload:
-        if job.attempt == 6:
-            recording.stop.ask()
-        return payload(job)
-
-    assert recording.run(Inline(late)).episodes == 5
-
-
 def test_ctrl_c_ends_it_at_once_and_loses_nothing(recording: Recording, undisturbed: dict[str, bytes]) -> None:
     def interrupted(job: EpisodeJob) -> EpisodePayload:
         if job.attempt == 3:
@@ -287,12 +253,6 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(recording: Recor
     assert not recording.path.exists()
     monkeypatch.undo()
     recording.run()
-
-
-def test_a_finished_dataset_needs_no_room(recording: Recording, monkeypatch: Any) -> None:
-    recording.run()
-    monkeypatch.setattr("os.statvfs", lambda place: SimpleNamespace(f_frsize=4096, f_bavail=9, f_files=0))
-    recording.resume()
 
 
 @pytest.mark.parametrize("wrist", [False, True])

@@ -17,7 +17,7 @@ from yamsim_cli.core.dataset.summary import summarize
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.report.page import Strip, page
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.summarize.report_files import contact_sheet, write_report
+from yamsim_cli.core.summarize import contact_sheet, write_report
 
 EVIL = "<img src=x onerror=alert(1)>"
 

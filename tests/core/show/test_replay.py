@@ -19,8 +19,7 @@ from tests.cli.serve_cli import shown
 from tests.core.unrendered import SIZE, change_frame, change_record, frame_count, read_frame, write_dataset
 from yamsim_cli.core.attempt.simulator import Simulator
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.reader import dataset_config, open_episode
-from yamsim_cli.core.dataset.recorded_images import RecordedImages
+from yamsim_cli.core.dataset.reader import RecordedImages, dataset_config, open_episode
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.resources import Locations

@@ -11,11 +11,11 @@ import pytest
 
 from tests.core.dataset.checks.sample import CAMERA, Sample, episode, look
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.checks.context import Context, EpisodeDirectory
+from yamsim_cli.core.dataset.checks.context import EpisodeDirectory
 from yamsim_cli.core.dataset.checks.facts import EpisodeFacts
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.summarize.surveying import EpisodeChecker, survey_dataset
+from yamsim_cli.core.summarize import EpisodeChecker, survey_dataset
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_an_interruption_is_told_as_one(dataset: Path, locations: Locations) -> 
 
 
 def test_no_worker_is_started_for_nothing(tmp_path: Path, locations: Locations, monkeypatch: Any) -> None:
-    monkeypatch.setattr("yamsim_cli.core.summarize.surveying.WorkerPool", None)
+    monkeypatch.setattr("yamsim_cli.core.summarize.WorkerPool", None)
     with pytest.raises(DatasetError):
         survey_dataset(tmp_path, locations, 2, lambda *_: None)
     (tmp_path / "config.yaml").write_text("{}\n")
@@ -57,29 +57,19 @@ def test_no_worker_is_started_for_nothing(tmp_path: Path, locations: Locations, 
     assert {problem.code for problem in found.problems} == {"config.damaged", "dataset.empty"}
 
 
-class Deadly:
+class Deadly(EpisodeChecker):
     """Ends its process on one episode, as a file that crashes a decoder would."""
-
-    def __init__(self, context: Context) -> None:
-        self._checker = EpisodeChecker(context)
-
-    def __enter__(self) -> Deadly:
-        self._checker.__enter__()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return
 
     def run(self, job: EpisodeDirectory) -> EpisodeFacts:
         if job.number == 1:
             os.kill(os.getpid(), signal.SIGKILL)
-        return self._checker.run(job)
+        return super().run(job)
 
 
 def test_an_episode_that_ends_every_process_is_told_and_the_rest_is_checked(
     dataset: Path, locations: Locations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("yamsim_cli.core.summarize.surveying.EpisodeChecker", Deadly)
+    monkeypatch.setattr("yamsim_cli.core.summarize.EpisodeChecker", Deadly)
     found = survey_dataset(dataset, locations, 2, lambda *_: None)
     assert [(problem.code, problem.episode) for problem in found.problems][:2] == [
         ("episode.unchecked", "ep_000001"),

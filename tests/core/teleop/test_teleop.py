@@ -491,7 +491,7 @@ def test_what_a_broken_line_said_is_lost_and_nothing_else(
             assert seat.desk.next_attempt == 4
     assert said[0].startswith("attempts.jsonl is damaged (line 1: ")
     assert said[1:] == [
-        "what attempts.jsonl said of attempt 0 is lost",
+        "the line of attempt 0 in attempts.jsonl is lost",
         *["ep_000000 is gone, and a demonstration cannot be made again."] * 2,
     ]
     assert [attempt.outcome.cause for attempt in Ledger(out).known.values()] == ["line_lost", *["off_target"] * 2, None]

@@ -14,12 +14,11 @@ from tests.cli.run_cli import Run, yamsim
 from tests.core.unrendered import SIZE, change_frame, change_record, frame_count, read_frame, write_dataset
 from yamsim_cli.core.attempt.payload import ENGINE, LOOKS
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.reader import dataset_config
-from yamsim_cli.core.dataset.selection import select_episodes
+from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
-from yamsim_cli.core.verify.remake import ACTIONS, IMAGES, SEED, EpisodeVerifier, Limits, Verdict
+from yamsim_cli.core.verify import ACTIONS, IMAGES, SEED, EpisodeVerdict, EpisodeVerifier, Tolerances
 
 EPISODES = 3
 
@@ -40,11 +39,11 @@ def dataset(original: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def verifier(original: Path, locations: Locations) -> EpisodeVerifier:
-    return EpisodeVerifier(Session(dataset_config(original, locations), locations), Limits(values=0.0, images=None))
+    return EpisodeVerifier(Session(dataset_config(original, locations), locations), Tolerances(values=0.0, images=None))
 
 
 @pytest.fixture
-def verdict(dataset: Path, verifier: EpisodeVerifier) -> Callable[[], Verdict]:
+def verdict(dataset: Path, verifier: EpisodeVerifier) -> Callable[[], EpisodeVerdict]:
     """Checks the dataset's second episode."""
     return lambda: verifier.run((1, dataset / "ep_000001"))
 
@@ -117,7 +116,7 @@ def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
 ) -> None:
     said = {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}
     config = dataset_config(dataset, locations).model_copy(update={"meshes": said})
-    with EpisodeVerifier(Session(config, locations), Limits(values=0.0, images=None)) as verifier:
+    with EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None)) as verifier:
         change_record(dataset / "ep_000001", meshes=said)
         assert verifier.run((1, dataset / "ep_000001")).agrees
         change_record(dataset / "ep_000001", meshes=said | {"i2rt_yam_crank": "primitives"})
@@ -237,15 +236,21 @@ def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_chang
     assert yamsim("verify", dataset, "--tolerance", "0.0011").code == 0
 
 
-def test_pictures_of_an_earlier_revision_of_looks_are_told_and_states_agree(
+def verdict_without_version(dataset: Path, locations: Locations, name: str) -> EpisodeVerdict:
+    """The verdict on an episode of an earlier yamsim, whose record does not state the version `name`."""
+    record = json.loads((dataset / "ep_000000" / "episode.json").read_text(encoding="utf-8"))
+    change_record(
+        dataset / "ep_000000", versions={key: text for key, text in record["versions"].items() if key != name}
+    )
+    session = Session(dataset_config(dataset, locations), locations)
+    with EpisodeVerifier(session, Tolerances(values=0.0, images=0.0)) as verifier:
+        return verifier.run((0, dataset / "ep_000000"))
+
+
+def test_pictures_of_an_earlier_revision_of_looks_are_reported_and_states_agree(
     dataset: Path, locations: Locations
 ) -> None:
-    record = json.loads((dataset / "ep_000000" / "episode.json").read_text(encoding="utf-8"))
-    earlier = {name: version for name, version in record["versions"].items() if name != "looks"}
-    change_record(dataset / "ep_000000", versions=earlier)
-    session = Session(dataset_config(dataset, locations), locations)
-    with EpisodeVerifier(session, Limits(values=0.0, images=0.0)) as verifier:
-        found = verifier.run((0, dataset / "ep_000000"))
+    found = verdict_without_version(dataset, locations, "looks")
     assert found.agrees
     assert found.checks[SEED].first is None
     assert IMAGES not in found.checks
@@ -256,16 +261,12 @@ def test_pictures_of_an_earlier_revision_of_looks_are_told_and_states_agree(
 
 
 def test_an_episode_of_an_earlier_engine_is_repeated_by_its_actions_alone(dataset: Path, locations: Locations) -> None:
-    record = json.loads((dataset / "ep_000000" / "episode.json").read_text(encoding="utf-8"))
-    earlier = {name: version for name, version in record["versions"].items() if name != "engine"}
-    change_record(dataset / "ep_000000", versions=earlier)
-    session = Session(dataset_config(dataset, locations), locations)
-    with EpisodeVerifier(session, Limits(values=0.0, images=0.0)) as verifier:
-        found = verifier.run((0, dataset / "ep_000000"))
+    found = verdict_without_version(dataset, locations, "engine")
     assert found.agrees
     assert set(found.checks) == {ACTIONS}
-    said = f"engine revision 1 of yamsim {earlier['yamsim']}; this version's revision {ENGINE} makes other episodes"
-    assert said in found.skipped[SEED]
+    reason = found.skipped[SEED]
+    assert reason.startswith("it was made by engine revision 1 of yamsim ")
+    assert f"this version's revision {ENGINE} makes other episodes" in reason
     assert found.skipped[IMAGES] == found.skipped[SEED]
     assert found.changed["engine"] == ("1", ENGINE)
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from yamsim_cli.core.errors import PartialJobError, SimulationError
+from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.workers import pool as pool_module
 from yamsim_cli.core.workers.executor import LostJobError
 from yamsim_cli.core.workers.pool import START_SECONDS, Answer, Died, Event, Failed, Pool, Ready
@@ -112,15 +112,6 @@ def test_deaths_before_a_worker_is_ready_are_no_jobs_fault(theatre: Theatre) -> 
         theatre.hear((5, Ready()))
         theatre.hear((5, Answer("A")))
         assert pool.result() == ("a", "A")
-
-
-def test_workers_that_do_not_start_end_it(theatre: Theatre) -> None:
-    with Pool[str, str](theatre, 1) as pool:
-        pool.submit("a")
-        for k in range(3):
-            theatre.hear((k, Died("fell over")))
-        with pytest.raises(PartialJobError, match="do not start: each tried 3 times, and the last one fell over"):
-            pool.result()
 
 
 def test_a_worker_that_does_not_start_is_given_up_and_the_rest_go_on(theatre: Theatre) -> None:

@@ -13,8 +13,9 @@ import pytest
 from tests.core.workers.toy_runners import Toy
 from yamsim_cli.core.errors import PartialJobError, ResourceError, SimulationError
 from yamsim_cli.core.workers import processes as workers
-from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError
+from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError, run_all
 from yamsim_cli.core.workers.processes import WorkerPool
+from yamsim_cli.core.workers.serving import forks_end_here
 
 
 def _pool(workers: int = 1, job_seconds: float = 60.0) -> WorkerPool[int | str, object]:
@@ -39,37 +40,15 @@ def _gone_within(pid: int, seconds: float) -> bool:
 
 def test_every_job_comes_back_with_its_result() -> None:
     with _pool(2) as pool:
-        waiting, results = list(range(10)), {}
-        while len(results) < 10:
-            while pool.idle and waiting:
-                pool.submit(waiting.pop(0))
-            job, result = pool.result()
-            results[job] = result
-    assert results == {k: k * k for k in range(10)}
+        assert dict(run_all(pool, range(10))) == {k: k * k for k in range(10)}
 
 
-def test_work_is_done_in_other_processes() -> None:
-    with _pool() as pool:
-        pool.submit("pid")
-        _, pid = pool.result()
-        assert pid != os.getpid()
-
-
-def test_idle_and_in_flight_add_up() -> None:
-    with _pool(3) as pool:
-        assert (pool.idle, pool.in_flight) == (3, 0)
-        pool.submit(3)
-        assert (pool.idle, pool.in_flight) == (2, 1)
-        pool.result()
-        assert (pool.idle, pool.in_flight) == (3, 0)
-
-
-def test_waiting_for_a_result_can_be_bounded() -> None:
-    with _pool() as pool:
-        pool.submit("sleep")
-        with pytest.raises(TimeoutError):
-            pool.result(0.1)
-        assert pool.in_flight == 1
+def test_a_lost_job_gets_another_result_among_the_others() -> None:
+    with _pool(2) as pool:
+        jobs: list[int | str] = [1, "exit", 2]
+        assert dict(run_all(pool, jobs, lambda lost: lost.reason)) == {1: 1, 2: 4, "exit": "ended with code 7"}
+        with pytest.raises(LostJobError):
+            list(run_all(pool, jobs))
 
 
 def test_an_error_of_the_job_reaches_the_caller_as_it_is_and_the_worker_goes_on() -> None:
@@ -251,3 +230,27 @@ def test_a_parent_that_forgets_its_workers_ends_all_the_same(tmp_path: Path) -> 
         pid = int(parent.stdout.readline())
         assert parent.wait(30) == 0
         assert not _alive(pid)
+
+
+def _code(child: int) -> int:
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.parametrize(("how", "code"), [("returns", 1), ("raises", 1), (None, 0), (3, 3), ("a word", 1)])
+def test_a_fork_ends_however_it_leaves(how: object, code: int) -> None:
+    with forks_end_here():
+        child = os.fork()
+        if child == 0 and how == "raises":
+            raise ValueError
+        if child == 0 and how != "returns":
+            sys.exit(how)  # type: ignore[arg-type]
+    # Only the parent gets here.
+    assert _code(child) == code
+
+
+def test_this_process_is_not_ended() -> None:
+    with forks_end_here():
+        pass
+    for error in (ValueError, SystemExit):
+        with pytest.raises(error), forks_end_here():
+            raise error

@@ -15,7 +15,7 @@ from yamsim_cli.core.record.executors import RayCluster
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob
-from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError
+from yamsim_cli.core.workers.executor import LostJobError, WorkerBugError, run_all
 from yamsim_cli.core.workers.ray_pool import RayPool
 
 
@@ -54,13 +54,7 @@ def open_pool(cluster: Any) -> Any:
 class TestOnACluster:
     def test_every_job_comes_back_from_another_process(self, open_pool: Any) -> None:
         with open_pool() as pool:
-            waiting, results = list(range(10)), {}
-            while len(results) < 10:
-                while pool.idle and waiting:
-                    pool.submit(waiting.pop(0))
-                job, result = pool.result()
-                results[job] = result
-            assert results == {k: k * k for k in range(10)}
+            assert dict(run_all(pool, range(10))) == {k: k * k for k in range(10)}
             pool.submit("pid")
             assert pool.result()[1] != os.getpid()
 
@@ -112,11 +106,7 @@ class TestOnACluster:
         made, nodes = cluster
         with open_pool(2) as pool:
             done = {}
-            waiting = list(range(40))
-            while len(done) < 40:
-                while pool.idle and waiting:
-                    pool.submit(waiting.pop(0))
-                job, result = pool.result(60)
+            for job, result in run_all(pool, range(40)):
                 done[job] = result
                 if len(done) == 10:
                     made.remove_node(nodes.pop(), allow_graceful=False)

@@ -9,10 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.arrays import dump_arrays
 from ..dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
 from ..dataset.records import to_json
-from ..dataset.truth_files import array_forms, dump_depth
+from ..dataset.truth_files import array_forms, dump_arrays, dump_depth
 from ..geometry.se3 import Array
 from ..images.label_images import encode_labels
 from ..vision.frame_truth import measure_frame

@@ -1,4 +1,4 @@
-"""How much two episodes' frames differ, and where they first do."""
+"""Compares two episodes' frames: the first difference, and the largest of each value."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Difference:
-    """One value that differs from the stored one.
+    """A value that differs from the stored value.
 
     Attributes:
-        frame: number of the frame; None for a value that an episode has once.
+        frame: number of the frame; None for a value of the whole episode.
         time_s: simulated time of the frame, s.
         quantity: name of the value, such as `joints[2]` or `banana_pose[0, 3]`.
         stored, got: both values; numbers in the unit of the quantity, else text.
-        difference: by how much they differ, see `Comparison.largest`; None where the values are not both finite numbers
-            of the same shape.
+        difference: see `Comparison.largest`; None unless both values are finite numbers of the same shape.
     """
 
     frame: int | None
@@ -37,9 +36,9 @@ class Comparison:
 
     Attributes:
         largest: quantity -> its largest difference. The difference of two numbers is divided by the stored number if
-            that is above 1. So it is absolute for angles and positions (rad, m), and relative for large numbers, such
-            as a focal length in px.
-        first: the first difference beyond the tolerance. If a frame has several, it is the largest of them.
+            that is above 1: absolute for angles and positions (rad, m), relative for large numbers, such as a focal
+            length in px.
+        first: the first difference beyond the tolerance; of several in one frame, the largest.
     """
 
     largest: dict[str, float] = field(default_factory=dict)
@@ -54,10 +53,10 @@ class Comparison:
 def compare_frames(
     stored: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], tolerance: float
 ) -> Comparison:
-    """How two episodes' low-dimensional data differ, frame by frame and value by value.
+    """Compare two episodes' low-dimensional data, frame by frame and value by value.
 
     Args:
-        tolerance: how much a number may differ, see `Comparison.largest`; everything else has to be equal.
+        tolerance: largest difference of numbers, see `Comparison.largest`; other values have to be equal.
     """
     result = Comparison()
     for k, (old, new) in enumerate(zip(stored, made, strict=False)):
@@ -69,7 +68,7 @@ def compare_frames(
 
 
 def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> Comparison:
-    """How values that an episode has once, such as its outcome, differ."""
+    """Compare values of whole episodes, such as their outcomes."""
     result = Comparison()
     _compare(result, stored, made, tolerance, None, None)
     return result
@@ -83,10 +82,10 @@ def _compare(
     frame: int | None,
     time: float | None,
 ) -> None:
-    """Compare one frame, and put the differences into `result`."""
+    """Compare one frame, and add the differences to `result`."""
     worst: Difference | None = None
     for quantity, old, new in _leaves(stored, made):
-        index, apart = _apart(old, new)
+        index, apart = _largest_difference(old, new)
         if apart is not None and _is_number(old):
             result.largest[quantity] = max(result.largest.get(quantity, 0.0), apart)
         if apart is not None and apart <= tolerance:
@@ -99,7 +98,7 @@ def _compare(
 
 
 def _leaves(stored: Mapping[str, Any], made: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Every value with its name, from both sides; `_MISSING` on a side that lacks it."""
+    """Every value's name, and its values on both sides; `_MISSING` on a side without the value."""
     for key in dict.fromkeys([*stored, *made]):
         name = f"{prefix}.{key}" if prefix else str(key)
         old, new = stored.get(key, _MISSING), made.get(key, _MISSING)
@@ -116,8 +115,8 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, float | int | np.ndarray) and not isinstance(value, bool)
 
 
-def _apart(old: Any, new: Any) -> tuple[tuple[int, ...], float | None]:
-    """Where two values differ most, and by how much; None when they are no numbers and not equal."""
+def _largest_difference(old: Any, new: Any) -> tuple[tuple[int, ...], float | None]:
+    """Index and size of the largest difference of two values; size None for unequal values that are no numbers."""
     if not (_is_number(old) and _is_number(new)):
         same = type(old) is type(new) and bool(old == new)
         return (), 0.0 if same else None

@@ -1,4 +1,4 @@
-"""Explains an error of the disk: why it came, and what to do."""
+"""Explains errors of the disk: their causes and remedies."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..files import nearest_directory, refusal
 
-_MEANING = {
+_REMEDIES = {
     errno.EDQUOT: "the quota is used up: free some, or ask for more",
     errno.EROFS: "mounted so, or turned so by an error of the disk: see the system's log",
     errno.EIO: "the disk or its server failed: see the system's log",
@@ -18,22 +18,22 @@ _MEANING = {
 
 
 def explain(error: OSError, place: Path) -> str:
-    """One clause on an error met while writing below `place`: which file, why, and what to do."""
+    """The file, cause and remedy of an error of writing below `place`, as one clause."""
     file = Path(error.filename) if isinstance(error.filename, str) else place
     return f"{file}: {reason(error, nearest_directory(file.parent))}"
 
 
 def reason(error: OSError, place: Path) -> str:
-    """One clause on why an error came at `place`, and what to do."""
+    """The cause and remedy of an error at `place`, as one clause."""
     if error.errno == errno.ENOSPC:
         return _what_is_full(place)
-    meaning = _MEANING.get(error.errno or 0)
-    plain = refusal(error, place)
-    return f"{plain}: {meaning}" if meaning else plain
+    remedy = _REMEDIES.get(error.errno or 0)
+    cause = refusal(error, place)
+    return f"{cause}: {remedy}" if remedy else cause
 
 
 def _what_is_full(place: Path) -> str:
-    """Whether bytes or inodes have run out: the kernel says "no space left" for both."""
+    """Whether bytes or inodes are used up: the kernel reports "no space left" for both."""
     try:
         state = os.statvfs(place)
     except OSError:

@@ -1,4 +1,4 @@
-"""Names and places of everything in a dataset's directory. No other module knows them.
+"""Names and paths of everything in a dataset's directory, which only this module defines.
 
 <dataset>/config.yaml            the resolved configuration
 attempts.jsonl         one line per attempt, successes and failures, in order
@@ -8,7 +8,7 @@ rgb/<camera>/000000.jpg
 lowdim/000000.pkl
 depth/<camera>/000000.npz, segmentation/<camera>/000000.png, truth/<camera>.npz, truth/labels.json
 .staging/              episodes being written; never read
-.lock                  who records into it now; removed afterwards
+.lock                  the process that records into the dataset; removed afterwards
 .damaged/              damaged episodes and ledgers that were moved away; never read
 """
 
@@ -22,22 +22,19 @@ ATTEMPTS = "attempts.jsonl"
 MANIFEST = "manifest.json"
 EPISODE = "episode.json"
 TRUTH_LABELS = "truth/labels.json"
-# The folders with ground truth.
 TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")
 STAGING = ".staging"
-# Recordings by teleoperation that are going on, or that a killed session left.
-RECORDINGS = ".recordings"
+RECORDINGS = ".recordings"  # current recordings of teleoperation, or those of a killed session
 LOCK = ".lock"
 DAMAGED = ".damaged"
 
 EPISODE_FORMAT = "yamsim-episode"
 DATASET_FORMAT = "yamsim-dataset"
-# Of recordings of engine 1 with an object and a target; of tasks with any number of things; of imported recordings.
-FORMAT_VERSION = 1
-PROGRAM_FORMAT_VERSION = 2
-REAL_FORMAT_VERSION = 3
+FORMAT_VERSION = 1  # recordings of engine 1, with an object and a target
+PROGRAM_FORMAT_VERSION = 2  # tasks with any number of things
+REAL_FORMAT_VERSION = 3  # imported recordings
 
-# Names of files that a crash may leave beside the final ones, see `files.write_file`.
+# Files that a crash may leave beside the final files, see `files.write_file`.
 _PART_NAME = re.compile(rf"^\.({re.escape(CONFIG)}|{re.escape(ATTEMPTS)}|{re.escape(MANIFEST)})\.[0-9a-f]{{32}}\.part$")
 _EPISODE_NAME = re.compile(r"^ep_(\d{6,})$")
 
@@ -73,12 +70,12 @@ def truth_name(camera: str) -> str:
 
 
 def is_litter(name: str) -> bool:
-    """Whether an entry of a dataset's directory is only a remainder of writing, and holds no data."""
+    """Whether an entry of a dataset's directory is a remainder of writing, without data."""
     return name in (STAGING, LOCK) or _PART_NAME.match(name) is not None
 
 
 def episode_directories(dataset: Path) -> list[tuple[int, Path]]:
-    """Number and directory of every published episode, in order; those in the staging directory are not published."""
+    """Number and directory of every published episode, in order."""
     found = [
         (int(match.group(1)), path)
         for path in dataset.iterdir()

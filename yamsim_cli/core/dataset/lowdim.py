@@ -14,22 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import DatasetError
 from ..geometry.se3 import Array
-from ..types import Holds
+from ..types import Actions, Holds
 from .unpickle import read_pickle
 
-# The version of pickle's format, fixed so that bytes do not change with Python's default.
-_PROTOCOL = 4
+_PROTOCOL = 4  # of pickle; fixed, so that bytes do not change with Python's default
 
-# Key of the right arm's base in the left one's, which only frames of two arms have.
-BETWEEN_BASES = "T_right_base_in_left_base"
+BETWEEN_BASES = "T_right_base_in_left_base"  # key that only frames of two arms have
+STATE, ACTION = "state", "action"  # keys that frames have only where actions are joints
+GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"  # key and value that only frames with cloth have, see `sim.cloth`
 
-# What only frames have whose actions are joints.
-STATE, ACTION = "state", "action"
-
-# What frames with cloth say of how it is held, under which key: friction does not hold it, see `sim.cloth`.
-GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"
-
-# Key -> dtype and number of dimensions, for the keys that only simulated frames have. A frame has all of them or none.
+# Key -> dtype and number of dimensions, of the keys that only simulated frames have. A frame has all of them or none.
 # Each entry of `sim_magnet` has the shape of `magnet`.
 SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_qpos": (np.float64, 1),
@@ -37,16 +31,15 @@ SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_magnet": (np.bool_, 1),
 }
 
-# Positions and drives beyond this (m or rad) are refused: a simulation that starts with them breaks down.
-_FARTHEST = 1e3
+_MAX_SIM_VALUE = 1e3  # m or rad, largest position or command: a simulation that starts with more breaks down
 
 
 def shapes(arms: int, drives: int, *, joint_actions: bool = False) -> dict[str, tuple[int, ...]]:
-    """Key -> shape of the arrays that every frame has of so many arms; those of objects and cameras come on top.
+    """Key -> shape of the arrays that every frame has, without those of objects and cameras.
 
     Args:
-        drives: how many each arm has: one for each joint, and its gripper's if it has fingers.
-        joint_actions: whether frames have `state` and `action` too.
+        drives: of each arm: its joints, and its gripper if the gripper has fingers.
+        joint_actions: whether frames have `state` and `action`.
     """
     rows = ("joints", "ctrl", "action_joints", *((STATE, ACTION) if joint_actions else ()))
     common: dict[str, tuple[int, ...]] = dict.fromkeys(rows, (drives * arms,))
@@ -57,13 +50,13 @@ def shapes(arms: int, drives: int, *, joint_actions: bool = False) -> dict[str, 
 
 @dataclass(frozen=True)
 class SimulationData:
-    """The simulator's own numbers at a frame, in full precision: from float32 a replay would drift.
+    """MuJoCo's numbers at a frame, in float64: a replay from float32 would drift.
 
     Attributes:
-        qpos: MuJoCo's positions (nq,) at the frame, objects in `world`.
-        ctrl: what the drives are told on each control tick until the next frame, (ticks, nu), rad and m, in MuJoCo's
-            order. With two arms that need not be the order of `joints`.
-        magnet: whether each arm's weld holds on each of those ticks (ticks, arms).
+        qpos: positions (nq,) at the frame, objects in `world`.
+        ctrl: commands of the drives on each control tick until the next frame, (ticks, nu), rad and m, in MuJoCo's
+            order. With two arms MuJoCo's order may differ from that of `joints`.
+        magnet: whether each arm's weld is on, on each of those ticks (ticks, arms).
     """
 
     qpos: ArrayLike
@@ -91,10 +84,10 @@ def frame_data(
     object_joints: Mapping[str, ArrayLike] | None = None,
     cloth_points: Mapping[str, ArrayLike] | None = None,
 ) -> dict[str, Any]:
-    """One frame's dictionary, its keys always in the same order.
+    """One frame's dictionary; keys are always in the same order.
 
-    Arguments have an axis of arms, the left arm first. Only here does a lone arm lose it, and come the numbers of two
-    arms one after the other's. Poses are in the base of the only arm, or of the left one.
+    Arguments have an axis of arms, the left arm first. This function removes the axis of a lone arm, and puts the
+    numbers of two arms one after the other. Poses are in the base of the only arm, or of the left arm.
 
     Args:
         joints: each arm's joints in rad and the opening of one finger in m, (arms, drives).
@@ -103,18 +96,17 @@ def frame_data(
         extrinsics: camera -> `T_cam_in_rbase` (4, 4), OpenCV's camera frame in the robot's base.
         object_poses: object -> pose (4, 4) in the robot's base, stored as `<object>_pose`.
         ee_pose: poses (arms, 4, 4) of each arm's `grasp_site` in the robot's base.
-        ctrl: what each arm's drives were told (arms, drives), rad and m.
-        action_joints: the joints and finger opening of each arm (arms, drives) that the plan asked for at the end of
-            the tick.
+        ctrl: commands of each arm's drives (arms, drives), rad and m.
+        action_joints: each arm's joints and finger opening (arms, drives) that the plan commands at the end of the
+            tick.
         magnet: whether each arm's weld holds the object (arms,).
-        wrist_camera: the name of the only wrist camera, whose K is then stored as `K_wrist` too.
+        wrist_camera: name of the only wrist camera, whose K is stored as `K_wrist` too.
         T_right_base_in_left_base: pose (4, 4); with two arms only.
-        full_openings: how far one finger of each arm opens in use, m; stores `state` and `action` too, which are
-            `joints` and `ctrl` with each opening as a share of that: 0 closed, 1 open.
-        simulation: the numbers that make the frame repeatable in physics; None for a real recording.
+        full_openings: largest opening of one finger of each arm in use, m. With it, frames have `state` and `action`:
+            `joints` and `ctrl` with each opening as a share of the largest, 0 closed .. 1 open.
+        simulation: makes the frame repeatable in physics; None for a real recording.
         object_joints: articulated object -> positions of its joints (n,), m or rad, stored as `<object>_joints`.
-        cloth_points: cloth -> where its points (n, 3) are in the robot's base, m, stored as `<object>_points`; there is
-            a `grasp` then too.
+        cloth_points: cloth -> its points (n, 3) in the robot's base, m, stored as `<object>_points`, with `grasp`.
     """
     data: dict[str, Any] = {
         "joints": _f32(joints.ravel()),
@@ -140,7 +132,8 @@ def frame_data(
     if T_right_base_in_left_base is not None:
         data[BETWEEN_BASES] = _f32(T_right_base_in_left_base)
     if full_openings is not None:
-        data |= {STATE: _shared(joints, full_openings), ACTION: _shared(ctrl, full_openings)}
+        data[STATE] = _f32(with_opening_shares(joints, full_openings).ravel())
+        data[ACTION] = _f32(with_opening_shares(ctrl, full_openings).ravel())
     if simulation is not None:
         data |= {
             "sim_qpos": _f64(simulation.qpos),
@@ -150,15 +143,15 @@ def frame_data(
     return data
 
 
-def _shared(values: Array, full_openings: Sequence[float]) -> NDArray[np.float32]:
-    """Joints and openings (arms, drives) in one row, the openings as shares."""
-    shared = values.copy()
-    shared[:, -1] = np.clip(shared[:, -1] / np.asarray(full_openings), 0.0, 1.0)
-    return _f32(shared.ravel())
+def with_opening_shares(values: Array, full_openings: Sequence[float]) -> Array:
+    """Joints and finger openings (arms, drives) with the openings as shares of the largest: 0 closed .. 1 open."""
+    shares = values.copy()
+    shares[:, -1] = np.clip(shares[:, -1] / np.asarray(full_openings), 0.0, 1.0)
+    return shares
 
 
 def _squeezed(values: NDArray[Any], axis: int = 0) -> NDArray[Any]:
-    """What is there for each arm along an axis; of a lone arm, without that axis."""
+    """Values without the axis of arms, if the axis has only one arm."""
     return values if values.shape[axis] > 1 else values.squeeze(axis)
 
 
@@ -173,8 +166,8 @@ def _f64(values: ArrayLike) -> NDArray[np.float64]:
 def dump_frame(data: Mapping[str, Any]) -> bytes:
     """The pickle of a frame; equal frames give equal bytes.
 
-    Pickle's memo writes a reference when it meets an object again. The bytes would then depend on whether two equal
-    strings happen to be one object. Fast mode has no memo, and a frame has no cycles that would need one.
+    Pickle's memo replaces a repeated object by a reference. The bytes would then depend on whether two equal strings
+    are one object. Fast mode has no memo, and a frame has no cycles that would need a memo.
     """
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, protocol=_PROTOCOL)
@@ -184,12 +177,7 @@ def dump_frame(data: Mapping[str, Any]) -> bytes:
 
 
 def load_frame(data: bytes) -> dict[str, Any]:
-    """The frame in a pickle, which may hold only numpy arrays and plain containers.
-
-    Raises:
-        ForbiddenPickleError: it names anything else, or would take more memory than a frame may.
-        DatasetError: it is truncated, not a pickle, or not a dictionary.
-    """
+    """The frame in a pickle; raises as `read_pickle`, and DatasetError if the pickle is no dictionary."""
     frame = read_pickle(data)
     if not isinstance(frame, dict):
         raise DatasetError(f"a frame must be a dictionary, not {type(frame).__name__}")
@@ -197,7 +185,7 @@ def load_frame(data: bytes) -> dict[str, Any]:
 
 
 def content_hash(frames: Iterable[Mapping[str, Any]]) -> str:
-    """SHA-256 over the decoded values of an episode's frames, so that it does not depend on the pickle format."""
+    """SHA-256 over the decoded values of an episode's frames, whatever the pickle format."""
     digest = hashlib.sha256()
     for frame in frames:
         _feed(digest, frame)
@@ -218,7 +206,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def flat(frame: Mapping[str, Any]) -> dict[str, Any]:
-    """A frame's entries by flat keys: the entries of a dictionary in it are under keys such as `intrinsics[camera]`."""
+    """A frame's entries by flat keys: entries of an inner dictionary have keys such as `intrinsics[camera]`."""
     entries: dict[str, Any] = {}
     for key, value in frame.items():
         if isinstance(value, Mapping):
@@ -229,12 +217,12 @@ def flat(frame: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def has_simulation(frame: Mapping[str, Any]) -> bool:
-    """Whether a frame holds all that physics needs to repeat it."""
+    """Whether a frame holds all `SIMULATION` keys, from which physics can repeat the frame."""
     return all(key in frame for key in SIMULATION)
 
 
 def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
-    """Faults of the keys that physics needs to repeat a frame; empty if the frame has none of these keys."""
+    """Faults of a frame's `SIMULATION` keys; empty if the frame has none of these keys."""
     faults: list[str] = []
     if not any(key in frame for key in SIMULATION):
         return faults
@@ -249,8 +237,48 @@ def simulation_faults(frame: Mapping[str, Any]) -> list[str]:
             faults.append(f"{key} is {found}, not {np.dtype(dtype)} with {dimensions} dimensions")
         elif key == "sim_magnet" and value.shape[1:] != of_arms:
             faults.append(f"{key} is {value.shape}, and magnet {of_arms}")
-        elif not (np.abs(value) < _FARTHEST).all():
-            faults.append(f"{key} has values that are not finite, or beyond {_FARTHEST:g} m or rad")
+        elif not (np.abs(value) < _MAX_SIM_VALUE).all():
+            faults.append(f"{key} has values that are not finite, or beyond {_MAX_SIM_VALUE:g} m or rad")
     if not faults and len(frame["sim_ctrl"]) != len(frame["sim_magnet"]):
         faults.append(f"sim_ctrl has {len(frame['sim_ctrl'])} ticks and sim_magnet {len(frame['sim_magnet'])}")
     return faults
+
+
+def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> tuple[Array, Actions] | None:
+    """The exact start of an episode and its actions.
+
+    Args:
+        frames: the episode's frames, each without faults, see `checks.lowdim.frame_faults`.
+        nq, nu: how many positions and drives the scene has.
+
+    Returns:
+        MuJoCo's positions (nq,) at the first frame, and the actions. None if a frame lacks simulation data, as in a
+        recording of real arms.
+
+    Raises:
+        DatasetError: the episode was recorded in another scene.
+    """
+    if not frames or not all(map(has_simulation, frames)):
+        return None
+    for k, frame in enumerate(frames):
+        found = len(frame["sim_qpos"]), frame["sim_ctrl"].shape[1]
+        if found != (nq, nu):
+            raise DatasetError(
+                f"frame {k} has {found[0]} positions and {found[1]} drives, and its scene {nq} and {nu}: "
+                "the episode was made with another robot model or scene than its dataset says"
+            )
+    counts = [len(frame["sim_ctrl"]) for frame in frames]
+    magnet = np.concatenate([frame["sim_magnet"] for frame in frames])
+    # Frames of a lone arm have no axis of arms.
+    magnet = magnet.reshape(len(magnet), -1)
+    planned = np.array([planned_joints(frame, magnet.shape[1]) for frame in frames])
+    actions = Actions(
+        np.concatenate([frame["sim_ctrl"] for frame in frames]), magnet, np.repeat(planned, counts, axis=0)
+    )
+    return frames[0]["sim_qpos"], actions
+
+
+def planned_joints(frame: Mapping[str, Any], arms: int) -> Array:
+    """Each arm's planned joints in rad and opening of one finger in m, (arms, drives)."""
+    joints: Array = np.asarray(frame["action_joints"], dtype=float).reshape(arms, -1)
+    return joints

@@ -1,18 +1,21 @@
-"""Published episodes, read back file by file. Their content is not trusted."""
+"""Reads published episodes: finds and selects them, and opens their files, whose content is not trusted."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, SupportsIndex, overload
 
+import numpy as np
+
 from ..config.loader import parse_config
 from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
-from ..errors import ConfigError, DatasetError, UsageError, counted
+from ..errors import ConfigError, DatasetError, UsageError, counted, ranges
 from ..files import sha256_bytes
+from ..images.image import Image
 from ..resources import Locations
 from .checks.context import find_episodes
 from .checks.lowdim import frame_faults, recorded_forms
@@ -21,8 +24,8 @@ from .lowdim import load_frame
 from .real import RealRecord, is_real, real_config
 from .records import EpisodeRecord, from_json
 
-# Our own records are written with this; whoever writes one by other means has to keep to JSON's usual spacing.
-_SAYS_REAL = re.compile(rb'"source"\s*:\s*"real"')
+_REAL_SOURCE = re.compile(rb'"source"\s*:\s*"real"')  # in the `episode.json` of an imported recording
+_EPISODE_RANGE = re.compile(r"^(?:ep_)?(\d+)(?:-(?:ep_)?(\d+))?$")
 
 
 @dataclass(frozen=True)
@@ -34,15 +37,11 @@ class RecordedEpisode:
 
     @property
     def dataset(self) -> Path:
-        """The directory of the dataset that it belongs to."""
+        """The dataset's directory."""
         return self.directory.absolute().parent
 
     def read(self, name: str) -> bytes:
-        """Content of one file by its path inside the episode, whether it was altered or not.
-
-        Raises:
-            DatasetError: it cannot be read.
-        """
+        """Content of one file by its path inside the episode, altered or not; DatasetError if unreadable."""
         try:
             return (self.directory / name).read_bytes()
         except OSError as error:
@@ -53,11 +52,7 @@ class RecordedEpisode:
         return sha256_bytes(data) != self.record.files.get(name)
 
     def whole(self, name: str) -> bytes:
-        """Content of one file, as it was recorded.
-
-        Raises:
-            DatasetError: it cannot be read, or was altered.
-        """
+        """Content of one file as recorded; DatasetError if the file cannot be read or was altered."""
         data = self.read(name)
         if self.altered(name, data):
             raise DatasetError(
@@ -67,30 +62,18 @@ class RecordedEpisode:
         return data
 
     def frame(self, number: int, data: bytes) -> dict[str, Any]:
-        """The low-dimensional data of one frame, from its file's content.
-
-        Raises:
-            DatasetError: it is damaged.
-        """
+        """The low-dimensional data of one frame, from its file's content; DatasetError if damaged."""
         try:
             return load_frame(data)
         except DatasetError as error:
             raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
 
     def frames(self) -> list[dict[str, Any]]:
-        """The low-dimensional data of all frames, each one as it was recorded.
-
-        Raises:
-            DatasetError: a file is missing, damaged or altered.
-        """
+        """The low-dimensional data of all frames; DatasetError if a file is missing, damaged or altered."""
         return [self.frame(k, self.whole(lowdim_name(k))) for k in range(self.record.frames)]
 
     def image(self, camera: str, number: int) -> bytes:
-        """A frame's JPEG as it was recorded.
-
-        Raises:
-            DatasetError: it is missing or altered.
-        """
+        """A frame's JPEG; DatasetError if the file is missing or altered."""
         return self.whole(image_name(camera, number))
 
 
@@ -101,11 +84,7 @@ class StoredEpisode(RecordedEpisode):
     record: EpisodeRecord
 
     def frame(self, number: int, data: bytes) -> dict[str, Any]:
-        """The low-dimensional data of one frame, from its file's content.
-
-        Raises:
-            DatasetError: it is damaged, or holds other data.
-        """
+        """As `RecordedEpisode.frame`; DatasetError too if keys, shapes or types are not those of the record."""
         frame = super().frame(number, data)
         faults = frame_faults(frame, recorded_forms(self.record))
         if faults:
@@ -114,23 +93,15 @@ class StoredEpisode(RecordedEpisode):
 
 
 def open_episode(directory: Path) -> StoredEpisode:
-    """The simulated episode in a directory.
-
-    Raises:
-        DatasetError: there is no episode, its record is damaged, or it is a real one.
-    """
+    """The simulated episode in a directory; raises as `open_recorded`, and DatasetError if the episode is real."""
     episode = open_recorded(directory)
     if not isinstance(episode, StoredEpisode):
-        raise DatasetError(f"{directory} is a real recording: it was not simulated, so that cannot be done with it")
+        raise DatasetError(f"{directory} is an imported recording of real arms; give a simulated episode")
     return episode
 
 
 def open_recorded(directory: Path) -> RecordedEpisode:
-    """The episode in a directory, simulated or real.
-
-    Raises:
-        DatasetError: there is no episode, or its record is damaged.
-    """
+    """The episode in a directory, simulated or real; DatasetError if there is none, or its record is damaged."""
     file = directory / EPISODE
     try:
         text = file.read_bytes()
@@ -139,16 +110,16 @@ def open_recorded(directory: Path) -> RecordedEpisode:
             f"{directory} is no episode: {EPISODE} cannot be read ({error.strerror or error}); "
             "give a directory such as dataset/ep_000003"
         ) from error
-    if _SAYS_REAL.search(text):
+    if _REAL_SOURCE.search(text):
         return RecordedEpisode(directory, from_json(RealRecord, text, file))
     return StoredEpisode(directory, from_json(EpisodeRecord, text, file))
 
 
 def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
-    """All episodes of a dataset in our format, simulated or real.
+    """All episodes of a dataset that yamsim recorded or imported.
 
     Raises:
-        DatasetError: there is no dataset, or a record of it is damaged.
+        DatasetError: there is no such dataset, or one of its records is damaged.
     """
     found, recorded = find_episodes(dataset)
     if not recorded and not is_real(dataset):
@@ -157,11 +128,7 @@ def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
 
 
 class StoredEpisodes(Sequence[StoredEpisode]):
-    """Episodes of a dataset, in order. An episode is read each time when it is asked for.
-
-    Attributes:
-        path: the dataset's directory.
-    """
+    """Episodes of a dataset, in order. An episode is read anew at each access; `path` is the dataset's directory."""
 
     def __init__(self, path: Path, directories: Sequence[Path]) -> None:
         self.path = path
@@ -181,7 +148,7 @@ class StoredEpisodes(Sequence[StoredEpisode]):
 
         Raises:
             IndexError: there are fewer episodes.
-            DatasetError: its record is missing or damaged.
+            DatasetError: the episode's record is missing or damaged.
         """
         if isinstance(key, slice):
             return StoredEpisodes(self.path, self._directories[key])
@@ -196,11 +163,7 @@ class StoredEpisodes(Sequence[StoredEpisode]):
 
 
 def open_episodes(dataset: Path) -> StoredEpisodes:
-    """The episodes of a dataset.
-
-    Raises:
-        DatasetError: there is no dataset, or yamsim did not record it.
-    """
+    """The episodes of a dataset; DatasetError if there is no dataset, or yamsim did not record it."""
     found, recorded = find_episodes(dataset)
     if not recorded:
         raise _plain(dataset)
@@ -215,10 +178,10 @@ def _plain(dataset: Path) -> DatasetError:
 
 
 def find_episode(path: Path, number: int | None) -> RecordedEpisode:
-    """The episode at a path: its own directory, or its dataset's with a number.
+    """The episode at a path: the episode's own directory, or its dataset's directory with a number.
 
     Raises:
-        UsageError: the path is a dataset, and there is no number, or no episode of that number.
+        UsageError: the path is a dataset, and `number` is None or not one of its episodes.
         DatasetError: there is no episode, or its record is damaged.
     """
     there = episode_directories(path) if path.is_dir() else []
@@ -233,11 +196,7 @@ def find_episode(path: Path, number: int | None) -> RecordedEpisode:
 
 
 def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
-    """The configuration that a dataset was recorded with.
-
-    Raises:
-        DatasetError: the dataset has none, or it cannot be used.
-    """
+    """The configuration that a dataset was recorded with; DatasetError if missing or invalid."""
     file = dataset / CONFIG
     try:
         text = file.read_text(encoding="utf-8")
@@ -259,9 +218,74 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
 
 
 def recorded_rig(dataset: Path, locations: Locations) -> RigConfig:
-    """Whose arms a dataset has, simulated or real.
+    """The rig of a dataset, simulated or real; raises as `dataset_config`."""
+    return real_config(dataset, locations).rig if is_real(dataset) else dataset_config(dataset, locations).rig
+
+
+def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> list[tuple[int, Path]]:
+    """Number and directory of selected episodes, in order.
+
+    Args:
+        episodes: numbers and ranges, such as `0,3,5-9`; None for all.
+        sample: how many episodes to select, spread evenly over the dataset; None for all.
 
     Raises:
-        DatasetError: it has no configuration, or one that cannot be used.
+        DatasetError: there is no dataset.
+        UsageError: an episode does not exist, or `episodes` is not a list of numbers and ranges.
     """
-    return real_config(dataset, locations).rig if is_real(dataset) else dataset_config(dataset, locations).rig
+    if not dataset.is_dir():
+        raise DatasetError(f"{dataset} is not a directory; give the directory that `yamsim record` wrote")
+    there = dict(episode_directories(dataset))
+    if not there:
+        raise DatasetError(f"{dataset} holds no episodes (ep_NNNNNN); give the directory that `yamsim record` wrote")
+    numbers = sorted(there)
+    if episodes is not None:
+        numbers = _selected(episodes, dataset, numbers)
+    elif sample is not None and sample < len(numbers):
+        step = (len(numbers) - 1) / max(1, sample - 1)
+        numbers = [numbers[round(k * step)] for k in range(sample)]
+    return [(number, there[number]) for number in numbers]
+
+
+def _selected(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
+    chosen: set[int] = set()
+    for part in text.split(","):
+        match = _EPISODE_RANGE.match(part.strip())
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if first > last:
+            raise UsageError(
+                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {ranges(there)}"
+            )
+        # The range is compared with existing numbers: a list of the whole range may not fit into memory.
+        named = [number for number in there if first <= number <= last]
+        if len(named) != last - first + 1:
+            missing = next(number for number in range(first, last + 1) if number not in set(named))
+            raise UsageError(f"--episodes {text!r}: {dataset} has no episode {missing}; valid: {ranges(there)}")
+        chosen.update(named)
+    return sorted(chosen)
+
+
+class RecordedImages:
+    """An episode's images; `cameras` are the names of the cameras that have images."""
+
+    def __init__(self, episode: RecordedEpisode) -> None:
+        self._episode = episode
+        self.cameras = tuple(episode.record.cameras)
+
+    def read(self, camera: str, frame: int) -> Image:
+        """An RGB image (height, width, 3); DatasetError if the file is missing, altered or damaged."""
+        # Imported here: OpenCV takes 0.1 s to load, and most readers need no images.
+        from ..images.jpeg import decode_jpeg
+
+        image = decode_jpeg(self._episode.image(camera, frame))
+        width, height = self._episode.record.cameras[camera]
+        if image is None or image.shape[:2] != (height, width):
+            raise DatasetError(f"{self._episode.directory}: frame {frame} of {camera} is no JPEG of {width}x{height}")
+        return image
+
+
+def recorded_images(episode: RecordedEpisode, cameras: Sequence[str]) -> Iterator[Image]:
+    """Each frame's images, all cameras side by side; raises as `RecordedImages.read`."""
+    images = RecordedImages(episode)
+    for k in range(episode.record.frames):
+        yield np.concatenate([images.read(camera, k) for camera in cameras], axis=1)

@@ -1,4 +1,4 @@
-"""Episodes of real arms that were imported: nothing of them was simulated, and what is missing is missing."""
+"""Imported episodes of real arms: their record and config."""
 
 from __future__ import annotations
 
@@ -19,12 +19,7 @@ REAL = "real"
 
 
 class ImportedFrom(Record):
-    """Where a recording is from.
-
-    Attributes:
-        format: one of those that `yamsim import` reads.
-        name: its file or folder, as it was given.
-    """
+    """The source of an imported recording: a format that `yamsim import` reads, and the file or folder."""
 
     format: str
     name: str
@@ -34,9 +29,9 @@ class RealRecord(Record):
     """`episode.json` of an imported recording.
 
     Attributes:
-        frame_period_s: the usual time from one frame to the next, s; frames have their own `timestamp`.
-        drives: how many of each arm's drives were measured: without the gripper's where nobody recorded it.
-        problems: what was found wrong with it when it was imported, for a person.
+        frame_period_s: usual time between frames, s; frames have their own `timestamp`.
+        drives: measured drives of each arm, without the gripper if it was not recorded.
+        problems: faults that the import found, as sentences.
     """
 
     format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
@@ -58,7 +53,7 @@ class RealRecord(Record):
 
 
 def is_real(dataset: Path) -> bool:
-    """Whether a dataset's config says that it holds real recordings."""
+    """Whether a dataset holds imported recordings, by its config."""
     try:
         data = parse_yaml((dataset / CONFIG).read_text(encoding="utf-8"), str(dataset / CONFIG)).data
     except (OSError, UnicodeDecodeError, ConfigError):
@@ -67,16 +62,12 @@ def is_real(dataset: Path) -> bool:
 
 
 def is_ours(path: Path) -> bool:
-    """Whether a folder is an episode or a dataset in our format."""
+    """Whether a folder is an episode or a dataset in yamsim's format."""
     return (path / EPISODE).is_file() or (path / CONFIG).is_file()
 
 
 def real_config(dataset: Path, locations: Locations) -> RealConfig:
-    """What a dataset of real recordings says of itself.
-
-    Raises:
-        DatasetError: it cannot be read, or says other things.
-    """
+    """The config of a dataset of imported recordings; DatasetError if unreadable or invalid."""
     file = dataset / CONFIG
     try:
         return parse_config(RealConfig, file.read_text(encoding="utf-8"), str(file), locations, as_recorded=True)

@@ -1,4 +1,4 @@
-"""The JSON records of a dataset: those of an episode, of an attempt in the ledger, and the manifest."""
+"""The JSON records of a dataset: of an episode, of an attempt in the ledger, and the manifest."""
 
 from __future__ import annotations
 
@@ -9,14 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializerFunctionWrapHandler,
-    ValidationError,
-    WrapSerializer,
-)
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, ValidationError, WrapSerializer
 
 from ..documents.base import Name
 from ..errors import DatasetError
@@ -27,24 +20,23 @@ from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, FullPose, Layout
 from ..variation import Variation
 from .layout import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
 
-# Path of a file in its episode. No part begins with a dot, so that a path never leads out of the episode.
+# Path of a file inside its episode. No part begins with a dot, so that no path leads out of the episode.
 FilePath = Annotated[
     str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*(/[A-Za-z0-9_][A-Za-z0-9_.-]*)*$", max_length=300)
 ]
-# Camera -> width and height of its images, px. A camera's name is a folder's name in episodes and exports.
+# Camera -> width and height of its images, px. A camera's name is a folder in episodes and exports.
 CameraSizes = dict[Name, tuple[int, int]]
 
-# Drives of an arm where a record does not say: six joints and a gripper, as all had when format version 1 was made.
-DRIVES_UNSAID = 7
+DEFAULT_DRIVES = 7  # drives of an arm where a record states none: six joints and a gripper, as in format version 1
 
 
 def _without_arms(variation: Variation, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-    """A variation as it was written before arms could vary, where they do not."""
-    told: dict[str, Any] = write(variation)
-    return told if variation.arm_dynamics else {key: value for key, value in told.items() if key != "arm_dynamics"}
+    """A variation without the key `arm_dynamics`, if arms do not vary, as in earlier records."""
+    data: dict[str, Any] = write(variation)
+    return data if variation.arm_dynamics else {key: value for key, value in data.items() if key != "arm_dynamics"}
 
 
-# Left out where nothing varies.
+# Left out of records if nothing varies.
 VariationField = Annotated[
     Variation, Field(exclude_if=lambda variation: variation == Variation()), WrapSerializer(_without_arms)
 ]
@@ -53,13 +45,13 @@ _UNLESS_EMPTY = Field(exclude_if=lambda value: not value)
 
 
 class Record(BaseModel):
-    """Base of all records in a dataset. Numbers are finite, and unknown keys, as of later versions, are left out."""
+    """Base of all records in a dataset. Numbers are finite; unknown keys, as of later versions, are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 class MarginsRecord(Record):
-    """How near the motion came to what the arm can do, see `types.Margins`."""
+    """The motion's margins to the arm's limits, see `types.Margins`."""
 
     velocity_share: float
     torque_share: float
@@ -69,7 +61,7 @@ class MarginsRecord(Record):
 
     @classmethod
     def of(cls, margins: Margins) -> MarginsRecord:
-        """The record of simulated margins."""
+        """The record of `margins`."""
         return cls(
             velocity_share=margins.velocity,
             torque_share=margins.torque,
@@ -80,7 +72,7 @@ class MarginsRecord(Record):
 
 
 class MeasureRecord(Record):
-    """How far a part of a goal was from failing, or from holding, see `goals.measure.Measure`."""
+    """The margin by which a part of a goal holds, see `goals.measure.Measure`."""
 
     what: str
     margin: float
@@ -89,7 +81,7 @@ class MeasureRecord(Record):
 
     @property
     def is_distance(self) -> bool:
-        """Whether it measures how far a thing lies from the centre of what it lies on, see `goals.predicates.on`."""
+        """Whether the margin is a distance from the centre of a surface, see `goals.predicates.on`."""
         return self.unit == "m" and self.what.startswith("on(")
 
 
@@ -114,13 +106,13 @@ class OutcomeRecord(Record):
     plan_error_m: float | None
     tilt_rad: float | None
     margins: MarginsRecord | None = None
-    # Left out of tasks without goals and programs, as all were in format version 1.
+    # Left out for tasks without goals and programs, as in format version 1.
     measures: Annotated[tuple[MeasureRecord, ...], _UNLESS_EMPTY] = ()
     recoveries: Annotated[tuple[RecoveryRecord, ...], _UNLESS_EMPTY] = ()
 
     @classmethod
     def of(cls, outcome: Outcome) -> OutcomeRecord:
-        """The record of an outcome."""
+        """The record of `outcome`."""
         return cls(
             success=outcome.success,
             cause=outcome.cause,
@@ -136,26 +128,26 @@ class OutcomeRecord(Record):
         )
 
     def within(self, threshold: float, max_height: float = math.inf) -> bool:
-        """Return whether the thing lay within `threshold` metres of its target's centre, and on it, at the end.
+        """Whether the object ended on its target, within `threshold` metres of the target's centre.
 
         Args:
-            max_height: largest height of its origin over the target's in format version 1, m. Later versions measure
-                what the thing touches.
+            max_height: largest height of the object's origin over the target's in format version 1, m. Later versions
+                measure contact instead.
         """
-        # With any other cause distance does not count: the object may have been thrown there.
+        # For other causes distance does not count: the object may have been thrown there.
         if self.dxy_m is None or self.dz_m is None or self.cause not in (None, Cause.OFF_TARGET):
             return False
         on_it = self.measures or 0.0 <= self.dz_m <= max_height
-        others = all(one.margin >= 0 for one in self.measures if not one.is_distance)
+        others = all(measure.margin >= 0 for measure in self.measures if not measure.is_distance)
         return bool(on_it) and others and self.dxy_m <= threshold
 
 
-# Where a thing starts: format version 1 has `[x, y, z, yaw]`, 2 has `[x, y, z, qw, qx, qy, qz]`, m and rad.
+# A start: `[x, y, z, yaw]` in format version 1, `[x, y, z, qw, qx, qy, qz]` in version 2, m and rad.
 StartPlace = UprightPose | FullPose
 
 
 class CastRecord(Record):
-    """Who plays which role: role -> things, thing -> the object that it is, thing -> factor of that one's lengths."""
+    """A task's cast: role -> things, thing -> its object, thing -> scale of that object."""
 
     things: dict[str, tuple[str, ...]]
     kinds: dict[str, str]
@@ -163,7 +155,7 @@ class CastRecord(Record):
 
 
 class AttemptRecord(Record):
-    """One line of `attempts.jsonl`. `layout` maps an object to its start in `world`, see `StartPlace`."""
+    """One line of `attempts.jsonl`; `layout` is object -> start in `world`, see `StartPlace`."""
 
     attempt: int
     seed: int
@@ -176,7 +168,7 @@ class AttemptRecord(Record):
 
 
 class EpisodeRecord(Record):
-    """`episode.json`: all that is needed to make the episode again, and to check that it is whole."""
+    """`episode.json`: all numbers that make the episode again, and the hashes of its files."""
 
     format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
     format_version: int = FORMAT_VERSION
@@ -192,15 +184,15 @@ class EpisodeRecord(Record):
     frame_period_s: float
     cameras: CameraSizes
     truth: bool = False
-    # Left out where it is 1, so that records of one arm keep their bytes.
+    # Left out for one arm, so that earlier records keep their bytes.
     arms: Annotated[int, Field(ge=1, le=2, exclude_if=lambda arms: arms == 1)] = 1
-    # How many drives each arm has. Left out where it is what every arm had before there were others.
-    drives: Annotated[int, Field(ge=1, le=64, exclude_if=lambda drives: drives == DRIVES_UNSAID)] = DRIVES_UNSAID
-    # Whether frames have `state` and `action` too.
-    joint_actions: Annotated[bool, Field(exclude_if=lambda said: not said)] = False
+    # Drives of each arm.
+    drives: Annotated[int, Field(ge=1, le=64, exclude_if=lambda drives: drives == DEFAULT_DRIVES)] = DEFAULT_DRIVES
+    # Whether frames have `state` and `action`.
+    joint_actions: Annotated[bool, _UNLESS_EMPTY] = False
     objects: list[Name]
     outcome: OutcomeRecord
-    # Of a task that a goal judges, none.
+    # None for tasks that a goal judges.
     max_height_m: float | None
     layout: dict[Name, StartPlace]
     randomized: VariationField = Variation()
@@ -209,18 +201,18 @@ class EpisodeRecord(Record):
     phrasing: Annotated[str, _UNLESS_EMPTY] = ""
     # Articulated thing -> names of its joints, in the order of `<thing>_joints`.
     joints: Annotated[dict[Name, tuple[str, ...]], _UNLESS_EMPTY] = Field(default_factory=dict)
-    # Cloth -> how many points lie along its x axis and along its y axis, of `<thing>_points`.
+    # Cloth -> points of `<thing>_points` along its x axis and its y axis.
     cloths: Annotated[dict[Name, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
-    # Asset set -> what was shown of it, see `core.shown_meshes`; earlier versions did not say.
+    # Asset set -> shown meshes, see `core.shown_meshes`; None in earlier records.
     meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
     content_sha256: str
     files: dict[FilePath, str]
 
 
 class ManifestEntry(Record):
-    """One episode in the manifest. `sha256` is that of its `episode.json`, which holds the hashes of all its files."""
+    """One episode in the manifest; `sha256` is the hash of `episode.json`, which holds the hashes of all files."""
 
     episode: int
     path: FilePath
@@ -231,7 +223,7 @@ class ManifestEntry(Record):
 
 
 class Manifest(Record):
-    """`manifest.json`: the index of a dataset, derived from its episodes."""
+    """`manifest.json`: the index of a dataset, made from its episodes."""
 
     format: Annotated[str, Field(pattern=f"^{DATASET_FORMAT}$")] = DATASET_FORMAT
     format_version: int = FORMAT_VERSION
@@ -247,18 +239,12 @@ R = TypeVar("R", bound=Record)
 
 
 def to_json(record: Record, *, indent: int | None = None) -> bytes:
-    """JSON text of a record; the same record always gives the same bytes."""
-    return (
-        json.dumps(record.model_dump(mode="json"), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
-    ).encode()
+    """JSON text of a record; equal records give equal bytes."""
+    return (json.dumps(plain(record), indent=indent, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
-    """The record in JSON text.
-
-    Raises:
-        DatasetError: it is not JSON, or another record; the message names the first fault.
-    """
+    """The record in JSON text; DatasetError with the first fault if the text is no such record."""
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
@@ -268,7 +254,10 @@ def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
 
 
 def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecord:
-    """The ledger's line for a finished attempt; `episode` is the number that it was published under, if it was."""
+    """The ledger's line for a finished attempt; `episode` is the number of the published episode, or None."""
+    cast, recorded = payload.attempt.cast, None
+    if cast is not None:
+        recorded = CastRecord(things=dict(cast.things), kinds=dict(cast.kinds), sizes=dict(cast.sizes))
     return AttemptRecord(
         attempt=payload.job.attempt,
         seed=payload.job.seed,
@@ -276,19 +265,13 @@ def attempt_record(payload: EpisodePayload, episode: int | None) -> AttemptRecor
         outcome=OutcomeRecord.of(payload.outcome),
         layout=payload.attempt.places,
         randomized=payload.attempt.variation,
-        cast=None
-        if (cast := payload.attempt.cast) is None
-        else CastRecord(things=dict(cast.things), kinds=dict(cast.kinds), sizes=dict(cast.sizes)),
+        cast=recorded,
         phrasing=payload.attempt.phrasing,
     )
 
 
 def recorded_attempt(record: EpisodeRecord, start: Array | None = None) -> Attempt:
-    """The attempt that an episode was made of, as its record says it.
-
-    Args:
-        start: MuJoCo's positions (nq,) of its first frame, where they are needed.
-    """
+    """The attempt that a recorded episode was made of; `start` is MuJoCo's positions (nq,) of the first frame."""
     cast = None if record.cast is None else Cast(record.cast.things, record.cast.kinds, record.cast.sizes)
     job, layout = EpisodeJob(record.seed, record.attempt), Layout.of(record.layout)
     return Attempt(job, layout, record.randomized, start, cast, record.phrasing)

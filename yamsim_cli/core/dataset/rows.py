@@ -11,6 +11,7 @@ from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
 from ..geometry.se3 import Array
 from ..types import Holds
+from .lowdim import with_opening_shares
 
 Row = NDArray[np.float32]
 
@@ -21,7 +22,7 @@ def prefixes(rig: RigConfig) -> tuple[str, ...]:
 
 
 def drive_names(rig: RigConfig) -> tuple[str, ...]:
-    """Names of all drives, and of what `joints` holds, in the order of recordings."""
+    """Names of all drives, which are those of the numbers in `joints`, in the order of recordings."""
     return tuple(
         prefix + name
         for prefix, k in zip(prefixes(rig), rig.recorded, strict=True)
@@ -30,19 +31,19 @@ def drive_names(rig: RigConfig) -> tuple[str, ...]:
 
 
 def weld_names(config: RecordConfig) -> tuple[str, ...]:
-    """Names of what an action says of each arm's weld; none where actions are joints."""
+    """Names of an action's numbers for each arm's weld; empty where actions are joints."""
     return () if config.action == "joints" else tuple(f"{prefix}magnet" for prefix in prefixes(config.rig))
 
 
 @dataclass(frozen=True)
 class Rows:
-    """A state is a row of joints and grippers; an action one of what drives are told, and then of welds if it has any.
+    """States as rows of joints and grippers; actions as rows of the drives' commands, followed by the welds.
 
     Attributes:
-        drives: names of a state's numbers, and of an action's first ones.
-        welds: names of an action's last ones.
-        full: how far one finger of each arm opens in use (arms,), m: grippers are shares of it, 0 closed .. 1 open;
-            None where they are openings of one finger, m.
+        drives: names of a state's numbers, and of an action's commands.
+        welds: names of an action's welds.
+        full: largest opening of one finger of each arm in use (arms,), m. With it, grippers are shares of this
+            opening, 0 closed .. 1 open; with None, grippers are openings of one finger, m.
     """
 
     drives: tuple[str, ...]
@@ -52,7 +53,7 @@ class Rows:
 
     @classmethod
     def of(cls, config: RecordConfig) -> Rows:
-        """Those that a config records."""
+        """The rows that a config records."""
         rig = config.rig
         fingers = [rig.arms[k].robot.fingers for k in rig.recorded]
         full = tuple(each.full_opening for each in fingers if each is not None)
@@ -66,15 +67,15 @@ class Rows:
 
     def state(self, joints: Array) -> Row:
         """The row of each arm's joints in rad and its finger's opening in m, (arms, drives)."""
-        return self._shared(joints).ravel().astype(np.float32)
+        return self._with_shares(joints).ravel().astype(np.float32)
 
     def action(self, ctrl: Array, holds: Holds) -> Row:
-        """The row of what each arm's drives are told (arms, drives), rad and m, and whether its weld holds (arms,)."""
-        row = self._shared(ctrl).ravel()
+        """The row of each arm's commands (arms, drives), rad and m, and whether its weld is on (arms,)."""
+        row = self._with_shares(ctrl).ravel()
         return (np.append(row, holds) if self.welds else row).astype(np.float32)
 
     def command(self, row: NDArray[np.floating]) -> tuple[Array, Holds]:
-        """What each arm's drives are told (arms, drives), rad and m, and whether its weld is to hold (arms,)."""
+        """An action's commands of each arm (arms, drives), rad and m, and whether its weld is on (arms,)."""
         count = len(self.drives)
         ctrl = np.array(row[:count], dtype=np.float64).reshape(self.arms, -1)
         if self.full is not None:
@@ -82,9 +83,5 @@ class Rows:
         welds = row[count:] > 0.5 if self.welds else np.zeros(self.arms, bool)
         return ctrl, np.asarray(welds, bool)
 
-    def _shared(self, values: Array) -> Array:
-        if self.full is None:
-            return values
-        shared = values.copy()
-        shared[:, -1] = np.clip(shared[:, -1] / np.asarray(self.full), 0.0, 1.0)
-        return shared
+    def _with_shares(self, values: Array) -> Array:
+        return values if self.full is None else with_opening_shares(values, self.full)

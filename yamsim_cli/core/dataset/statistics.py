@@ -1,4 +1,4 @@
-"""Small statistics, for batches and summaries."""
+"""Statistics for batches and summaries."""
 
 from __future__ import annotations
 
@@ -8,50 +8,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Two-sided 95 % of the normal distribution.
-_Z95 = 1.959963984540054
-
-# Distances (m) by which attempts are scored by default. Source: the lab reports both.
-THRESHOLDS = (0.05, 0.08)
-
-# Most bins of a histogram, and the smallest span of values (m) that is divided into bins.
-_BINS = 40
-_LEAST_SPAN = 1e-4
+_Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
+THRESHOLDS = (0.05, 0.08)  # m, default distances by which attempts are scored. Source: the lab reports both
+_MAX_BINS = 40  # of a histogram
+_MIN_SPAN = 1e-4  # m, smallest span of values that is divided into bins
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a success rate: honest for small n and for rates near 0 and 1.
-
-    Returns:
-        Lower and upper bound; (0, 1) when nothing was tried.
-    """
+    """Wilson's 95 % interval of a success rate, valid for small n and rates near 0 and 1; (0, 1) for n = 0."""
     if n == 0:
         return 0.0, 1.0
     rate = successes / n
     scale = 1 + _Z95**2 / n
     centre = (rate + _Z95**2 / (2 * n)) / scale
     half = _Z95 / scale * math.sqrt(rate * (1 - rate) / n + _Z95**2 / (4 * n**2))
-    # For rates of 0 and 1 one bound is exact; rounding would put it slightly inside.
+    # For rates of 0 and 1 one bound is exact; rounding would move that bound slightly inside.
     return (0.0 if successes == 0 else max(0.0, centre - half), 1.0 if successes == n else min(1.0, centre + half))
 
 
 def spread(values: Sequence[float]) -> dict[str, float] | None:
-    """Median, 95th percentile and maximum; None if there are no values."""
+    """Median, 95th percentile and maximum; None without values."""
     if not values:
         return None
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(np.max(values))}
 
 
 def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
-    """`edges` and `counts` of a histogram of all values; None if there are none.
-
-    The bins' width is a round number, and their edges are multiples of it.
-    """
+    """`edges` and `counts` of a histogram; None without values. Edges are multiples of a round bin width."""
     if not values:
         return None
-    span = max(max(values) - min(values), _LEAST_SPAN)
-    power = 10.0 ** math.floor(math.log10(span / _BINS))
-    width = next(power * k for k in (1, 2, 5, 10) if span / (power * k) <= _BINS)
+    span = max(max(values) - min(values), _MIN_SPAN)
+    power = 10.0 ** math.floor(math.log10(span / _MAX_BINS))
+    width = next(power * k for k in (1, 2, 5, 10) if span / (power * k) <= _MAX_BINS)
     low = math.floor(min(values) / width)
     high = max(low + 1, math.ceil(max(values) / width))
     edges = [round(k * width, 12) for k in range(low, high + 1)]
@@ -61,7 +49,7 @@ def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | N
 
 @dataclass(frozen=True)
 class Coverage:
-    """How many points lie in each cell of a grid over a box.
+    """Counts of points in the cells of a grid over a box.
 
     Attributes:
         shape: number of cells along x and y.
@@ -75,19 +63,19 @@ class Coverage:
 
     @property
     def cells_hit(self) -> int:
-        """How many cells hold a point."""
+        """Number of cells with points."""
         return sum(count > 0 for column in self.hits for count in column)
 
     @property
     def cells(self) -> int:
-        """How many cells there are."""
+        """Number of cells."""
         return self.shape[0] * self.shape[1]
 
 
 def coverage(
     points: Sequence[tuple[float, float]], x: tuple[float, float], y: tuple[float, float], cell: float
 ) -> Coverage:
-    """Count points (x, y) in a grid over the box `x` times `y` whose cells are at most `cell` wide; all in m."""
+    """Count points (x, y) in a grid over the box `x` times `y`, with cells of at most `cell`; all in m."""
     shape = (_cells(x, cell), _cells(y, cell))
     hits = [[0] * shape[1] for _ in range(shape[0])]
     outside = 0

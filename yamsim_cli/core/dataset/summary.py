@@ -1,21 +1,55 @@
-"""A dataset's figures, from what was found in it; nothing is simulated."""
+"""What checks found in a dataset, and its figures; nothing is simulated."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .checks.context import Context
 from .checks.facts import EpisodeFacts
-from .checks.problem import errors, printable
+from .checks.problem import Problem, Problems, errors, printable
+from .checks.whole import check_whole, read_ledger
 from .records import AttemptRecord
 from .statistics import Coverage, coverage, histogram, spread, wilson95
-from .survey import Survey
 
-# Largest width of the workspace's cells, m: about a banana's width.
-CELL_M = 0.05
+CELL_M = 0.05  # m, largest width of the workspace's cells: about a banana's width
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The result of checking a dataset.
+
+    Attributes:
+        path: the dataset's directory.
+        episodes: the dataset's episodes, in order.
+        attempts: the attempts in the ledger that can be read.
+        problems: faults of the dataset first, then those of its episodes in order.
+    """
+
+    path: Path
+    context: Context
+    episodes: Sequence[EpisodeFacts]
+    attempts: Sequence[AttemptRecord]
+    problems: Sequence[Problem]
+
+
+def survey(dataset: Path, context: Context, episodes: Sequence[EpisodeFacts], problems: Problems) -> Survey:
+    """Check a dataset as a whole, and put the results of all checks together.
+
+    Args:
+        episodes: result of the checks of each episode, in order.
+        problems: faults that were found before the checks of episodes.
+    """
+    attempts = read_ledger(dataset, problems) if context.recorded else []
+    found = check_whole(dataset, context, episodes, attempts, problems)
+    found += [problem for episode in episodes for problem in episode.problems]
+    found.sort(key=lambda problem: problem.episode)
+    return Survey(dataset, context, episodes, attempts, [*problems.list(), *found])
 
 
 def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
@@ -61,8 +95,9 @@ def summarize(survey: Survey, thresholds: Sequence[float]) -> dict[str, Any]:
 
 
 def within(episode: EpisodeFacts, threshold: float, survey: Survey) -> bool:
-    """Whether an episode's object lay within `threshold` m of the target's centre, and on it, at the end; of a task
-    that a goal judges, whether it was reached.
+    """Whether an episode's object ended on its target, within `threshold` m of the target's centre.
+
+    For a task that a goal judges, whether the goal was reached.
     """
     if episode.outcome is None or survey.context.judged_by_goal:
         return episode.outcome is not None and episode.outcome.success
@@ -71,7 +106,7 @@ def within(episode: EpisodeFacts, threshold: float, survey: Survey) -> bool:
 
 
 def workspace_coverage(survey: Survey, points: Sequence[tuple[float, float]]) -> Coverage | None:
-    """How points (x, y) cover the sampling box; None where the box is not known."""
+    """How points (x, y) cover the sampling box; None if the box is unknown."""
     box = survey.context.sampling
     return coverage(points, box.x, box.y, CELL_M) if box else None
 
@@ -102,7 +137,7 @@ def _range(values: Sequence[int]) -> dict[str, float] | None:
 
 
 def _workspace(survey: Survey) -> dict[str, Any]:
-    """The sampling box, and for each object where it lay at start and end: extents (m, `world`), and cells hit."""
+    """The sampling box, and each object's extents (m, `world`) and cells hit at start and end."""
     box = survey.context.sampling
     names = dict.fromkeys(name for episode in survey.episodes for name in (*episode.starts, *episode.ends))
     objects = {}

@@ -1,13 +1,13 @@
 """Reads pickles from unknown sources: numpy arrays and plain containers of limited size, and nothing else.
 
-A pickle is a program. Four things keep it harmless here:
+A pickle is a program. Four restrictions make it harmless:
 
-- The names that it may call stand for small classes in this module, and not for numpy's functions, which trust shapes
-  and buffers. No module is ever imported for a pickle.
-- Only the instructions that data needs are known. The standard library's unpickler in Python runs them. The one in C
-  would make a table as large as the largest memo index: gigabytes for a file of ten bytes.
-- A dictionary's keys are text or numbers. Hashing a tuple of tuples that share their parts could take for ever.
-- The result is copied within a budget. Lists that are shared many times would otherwise multiply when they are printed
+- The names that a pickle may call stand for small classes in this module, and not for numpy's functions, which trust
+  shapes and buffers. No module is ever imported for a pickle.
+- Only the instructions that data needs are known, and the standard library's unpickler in Python runs them. The
+  unpickler in C would make a table as large as the largest memo index: gigabytes for a file of ten bytes.
+- A dictionary's keys are text or numbers. Hashing a tuple of tuples that share their parts could take forever.
+- The result is copied within a budget. Lists that are shared many times would otherwise multiply when printed
   or hashed.
 """
 
@@ -26,19 +26,18 @@ import numpy as np
 
 from ..errors import DatasetError
 
-# A frame that yamsim records has 2 kB and 150 values. An instruction takes at least one byte and makes at most 64, so
-# that this bounds the memory too.
+# A recorded frame has 2 kB and 150 values. An instruction takes at least one byte and makes at most 64 bytes, so that
+# these numbers limit the memory too.
 MAX_BYTES: Final = 2**20
 _MAX_VALUES: Final = 20_000
 _MAX_DEPTH: Final = 16
 _MAX_INT_BITS: Final = 1024
 
-# Booleans, numbers and text of a fixed width; void types ("V") are incomplete. Objects ("O") could be anything: of
-# those, text alone is read.
+# Booleans, numbers and text of a fixed width. Objects ("O") may be anything; only text is accepted there.
 _DTYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}|O8")
 
-# The instructions that build numbers, text, lists, tuples, dictionaries and arrays, in every protocol. INST is among
-# them so that the message can name the class that it asks for.
+# Instructions that build numbers, text, lists, tuples, dictionaries and arrays, in every protocol; and INST, so that
+# the message can name the requested class.
 _INSTRUCTIONS: Final = """
     PROTO FRAME STOP MARK POP POP_MARK DUP PUT BINPUT LONG_BINPUT MEMOIZE GET BINGET LONG_BINGET
     NONE NEWTRUE NEWFALSE INT BININT BININT1 BININT2 LONG LONG1 LONG4 FLOAT BINFLOAT
@@ -50,7 +49,7 @@ _NAMES: Final = {ord(code.code): code.name for code in pickletools.opcodes}
 
 
 class ForbiddenPickleError(DatasetError):
-    """A pickle that asks for more than data: it names a function or class, or is larger than any frame."""
+    """A pickle that names a function or class, or is larger than any frame."""
 
 
 class _DType:
@@ -91,7 +90,7 @@ class _Array:
         return sum(map(len, self._texts())) if kind.dtype.hasobject else len(raw)
 
     def _texts(self) -> list[str]:
-        """The content of an array of objects, which have to be text."""
+        """The content of an array of objects; all have to be text."""
         raw = self._description[0]
         if not isinstance(raw, list) or not all(isinstance(text, str) for text in raw):
             raise ForbiddenPickleError("the pickle has an array of objects; only numbers and text are read")
@@ -106,13 +105,13 @@ class _Array:
             return np.array(texts, dtype=np.str_).reshape(shape)
         if math.prod(shape) * kind.dtype.itemsize != len(raw) or min(shape, default=0) < 0:
             raise ValueError(f"an array of shape {_short(shape)} and {kind.dtype} in {len(raw)} bytes")
-        # Copied, so that it is writable and aligned as any other array is.
+        # Copied, so that the array is writable and aligned.
         array = np.frombuffer(raw, kind.dtype).reshape(shape, order=order).copy(order=order)
         return array[()] if self._scalar else array
 
 
 class _Name:
-    """The object that a pickle gets for a name that it may use. It can be called, and cannot be changed."""
+    """What a pickle gets for an allowed name: a callable that cannot be changed."""
 
     __slots__ = ("_call",)
 
@@ -121,21 +120,21 @@ class _Name:
 
     def __call__(self, *arguments: Any) -> Any:
         if self._call is None:
-            raise ForbiddenPickleError("the pickle makes an array out of nothing; it was not run")
+            raise ForbiddenPickleError("the pickle makes an array without content; it was not run")
         return self._call(*arguments)
 
     def __setstate__(self, state: Any) -> None:
         raise ForbiddenPickleError("the pickle changes a function; it was not run")
 
 
-# A pickle may only hand it to `_reconstruct`.
+# A pickle may only pass this to `_reconstruct`.
 _NDARRAY = _Name(None)
 
 
 def _reconstruct(kind: Any, shape: Any, _: Any) -> _Array:
-    """The description of an empty array, whose content the pickle sets later."""
+    """The description of an empty array; the pickle sets its content later."""
     if kind is not _NDARRAY or shape != (0,):
-        raise ForbiddenPickleError(f"the pickle asks for an array of shape {_short(shape)} out of nothing")
+        raise ForbiddenPickleError(f"the pickle makes an array of shape {_short(shape)} without content")
     return _Array(b"", _DType("u1"), (0,), "C")
 
 
@@ -147,7 +146,7 @@ def _scalar(dtype: Any, raw: Any) -> _Array:
     return _Array(raw, dtype, (), "C", scalar=True)
 
 
-# Each (module, name) that a frame's pickle may hold, with the module names of numpy 2 and of numpy 1.
+# Allowed (module, name) -> callable, with the module names of numpy 2 and of numpy 1.
 _ALLOWED: Final[dict[tuple[str, str], _Name]] = {
     (f"{core}.{module}", name): _Name(call)
     for core in ("numpy._core", "numpy.core")
@@ -216,8 +215,8 @@ def read_pickle(data: bytes) -> Any:
     """The content of a pickle: numbers, text, bytes, None, lists, tuples, dictionaries and numpy arrays.
 
     Raises:
-        ForbiddenPickleError: it names anything else, or would take more memory than a frame may.
-        DatasetError: it is truncated, or not a pickle.
+        ForbiddenPickleError: the pickle names anything else, or takes more memory than a frame may.
+        DatasetError: the pickle is truncated, or no pickle.
     """
     if len(data) > MAX_BYTES:
         raise ForbiddenPickleError(f"the pickle has {len(data)} bytes; at most {MAX_BYTES} are read")
@@ -225,26 +224,13 @@ def read_pickle(data: bytes) -> Any:
         return _Walk().value(_Unpickler(io.BytesIO(data)).load(), 0)
     except DatasetError:
         raise
-    # A broken pickle can make the unpickler raise any of these.
-    except (
-        pickle.UnpicklingError,
-        EOFError,
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        AttributeError,
-        MemoryError,
-        OverflowError,
-        RecursionError,
-        AssertionError,
-        struct.error,
-    ) as error:
+    # A broken pickle makes the unpickler raise almost anything.
+    except Exception as error:
         raise DatasetError(f"not a whole pickle: {type(error).__name__}: {_short(str(error))}") from error
 
 
 class _Walk:
-    """Copies a pickle's content with real arrays in place of their descriptions, within a budget."""
+    """Copies a pickle's content within a budget, with arrays in place of their descriptions."""
 
     def __init__(self) -> None:
         self._values = _MAX_VALUES
@@ -276,7 +262,7 @@ class _Walk:
 
 
 def _short(value: Any) -> str:
-    """A value as short printable text on one line; of containers only a shape or the type."""
+    """A value as one short line of printable text; of containers only a shape or the type."""
     if isinstance(value, tuple) and len(value) <= 8 and all(isinstance(part, int) for part in value):
         text = f"({', '.join(map(_short, value))})"
     elif isinstance(value, str | int | float):

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from ..policies.base import InvalidActionError
 from ..policies.peer import RemoteError
 from ..policies.policy_faults import Fault, fault_of
-from ..stray_forks import forks_end_here
+from ..workers.serving import forks_end_here
 
 T = TypeVar("T")
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..attempt.engine import Simulated, demonstrate
 from ..attempt.simulator import Simulator
-from ..dataset.actions import recorded_actions
 from ..dataset.layout import episode_directories
+from ..dataset.lowdim import recorded_actions
 from ..dataset.reader import open_episode
 from ..errors import UsageError
 from ..geometry.se3 import Array

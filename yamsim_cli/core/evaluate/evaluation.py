@@ -18,8 +18,7 @@ from ..episode.rules import REPEATED_RULES
 from ..errors import PartialJobError
 from ..progress import Progress
 from ..session import Session
-from ..trials.films import FilmedTrial, TrialFilmer, TrialFilms, film_jobs
-from ..trials.tally import run_trials, tally, what_ran
+from ..trials import FilmedTrial, TrialFilmer, TrialFilms, film_jobs, run_trials, tally, what_ran
 from ..types import Actions, Attempt, EpisodeJob, Outcome
 from ..workers.executor import LostJobError
 from ..workers.pool import JOB_SECONDS

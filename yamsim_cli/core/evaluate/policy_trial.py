@@ -24,8 +24,8 @@ from ..policies.chunks import ChunkCount, ChunkPlayer
 from ..policies.loading import reset_policy, wanted_images, wanted_state
 from ..policies.policy_faults import Fault
 from ..session import Session
-from ..stray_forks import forks_end_here
 from ..types import Actions, Attempt, EpisodeJob
+from ..workers.serving import forks_end_here
 from .asking import Asker, PolicyFailedError, TooSlowError, talking_on_stderr
 from .builtin_policies import Privileged, Scripted, Trial, make_policy
 from .choice import PolicyChoice

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.reader import RecordedEpisode
-from ..dataset.recorded_images import recorded_images
+from ..dataset.reader import RecordedEpisode, recorded_images
 from ..images.video import VideoWriter, require_encoder
 from ..images.yuv import BT601
 from ..progress import Progress

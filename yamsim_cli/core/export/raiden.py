@@ -13,8 +13,7 @@ from ..errors import DatasetError
 from ..progress import Progress
 from ..resources import Locations
 from ..session import Session
-from ..workers.executor import Executor, Factory
-from ..workers.inline import InlineExecutor
+from ..workers.executor import Executor, Factory, InlineExecutor
 from ..workers.processes import WorkerPool
 from . import raiden_schema as schema
 from .raiden_calibration import calibration

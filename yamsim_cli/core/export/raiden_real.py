@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..dataset.recorded_images import RecordedImages
+from ..dataset.reader import RecordedImages
 from ..errors import DatasetError, UsageError
 from ..images.png import encode_png
 from ..progress import Progress

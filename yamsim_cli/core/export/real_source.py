@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..config.real import RealConfig
 from ..config.rig import RigConfig
 from ..dataset.layout import image_name, lowdim_name
-from ..dataset.reader import RecordedEpisode, StoredEpisode, open_recorded
+from ..dataset.reader import RecordedEpisode, StoredEpisode, open_recorded, select_episodes
 from ..dataset.real import RealRecord, real_config
-from ..dataset.selection import select_episodes
 from ..errors import DatasetError
 from ..geometry.se3 import Array
 from ..resources import Locations

@@ -13,7 +13,7 @@ from ..attempt.engine import repeat
 from ..attempt.frames import frames
 from ..attempt.payload import versions
 from ..attempt.simulator import Simulator
-from ..dataset.actions import asked_joints, recorded_actions
+from ..dataset.lowdim import planned_joints, recorded_actions
 from ..dataset.reader import StoredEpisode
 from ..dataset.records import recorded_attempt
 from ..episode.rules import REPEATED_RULES
@@ -98,7 +98,7 @@ def resample(simulator: Simulator, episode: StoredEpisode, fps: float) -> Resamp
     repeat(simulator, attempt, actions, REPEATED_RULES, on_step=see)
     here, ahead, then, commanded = np.split(see.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
     _require_same(episode, recorded, then)
-    asked = np.array([asked_joints(frame, len(scene.arms)) for frame in recorded])
+    asked = np.array([planned_joints(frame, len(scene.arms)) for frame in recorded])
     lead = asked - _arms(scene, commanded)
     wanted = _arms(scene, ahead) + _between(times, stored, lead)
     if scene.arms[0].fingers is not None:

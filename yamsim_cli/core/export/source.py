@@ -10,9 +10,8 @@ from pathlib import Path
 from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
 from ..dataset.layout import depth_name
-from ..dataset.reader import RecordedEpisode, StoredEpisode, dataset_config, open_episode
+from ..dataset.reader import RecordedEpisode, StoredEpisode, dataset_config, open_episode, select_episodes
 from ..dataset.rows import drive_names, prefixes, weld_names
-from ..dataset.selection import select_episodes
 from ..errors import DatasetError
 from ..resources import Locations
 

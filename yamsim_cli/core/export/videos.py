@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..dataset.reader import RecordedEpisode
-from ..dataset.recorded_images import recorded_images
+from ..dataset.reader import RecordedEpisode, recorded_images
 from ..errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest
 from ..files import move_aside, write_file
 from ..images.image import Image

@@ -1,74 +1,48 @@
-"""Put finished attempts into order, and in order into the dataset.
+"""Hands out attempts, and writes finished attempts into the dataset in order.
 
-Episode k is the k-th attempt that succeeds, in order of attempt and whichever worker finished first: so the data
+Episode k is the k-th successful attempt in the order of attempts, whichever worker finishes first. The data therefore
 depends on the configuration and the seed alone.
 
-An attempt that ends every worker it is given to becomes a failure of its own cause, `worker_lost`, and stays one when
-the recording is resumed: the episodes after it are numbered without it. Since such an end can also be the machine's
-fault, it is only believed once another attempt has come back well since. If none does, the recording stops, and
-nothing of it is in the dataset: `--resume` tries those attempts again.
+An attempt that ends every worker that tries it becomes a failure of cause `worker_lost`. The attempt remains a failure
+when the recording is resumed: later episodes are numbered without it. Such an end can also be the machine's fault.
+A lost attempt is therefore in doubt until a later attempt comes back. If none does, the recording stops without
+writing the attempts in doubt, and `--resume` tries them again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Protocol
 
+from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
-from ..dataset.layout import episode_name
-from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record
+from ..dataset.layout import PROGRAM_FORMAT_VERSION, episode_name
+from ..dataset.records import AttemptRecord, EpisodeRecord, attempt_record, file_hashes
 from ..dataset.writing.ledger import vacant_episode
+from ..dataset.writing.stage import StagedWriter
+from ..dataset.writing.writer import DatasetWriter
 from ..errors import DatasetError, InterruptedJobError, PartialJobError
 from ..types import Attempt, Cause, EpisodeJob, EpisodePayload, Outcome
 from ..workers.executor import Executor, LostJobError
 from ..workers.stop import Stop
-from .episode_record import episode_record
-from .prospects import Hopeless, Patience
+from .prospects import NoBetterStart, RetryLimit
 
-# How far attempts may run ahead of the oldest unfinished one, per worker: bounds the episodes held in memory.
-_LOOKAHEAD = 4
-# When this many attempts in a row lose their workers, it is the machine.
-_MAX_LOST_IN_A_ROW = 3
-# How long the episodes in hand may take once the user wants to stop.
-_STOP_SECONDS = 60.0
+_LOOKAHEAD = 4  # attempts per worker ahead of the oldest unfinished attempt; limits the episodes in memory
+_MAX_LOST_IN_A_ROW = 3  # attempts in a row that lose their workers, after which the machine is at fault
+_STOP_SECONDS = 60.0  # s, that attempts in hand may take after a request to stop
 _POLL_SECONDS = 0.5
 
 EpisodeExecutor = Executor[EpisodeJob, EpisodePayload]
-
-
-class Sink(Protocol):
-    """Where a recording goes; `DatasetWriter` is one."""
-
-    path: Path
-    attempts: list[AttemptRecord]
-    episodes: int
-
-    # Attempts whose line in the ledger is lost: they are made and logged again.
-    untold: set[int]
-
-    @property
-    def missing(self) -> list[AttemptRecord]:
-        """Attempts whose episode has to be made again."""
-        ...
-
-    def publish(self, record: EpisodeRecord, files: dict[str, bytes]) -> None:
-        """Make an episode visible."""
-        ...
-
-    def log(self, attempt: AttemptRecord) -> None:
-        """Add an attempt to the ledger, after its episode."""
-        ...
+Sink = DatasetWriter | StagedWriter
 
 
 @dataclass(frozen=True)
 class Notifier:
-    """Who is told how a recording goes.
+    """Callbacks of a recording.
 
     Attributes:
         progress: called with episodes done, episodes wanted and attempts made.
-        warn: called with a sentence that the user should read.
+        warn: called with a sentence for the user.
     """
 
     progress: Callable[[int, int, int], None]
@@ -76,21 +50,19 @@ class Notifier:
 
 
 class Collector:
-    """Hands out attempts and takes their results until the dataset is complete.
+    """Hands out attempts and takes their results until the dataset is complete."""
 
-    Args:
-        hopeless: see `prospects.hopeless`.
-    """
-
-    def __init__(self, config: RecordConfig, sink: Sink, watch: Notifier, stop: Stop, hopeless: Hopeless) -> None:
+    def __init__(
+        self, config: RecordConfig, sink: Sink, watch: Notifier, stop: Stop, no_better_start: NoBetterStart
+    ) -> None:
         self._config = config
-        self._patience = Patience(config, hopeless)
+        self._limit = RetryLimit(config, no_better_start)
         self._sink = sink
         self._watch = watch
         self._stop = stop
         # Attempts whose episode or line is gone are made again first, under their old numbers.
         self._gone = {attempt.attempt: attempt for attempt in sink.missing}
-        self._queue = sorted(self._gone.keys() | sink.untold, reverse=True)
+        self._queue = sorted(self._gone.keys() | sink.lost_lines, reverse=True)
         self._next = len(sink.attempts)
         self._finished: dict[int, EpisodePayload] = {}
         self._doubtful: set[int] = set()
@@ -103,8 +75,8 @@ class Collector:
 
     @property
     def work(self) -> int:
-        """Attempts that have to be made at least."""
-        return self.outstanding + len(self._sink.untold)
+        """How many attempts have to be made at least."""
+        return self.outstanding + len(self._sink.lost_lines)
 
     @property
     def done(self) -> int:
@@ -115,8 +87,8 @@ class Collector:
         """Record until the dataset holds all episodes.
 
         Raises:
-            InterruptedJobError: the user wants to stop; attempts in hand were waited for, within bounds.
-            DatasetError: an episode that was lost cannot be made again here.
+            InterruptedJobError: stopped by the user; attempts in hand were waited for at most `_STOP_SECONDS`.
+            DatasetError: a lost episode cannot be made again on this machine.
             PartialJobError: the task fails too often, or workers do not last.
             SimulationError: the task cannot work, see `check_prospects`.
             OSError: the disk refused something.
@@ -125,7 +97,7 @@ class Collector:
         while self.work:
             while not self._stop.asked and executor.idle and self._may_start(executor):
                 executor.submit(EpisodeJob(self._config.seed, self._take()))
-            # Only now, so that the workers are busy while the disk is.
+            # After handing out, so that workers are busy during writing.
             if self._commit_finished():
                 continue
             if self._stop.asked and (not executor.in_flight or self._stop.waited > _STOP_SECONDS):
@@ -145,14 +117,14 @@ class Collector:
         self._finished[job.attempt] = payload
 
     def _commit_finished(self) -> bool:
-        """Write what can be written, in the order of attempts; whether there was anything."""
+        """Write what can be written, in the order of attempts; returns whether anything was written."""
         before = len(self._finished)
         for attempt in self._gone.keys() & self._finished.keys():
             self._restore(self._finished.pop(attempt))
-        while (untold := min(self._sink.untold, default=-1)) in self._finished:
-            self._tell_again(self._finished.pop(untold))
-        # Episodes are counted on only when it is known what came before.
-        while not self._sink.untold and self._next_is_finished:
+        while (lost := min(self._sink.lost_lines, default=-1)) in self._finished:
+            self._log_again(self._finished.pop(lost))
+        # Further episodes get numbers only when all attempts before them are known.
+        while not self._sink.lost_lines and self._next_is_finished:
             self._commit(self._finished.pop(len(self._sink.attempts)))
         if len(self._finished) == before:
             return False
@@ -165,14 +137,14 @@ class Collector:
         return attempt in self._finished and attempt not in self._doubtful
 
     def _may_start(self, executor: EpisodeExecutor) -> bool:
-        """Never more attempts than could still be needed, were they all to succeed."""
+        """Whether another attempt may be handed out: no more than are needed if all succeed."""
         if self._queue:
             return True
-        if self._next >= self._patience.most_attempts and not self._doubtful:
+        if self._next >= self._limit.most_attempts and not self._doubtful:
             return False
         promised = executor.in_flight + sum(payload.outcome.success for payload in self._finished.values())
         ahead = self._next - len(self._sink.attempts)
-        # A doubtful attempt holds the rest back until another one has come back.
+        # An attempt in doubt blocks writing until a later attempt has come back.
         near = ahead < _LOOKAHEAD * self._config.workers or (self._doubtful and not executor.in_flight)
         return promised < self.outstanding and bool(near)
 
@@ -185,18 +157,19 @@ class Collector:
     def _lose(self, error: LostJobError) -> None:
         job = error.job
         assert isinstance(job, EpisodeJob)
+        detail = f"ended its worker {error.tries} times; the last one {error.reason}"
         if job.attempt in self._gone:
             number = self._gone[job.attempt].episode
             raise PartialJobError(f"{episode_name(number or 0)} cannot be made again: {error}") from error
-        if job.attempt in self._sink.untold:
-            self._lose_again(job, error)
-            return
-        self._doubtful.add(job.attempt)
-        if len(self._doubtful) >= _MAX_LOST_IN_A_ROW:
-            raise PartialJobError(f"{len(self._doubtful)} attempts in a row lost their workers, the last one: {error}")
-        detail = f"ended its worker {error.tries} times; the last one {error.reason}"
+        if job.attempt in self._sink.lost_lines:
+            if vacant_episode(self._sink.attempts, job.attempt) is not None:
+                raise PartialJobError(f"attempt {job.attempt} cannot be made again: {error}") from error
+        else:
+            self._doubtful.add(job.attempt)
+            if (lost := len(self._doubtful)) >= _MAX_LOST_IN_A_ROW:
+                raise PartialJobError(f"{lost} attempts in a row lost their workers, the last one: {error}")
+            self._watch.warn(f"Attempt {job.attempt} {detail}. It will count as a failure unless others fail like it.")
         self._finished[job.attempt] = EpisodePayload(Attempt(job), Outcome(False, Cause.WORKER_LOST, detail))
-        self._watch.warn(f"Attempt {job.attempt} {detail}. It will count as a failure unless others fail like it.")
 
     def _commit(self, payload: EpisodePayload) -> None:
         episode = self._sink.episodes if payload.outcome.success else None
@@ -206,17 +179,12 @@ class Collector:
         self.check_prospects()
 
     def check_prospects(self) -> None:
-        """Go on only if the attempts so far leave hope for the episodes that are wanted still.
-
-        Raises:
-            GaveUpError: the task works too rarely.
-            SimulationError: it cannot work.
-        """
-        if self._sink.untold:
-            # What those attempts came to may be what hope there is.
+        """Raise GaveUpError if the task works too rarely, and SimulationError if it cannot work."""
+        if self._sink.lost_lines:
+            # The results of these attempts are not known yet.
             return
         if self.outstanding > len(self._gone) and (
-            error := self._patience.ended_by(self._sink.attempts, self._sink.episodes)
+            error := self._limit.ended_by(self._sink.attempts, self._sink.episodes)
         ):
             raise error
 
@@ -224,18 +192,18 @@ class Collector:
         """Publish a lost episode again, under its old number."""
         lost = self._gone[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
-            raise self._otherwise(payload, lost.episode or 0)
+            raise self._fails_now(payload, lost.episode or 0)
         self._publish(payload, lost.episode)
         del self._gone[lost.attempt]
 
-    def _otherwise(self, payload: EpisodePayload, episode: int) -> DatasetError:
+    def _fails_now(self, payload: EpisodePayload, episode: int) -> DatasetError:
         return DatasetError(
             f"{self._sink.path}: attempt {payload.job.attempt} gave {episode_name(episode)} once and fails now "
             f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
         )
 
-    def _tell_again(self, payload: EpisodePayload) -> None:
-        """Log an attempt whose line was lost. One that succeeds now, and gave no episode then, had lost its workers."""
+    def _log_again(self, payload: EpisodePayload) -> None:
+        """Log an attempt whose line was lost. An attempt that gave no episode but succeeds now had lost its workers."""
         number = vacant_episode(self._sink.attempts, payload.job.attempt)
         if payload.outcome.success and number is None:
             detail = (
@@ -245,23 +213,17 @@ class Collector:
         episode = number if payload.outcome.success else None
         if episode is not None:
             self._publish(payload, episode)
-        elif number is not None and number < self._sink.episodes and len(self._sink.untold) == 1:
-            # There are later ones, and no other attempt that it could have come from.
-            raise self._otherwise(payload, number)
+        elif number is not None and number < self._sink.episodes and len(self._sink.lost_lines) == 1:
+            # Later episodes exist, and this episode can have come from no other attempt.
+            raise self._fails_now(payload, number)
         self._sink.log(attempt_record(payload, episode))
         self.check_prospects()
 
-    def _lose_again(self, job: EpisodeJob, error: LostJobError) -> None:
-        if vacant_episode(self._sink.attempts, job.attempt) is not None:
-            raise PartialJobError(f"attempt {job.attempt} cannot be made again: {error}") from error
-        detail = f"ended its worker {error.tries} times; the last one {error.reason}"
-        self._finished[job.attempt] = EpisodePayload(Attempt(job), Outcome(False, Cause.WORKER_LOST, detail))
-
     def _publish(self, payload: EpisodePayload, episode: int) -> None:
-        self._sink.publish(episode_record(self._config, payload, episode), dict(payload.files))
+        self._sink.publish(episode_record(self._config, payload, episode), payload.files)
 
     def _compare_renderers(self, payload: EpisodePayload) -> None:
-        """Different drivers render other bytes: the user should know that the dataset depends on who rendered what."""
+        """Warn if workers render with different drivers, which give different bytes."""
         if self._renderer and payload.renderer and payload.renderer != self._renderer:
             self._watch.warn(
                 f"Workers render with different OpenGL ({self._renderer}; {payload.renderer}): "
@@ -271,3 +233,56 @@ class Collector:
 
     def _report(self) -> None:
         self._watch.progress(self.done, self._config.episodes, len(self._sink.attempts))
+
+
+def episode_record(config: RecordConfig, payload: EpisodePayload, episode: int) -> EpisodeRecord:
+    """The `episode.json` of a successful attempt that is published as number `episode`."""
+    cameras = (name.split("/")[1] for name in payload.files if name.startswith("rgb/"))
+    attempt = attempt_record(payload, episode)
+    task = config.task
+    return EpisodeRecord(
+        format_version=PROGRAM_FORMAT_VERSION,
+        episode=episode,
+        attempt=attempt.attempt,
+        seed=attempt.seed,
+        source="record",
+        rig=config.rig.name,
+        scene=config.scene.name,
+        task=task.name,
+        grasp=config.grasp,
+        frames=payload.frames,
+        frame_period_s=task.timing.tick * task.timing.ticks_per_frame,
+        cameras=dict.fromkeys(cameras, config.image.size_px),
+        truth=config.truth,
+        arms=len(config.rig.arms),
+        drives=config.rig.drives,
+        joint_actions=config.action == "joints",
+        objects=list(attempt.layout),
+        outcome=attempt.outcome,
+        max_height_m=None,
+        layout=attempt.layout,
+        randomized=attempt.randomized,
+        cast=attempt.cast,
+        phrasing=attempt.phrasing,
+        joints=_joints(task, attempt),
+        cloths=_cloths(task, attempt),
+        versions=dict(payload.versions),
+        renderer=payload.renderer,
+        meshes=None if config.meshes is None else dict(config.meshes),
+        content_sha256=payload.content_sha256,
+        files=file_hashes(payload.files),
+    )
+
+
+def _cloths(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[int, int]]:
+    """Cloth -> how many points lie along its x axis and along its y axis."""
+    cloths = {item.name: item.cloth for item in task.objects}
+    kinds = attempt.cast.kinds if attempt.cast else {}
+    return {thing: cloth.grid for thing, kind in kinds.items() if (cloth := cloths[kind]) is not None}
+
+
+def _joints(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[str, ...]]:
+    """Articulated thing -> names of its joints."""
+    items = {item.name: item for item in task.objects}
+    kinds = attempt.cast.kinds if attempt.cast else {}
+    return {thing: tuple(link.name for link in items[kind].links) for thing, kind in kinds.items() if items[kind].links}

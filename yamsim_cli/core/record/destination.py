@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import statistics
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from pathlib import Path
 from ..config.recording import RecordConfig
 from ..dataset.records import ManifestEntry
 from ..dataset.writing.opening import OpenMode
-from ..dataset.writing.space import EpisodeSize, block_size, check_space, files_per_episode
+from ..dataset.writing.space import EpisodeSize, check_space, files_per_episode
 from ..dataset.writing.stage import MAX_WAITING, StagedWriter
 from ..dataset.writing.writer import DatasetWriter
 from ..errors import InterruptedJobError
@@ -22,18 +23,18 @@ from ..skills.durations import typical_ticks
 from ..workers.stop import Stop
 from .collect import Notifier, Sink
 
-# To make, write, flush and close a file. Source: measured over sshfs, 60 ms a file at 10 ms a round trip.
-_ROUND_TRIPS_A_FILE = 6
+_ROUND_TRIPS_PER_FILE = 6  # to make, write, flush and close. Source: measured over sshfs, 60 ms at 10 ms a round trip
+_ROUND_TRIP = 0.01  # s, of the server in warnings
 _POLL_SECONDS = 0.5
-_LEAST_DURATION = 0.5  # share of a program's typical duration that a successful episode takes at least
+_MIN_DURATION = 0.5  # shortest successful episode, as a share of a program's typical duration
 
 
 @dataclass(frozen=True)
 class Output:
-    """Where a recording goes, and what to do with what is there.
+    """Where a recording goes, and what to do if that directory is not empty.
 
     Attributes:
-        stage: a local directory through which episodes pass on their way to a slow or remote `path`.
+        stage: a local directory for episodes on their way to a slow or remote `path`; see `StagedWriter`.
     """
 
     path: Path
@@ -42,25 +43,21 @@ class Output:
 
 
 class Destination:
-    """An output that is open for writing.
-
-    Attributes:
-        config: the recording's, as the dataset says it.
-    """
+    """An output that is open for writing; `config` is the recording's, see `config_as_stated`."""
 
     def __init__(self, config: RecordConfig, writer: DatasetWriter, staged: StagedWriter | None) -> None:
-        self.config = as_said(config, writer)
+        self.config = config_as_stated(config, writer)
         self.writer = writer
         self._staged = staged
 
     @property
     def sink(self) -> Sink:
-        """What takes the recording."""
+        """The writer that takes the recording."""
         return self._staged or self.writer
 
     @property
     def rest(self) -> str:
-        """For messages: what has not arrived yet, and what to do about it."""
+        """For messages: the episodes that are still in the stage."""
         if self._staged is None or not (waiting := self._staged.on_their_way):
             return ""
         return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
@@ -69,7 +66,7 @@ class Destination:
         """Wait until everything has arrived, and write the manifest.
 
         Raises:
-            InterruptedJobError: the user does not want to wait.
+            InterruptedJobError: stopped by the user.
             OSError: the disk refused something.
         """
         if self._staged is None:
@@ -88,24 +85,24 @@ class Destination:
             (self._staged or self.writer).finish()
 
 
-def as_said(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
-    """The recording's config for what is written into a dataset: one that does not say what it shows goes on so."""
+def config_as_stated(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
+    """The config for new episodes: without meshes, if the dataset was recorded without a statement of its meshes."""
     return config if "meshes" in writer.config else config.model_copy(update={"meshes": None})
 
 
 @contextlib.contextmanager
 def open_destination(config: RecordConfig, output: Output, watch: Notifier) -> Iterator[Destination]:
-    """Open an output for the block; nobody else can record into it.
+    """Open an output for the `with` block; no other recorder can open it.
 
     Raises:
         UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter` and `StagedWriter`.
         ResourceError: the disk has no room.
     """
-    # Told before anything on the mount is touched: it may not answer.
-    mount = _look_at_mounts(config, output, watch)
+    # Warns before any access to the mount, which may not answer.
+    mount = _check_mounts(config, output, watch)
     resuming = output.mode is OpenMode.RESUME
     if not resuming:
-        # Before anything is there that would be in the way of the next try.
+        # Before anything is written that would block the next try.
         _check_space(config, output.path, {}, config.episodes, watch)
     data_config = config.data_config()
     reach = mount is None or mount.locks_reach_others
@@ -126,14 +123,14 @@ def open_destination(config: RecordConfig, output: Output, watch: Notifier) -> I
         yield destination
 
 
-def _look_at_mounts(config: RecordConfig, output: Output, watch: Notifier) -> Mount | None:
-    """The network mount that the output is on, if it is; warns of what that costs."""
+def _check_mounts(config: RecordConfig, output: Output, watch: Notifier) -> Mount | None:
+    """The output's network mount, or None; warns of the cost of network mounts."""
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:
         frames = _frames(config, {})[1]
         files = files_per_episode(frames, len(config.recorded_cameras), truth=config.truth)
-        seconds = files * _ROUND_TRIPS_A_FILE * 0.01
+        seconds = files * _ROUND_TRIPS_PER_FILE * _ROUND_TRIP
         watch.warn(
             f"{output.path} is on {mount.point}, which is {mount.kind} ({mount.source}): an episode is {files} files, "
             f"so writing one takes some {seconds:.0f} s where the server is 10 ms away, and workers wait meanwhile. "
@@ -151,11 +148,11 @@ def _look_at_mounts(config: RecordConfig, output: Output, watch: Notifier) -> Mo
 def _check_space(
     config: RecordConfig, place: Path, entries: Mapping[int, ManifestEntry], episodes: int, watch: Notifier
 ) -> None:
-    """Refuse what cannot fit, and warn of what may not."""
+    """Raise ResourceError if the episodes cannot fit, and warn if they may not."""
     if episodes <= 0:
         return
     disk = nearest_directory(place)
-    block = block_size(disk)
+    block = os.statvfs(disk).f_frsize
     frames = _frames(config, entries)
     size = EpisodeSize.expected(frames, len(config.recorded_cameras), config.image, block, truth=config.truth)
     if warning := check_space(disk, episodes, size.learned(entries.values(), block)):
@@ -163,9 +160,9 @@ def _check_space(
 
 
 def _frames(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
-    """Return the frames of an episode, at least and typically: the mean of `entries`, or else an estimate."""
+    """Frames of an episode, at least and typically: from the mean of `entries`, or else estimated."""
     every = config.task.timing.ticks_per_frame
     frames = math.ceil(typical_ticks(config.task) / every)
     if entries:
         frames = round(statistics.fmean(entry.frames for entry in entries.values()))
-    return math.ceil(_LEAST_DURATION * frames), frames
+    return math.ceil(_MIN_DURATION * frames), frames

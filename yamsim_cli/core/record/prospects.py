@@ -1,10 +1,10 @@
 """When a recording gives up: its task cannot work, or works too rarely.
 
-That ten attempts fail in the same way says little by itself: a task that works one time in five begins so in one
-recording of nine, also where things lie out of reach, since where they lie is random. So where geometry alone decides
-on the cause, the starts of a hundred more attempts are looked at, without any physics. A task that works one time in
-five is then taken for hopeless in one recording of 4e10 (0.8 ** 110), one that works one time in ten in one of 1e5.
-What physics decides is believed after a hundred attempts without any success: one recording of 5e9, and one of 4e4.
+Ten failures of one cause prove little: a task that works one time in five starts so in one recording of nine. Where
+geometry alone decides on the cause, the starts of a hundred more attempts are therefore checked, without physics. Then
+a task that works one time in five is given up wrongly in one recording of 4e10 (0.8 ** 110), and a task that works one
+time in ten in one of 1e5. Where physics decides, a task is given up after a hundred attempts without a success: wrongly
+in one recording of 5e9, and one of 4e4.
 """
 
 from __future__ import annotations
@@ -24,18 +24,14 @@ from ..session import Session
 from ..skills.program import program_of
 from ..types import Cause, EpisodeJob
 
-# Attempts that failed in one way, from the first one on, after which it is asked whether any could do better.
-SAME = 10
-# How many more starts are looked at then.
-MORE_STARTS = 100
-# Attempts after which a task counts as one that cannot work if none succeeded; no task is given fewer.
-HOPELESS = 100
-# A task that fails this often will not be finished by trying on.
-_ATTEMPTS_PER_EPISODE = 20
+SAME_CAUSE = 10  # first attempts that all fail for one cause, after which more starts are checked
+MORE_STARTS = 100  # starts that are checked then
+MIN_ATTEMPTS = 100  # attempts that every task is given; a task without a success among them cannot work
+_ATTEMPTS_PER_EPISODE = 20  # attempts per wanted episode, after which the task works too rarely
 
-HAND_HEIGHT = 0.05  # m over the table, at which hands take things
+HAND_HEIGHT = 0.05  # m over the table, at which grippers grasp things
 
-# Cause -> what of a task to look at.
+# Cause -> parts of a task to look at.
 _LOOK_AT: Mapping[str, str] = {
     Cause.NO_LAYOUT: "`starts` (their regions and `apart`), and how large the things are",
     Cause.UNREACHABLE: "`starts`, the steps of `expert`, and where the rig's arms stand",
@@ -52,45 +48,41 @@ _LOOK_AT: Mapping[str, str] = {
 
 
 class GaveUpError(PartialJobError):
-    """The task works too rarely; what was recorded is whole, and to go on would not help."""
+    """The task works too rarely; what was recorded is whole, and `--resume` would not help."""
 
 
-# Whether no attempt from a number on could do better than to fail for a cause.
-Hopeless = Callable[[Cause, int], bool]
+# Whether all attempts from a number on fail for a cause, see `no_better_start`.
+NoBetterStart = Callable[[Cause, int], bool]
 
 
-class Patience:
-    """Decides from the attempts alone, in their order: how many workers made them makes no difference."""
+class RetryLimit:
+    """Decides from the attempts, in their order, when a recording gives up; the number of workers has no effect."""
 
-    def __init__(self, config: RecordConfig, hopeless: Hopeless) -> None:
+    def __init__(self, config: RecordConfig, no_better_start: NoBetterStart) -> None:
         self._name, self._wanted = config.task.name, config.episodes
-        self._hopeless = hopeless
-        self._asked = False
+        self._no_better_start = no_better_start
+        self._checked = False
 
     @property
     def most_attempts(self) -> int:
-        """How many attempts are made at most."""
-        return max(HOPELESS, _ATTEMPTS_PER_EPISODE * self._wanted)
+        """The largest number of attempts."""
+        return max(MIN_ATTEMPTS, _ATTEMPTS_PER_EPISODE * self._wanted)
 
     def ended_by(self, attempts: Sequence[AttemptRecord], episodes: int) -> YamsimError | None:
-        """Why no more attempts are to be made, after these; None if it is worth it.
-
-        Args:
-            episodes: how many of them succeeded.
-        """
+        """The error that ends a recording after `attempts`, of which `episodes` succeeded; None to go on."""
         tried, last = len(attempts), attempts[-1].outcome if attempts else None
         if last is None or (episodes and tried < self.most_attempts):
             return None
         if episodes:
             rest = f"the task works too rarely, {episodes} of {tried} times and at least 1 in {_ATTEMPTS_PER_EPISODE} "
             return GaveUpError(f"gave up after {tried} attempts: {rest}is needed; {self._causes(attempts)}")
-        if tried >= HOPELESS:
+        if tried >= MIN_ATTEMPTS:
             return self._cannot_work(f"none of {tried} attempts succeeded", attempts)
         causes = {attempt.outcome.cause for attempt in attempts}
-        if tried < SAME or len(causes) > 1 or self._asked:
+        if tried < SAME_CAUSE or len(causes) > 1 or self._checked:
             return None
-        self._asked = True
-        if not self._hopeless(Cause(str(last.cause)), tried):
+        self._checked = True
+        if not self._no_better_start(Cause(str(last.cause)), tried):
             return None
         more = f"its first {tried} attempts all failed in one way, and {MORE_STARTS} more would start no better"
         return self._cannot_work(more, attempts)
@@ -103,20 +95,20 @@ class Patience:
 
     @staticmethod
     def _causes(attempts: Sequence[AttemptRecord]) -> str:
-        """What went wrong how often, the last of the commonest in full, and what to look at."""
+        """Counts of causes, the last detail of the commonest cause, and what to look at."""
         failed = [attempt for attempt in attempts if not attempt.outcome.success]
         counts = Counter(str(attempt.outcome.cause) for attempt in failed).most_common()
         commonest = counts[0][0]
-        detail = next(one.outcome.detail for one in reversed(failed) if one.outcome.cause == commonest)
-        told = ", ".join(f"{count} {cause}" for cause, count in counts)
+        detail = next(each.outcome.detail for each in reversed(failed) if each.outcome.cause == commonest)
+        listed = ", ".join(f"{count} {cause}" for cause, count in counts)
         advice = _LOOK_AT.get(commonest)
-        return f"{told} ({detail})" + (f"; look at {advice}" if advice else "")
+        return f"{listed} ({detail})" + (f"; look at {advice}" if advice else "")
 
 
-def hopeless(session: Session, cause: Cause, first: int) -> bool:
-    """Return whether none of `MORE_STARTS` attempts from number `first` on could do better than to fail for a cause.
+def no_better_start(session: Session, cause: Cause, first: int) -> bool:
+    """Whether the starts of all `MORE_STARTS` attempts from number `first` on fail for a cause.
 
-    False for causes of which that can only be said by making the attempts.
+    False for causes that depend on physics.
     """
     if cause not in (Cause.NO_LAYOUT, Cause.UNREACHABLE):
         return False
@@ -128,20 +120,20 @@ def hopeless(session: Session, cause: Cause, first: int) -> bool:
 
 
 def _could_work(simulators: Simulators, cause: Cause, job: EpisodeJob) -> bool:
-    """Return whether an attempt's things have room, and for `UNREACHABLE` also whether hands get to all that is taken.
+    """Whether an attempt's things have room and, for `UNREACHABLE`, whether grippers reach all things to be grasped.
 
-    That is less than a program needs: where it fails, every program does.
+    Programs need more than that, so that a program fails wherever this check fails.
     """
     simulator = simulators.of(job)
     places = sampled_places(simulator, job)
     if isinstance(places, str) or cause is Cause.NO_LAYOUT:
         return not isinstance(places, str)
     task, cast = simulator.config.task, simulator.cast
-    taken = {thing for skill in program_of(task, cast) if skill.NEEDS is False for _, thing in skill.roles()[:1]}
+    grasped = {thing for skill in program_of(task, cast) if skill.NEEDS is False for _, thing in skill.roles()[:1]}
     top = simulator.config.table.top
     return all(
         simulator.expert_tools.reaches_place(np.array([*places[name].T[:2, 3], top + HAND_HEIGHT]))
-        for thing in taken
+        for thing in grasped
         for name in cast.of(thing)
         if places[name].on == TABLE
     )

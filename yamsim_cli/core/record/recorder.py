@@ -1,4 +1,4 @@
-"""Record a dataset: workers make attempts, this process alone writes."""
+"""Records a dataset: workers make attempts, and this process alone writes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ..workers.stop import Stop
 from .collect import Collector, Notifier
 from .destination import Destination, Output, open_destination
 from .executors import Executors
-from .prospects import GaveUpError, hopeless
+from .prospects import GaveUpError, no_better_start
 
 
 @dataclass(frozen=True)
 class RecordReport:
-    """What a recording did: episodes and attempts in the dataset now, seconds it took, where an old dataset went."""
+    """Episodes and attempts in the dataset, the recording's duration, and the new place of an earlier dataset."""
 
     path: Path
     episodes: int
@@ -35,25 +35,25 @@ class RecordReport:
 
 
 def record(session: Session, output: Output, executors: Executors, watch: Notifier, stop: Stop) -> RecordReport:
-    """Record until the dataset holds the config's `episodes` successful episodes; see `collect` for what each one is.
+    """Record until the dataset holds the config's `episodes` successful episodes, see `collect`.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be used, see `open_destination`; or a
-            thing has failed its certificate.
+        UsageError, ConfigError, DatasetError, ResourceError: see `open_destination`; or a thing has failed its
+            certificate.
         InterruptedJobError: stopped by the user.
         PartialJobError: the disk refused something, workers do not last, or the task fails too often.
         SimulationError: the task cannot work as it is.
     """
     began = time.monotonic()
-    _ask_for_certificates(session, watch)
+    _check_certificates(session, watch)
     session = noting_meshes(session)
     config = session.config
     with open_destination(config, output, watch) as destination:
-        prospects = functools.partial(hopeless, session)
-        collector = Collector(destination.config, destination.sink, watch, stop, prospects)
-        with _telling_what_is_left(config, collector, destination):
+        starts = functools.partial(no_better_start, session)
+        collector = Collector(destination.config, destination.sink, watch, stop, starts)
+        with _reporting_what_is_left(config, collector, destination):
             if collector.work:
-                # A resumed recording may be one that gave up.
+                # A resumed recording may have given up before.
                 collector.check_prospects()
                 workers = min(config.workers, collector.work)
                 with executors.open(session, workers) as executor:
@@ -63,7 +63,7 @@ def record(session: Session, output: Output, executors: Executors, watch: Notifi
     return RecordReport(output.path, sink.episodes, len(sink.attempts), time.monotonic() - began, moved)
 
 
-def _ask_for_certificates(session: Session, watch: Notifier) -> None:
+def _check_certificates(session: Session, watch: Notifier) -> None:
     """Refuse a thing that has failed its certificate, and warn of one that has changed since."""
     config, locations = session.config, session.locations
     lock = load_lock(locations)
@@ -79,8 +79,8 @@ def _ask_for_certificates(session: Session, watch: Notifier) -> None:
 
 
 @contextlib.contextmanager
-def _telling_what_is_left(config: RecordConfig, collector: Collector, destination: Destination) -> Iterator[None]:
-    """Whatever ends a recording early, the manifest is written, and the user told what there is and how to go on."""
+def _reporting_what_is_left(config: RecordConfig, collector: Collector, destination: Destination) -> Iterator[None]:
+    """If the recording ends early, write the manifest, and state in the error what is recorded and what is left."""
     place = destination.writer.path
 
     def whole() -> str:

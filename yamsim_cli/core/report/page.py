@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..dataset.survey import Survey
+from ..dataset.summary import Survey
 from . import findings, plots
 from .axes import percent
 from .markup import Child, Markup, style, tag

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..dataset.checks.facts import EpisodeFacts
-from ..dataset.summary import within, workspace_coverage
-from ..dataset.survey import Survey
+from ..dataset.summary import Survey, within, workspace_coverage
 from .markup import Markup, tag
 from .plan import Places, Point, workspace
 

@@ -32,7 +32,7 @@ def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) 
     """The page as HTML.
 
     Args:
-        report: the report of `trials.batch.run_batch`.
+        report: the report of `trials.run_batch`.
         boxes: see `start_boxes`.
         made: a line for the foot of the page: by what it was made, and when.
     """

@@ -18,7 +18,7 @@ from ..geometry.se3 import Array
 from ..images.image import Image
 from ..session import Session
 from ..types import Attempt, EpisodeJob
-from ..workers.beside import start_beside
+from ..workers.processes import start_process
 
 # One that is drawn on while the other is looked at.
 _SLOTS = 2
@@ -96,7 +96,7 @@ class PictureProcess:
         self._memory = SharedMemory(create=True, size=int(np.prod(self._shape)))
         self._pictures = np.ndarray(self._shape, np.uint8, self._memory.buf)
         try:
-            self._process, self._pipe = start_beside(
+            self._process, self._pipe = start_process(
                 "yamsim-pictures",
                 _draw,
                 # A scene has the cameras that are recorded, and these may be others.

@@ -45,7 +45,7 @@ def play_real(
         run_window(player, viewpoint, PERIOD, lambda: ready(None), stopped)
         return
     require_page()
-    from ..dataset.recorded_images import RecordedImages
+    from ..dataset.reader import RecordedImages
     from ..viewers.episode_page import EpisodePage
 
     run_page(EpisodePage(player, viewpoint, address, RecordedImages(episode)), player, ready, stopped)

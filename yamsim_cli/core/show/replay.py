@@ -13,8 +13,7 @@ from ..attempt.simulator import Simulator
 from ..attempt.simulators import simulator_for
 from ..dataset.compare import Comparison
 from ..dataset.lowdim import has_simulation
-from ..dataset.reader import RecordedEpisode, StoredEpisode
-from ..dataset.recorded_images import RecordedImages, recorded_images
+from ..dataset.reader import RecordedEpisode, RecordedImages, StoredEpisode, recorded_images
 from ..dataset.records import recorded_attempt
 from ..errors import DatasetError, UsageError, suggest
 from ..geometry.se3 import Array
@@ -22,7 +21,7 @@ from ..images.image import Image
 from ..images.video import VideoWriter
 from ..session import Session
 from ..types import EpisodeJob
-from ..verify.remake import repeat_actions
+from ..verify import repeat_actions
 from ..viewers.address import PageAddress
 from ..viewers.player import EpisodePlayer
 from .view import PERIOD, require_page, run_page, task_viewpoint

@@ -12,7 +12,7 @@ from ..attempt.simulators import Simulators
 from ..errors import SimulationError
 from ..progress import Progress
 from ..session import Session
-from ..trials.batch import run_batch
+from ..trials import run_batch
 from ..types import EpisodeJob
 from .checks import Check, check_near_misses, check_open_fingers, check_program_fits, check_reach, check_still
 

@@ -17,8 +17,7 @@ from ..attempt.simulators import Simulators
 from ..closing import Closing
 from ..config.recording import RecordConfig
 from ..dataset.records import AttemptRecord, attempt_record
-from ..record.collect import Sink
-from ..record.episode_record import episode_record
+from ..record.collect import Sink, episode_record
 from ..session import Session
 from ..types import EpisodeJob, EpisodePayload
 from ..workers.executor import Executor

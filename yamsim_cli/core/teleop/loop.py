@@ -17,7 +17,7 @@ from ..dataset.records import AttemptRecord
 from ..dataset.writing.opening import OpenMode
 from ..dataset.writing.writer import DatasetWriter
 from ..errors import PartialJobError
-from ..record.destination import as_said
+from ..record.destination import config_as_stated
 from ..scene.build import noting_meshes
 from ..session import Session
 from ..show.view import require_page, task_viewpoint
@@ -172,7 +172,7 @@ def open_seat(
             warn(f"What was in {out} is now in {writer.moved_aside}.")
         for repair in writer.repairs:
             warn(repair.removesuffix(", and made again"))
-        for number in sorted(writer.untold):
+        for number in sorted(writer.lost_lines):
             # A demonstration cannot be made again; this says so in the ledger too.
             writer.log(writer.attempts[number])
         for lost in writer.missing:
@@ -181,7 +181,7 @@ def open_seat(
             journal = Journal(writer.path)
             with (
                 open_worker(session) as worker,
-                Desk(as_said(config, writer), writer, worker, journal.drop) as desk,
+                Desk(config_as_stated(config, writer), writer, worker, journal.drop) as desk,
             ):
                 scene = DrivenScene(session, desk, journal, time_limit)
                 _take_up(scene, desk, journal, warn)

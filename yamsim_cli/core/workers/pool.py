@@ -1,11 +1,11 @@
 """Runs jobs on workers that may die or hang: which worker gets which job, what is tried again, and when to give up.
 
-The rules are the same for every kind of worker. A `Backend` starts workers, ends them, and listens to them.
+The rules are the same for every kind of worker. A `Backend` starts workers, ends them, and receives their events.
 
 - A worker that dies, or takes too long for a job, is replaced, and the job is tried again.
-- A job's last try is made while all other workers rest, so that it is not given up for memory that they took.
-- Workers that die before they are ready are no job's fault. One that does so again and again is given up, and the rest
-  go on without it. The pool ends when none is left.
+- A job's last try runs while all other workers are idle, so that other workers' memory cannot make it fail.
+- A worker that dies before it is ready counts against no job. A worker that fails to start `_FAILED_STARTS` times in a
+  row is dropped, and the others go on. The pool ends when no worker is left.
 """
 
 from __future__ import annotations
@@ -21,20 +21,16 @@ from ..closing import Closing
 from ..errors import PartialJobError, YamsimError
 from .executor import J, JobIn, LostJobError, R, WorkerBugError
 
-# How long a job may take, s. One of many minutes means a hung driver, or a machine that swaps.
-JOB_SECONDS = 600.0
-# How long a worker may take to start, s: to import, compile its scene and open OpenGL.
-START_SECONDS = 300.0
-# How often a job is tried, and how often a worker may fail to start in a row.
-_TRIES = 3
-_FAILED_STARTS = 3
-# How often a waiting parent checks the workers' times, s.
-_TICK_SECONDS = 0.5
+JOB_SECONDS = 600.0  # s, longest job; a job of many minutes means a hung driver, or a machine that swaps
+START_SECONDS = 300.0  # s, longest start of a worker: imports, compiling its scene, opening OpenGL
+_TRIES = 3  # workers that try a job before it is given up
+_FAILED_STARTS = 3  # failed starts in a row after which a worker is dropped
+_TICK_SECONDS = 0.5  # s between checks of the workers' times while waiting
 
 
 @dataclass(frozen=True)
 class Ready:
-    """The worker has made its runner."""
+    """The worker has made its runner, and takes jobs."""
 
 
 @dataclass(frozen=True)
@@ -73,19 +69,15 @@ class Worker(Protocol[JobIn]):
 
     @property
     def name(self) -> str:
-        """The worker's name in messages."""
+        """The name in messages."""
         ...
 
     def send(self, job: JobIn) -> None:
-        """Hand a job over.
-
-        Raises:
-            OSError: it is gone.
-        """
+        """Give the worker a job; raises OSError if the worker is gone."""
         ...
 
     def kill(self) -> None:
-        """End it at once, and wait until it has ended."""
+        """End the worker at once, and wait until it has ended."""
         ...
 
 
@@ -104,7 +96,7 @@ class Backend(Protocol[W, R]):
         ...
 
     def close(self) -> None:
-        """Free what all workers shared."""
+        """Free what all workers share."""
         ...
 
 
@@ -124,15 +116,13 @@ class _Slot(Generic[J]):
     task: _Task[J] | None = None
     ready: bool = False
     failed_starts: int = 0
-    # Seconds spent so far on starting or on the task.
-    busy: float = 0.0
+    busy: float = 0.0  # s spent so far on starting or on the task
 
 
 class Pool(Closing, Generic[J, R]):
     """An `Executor` over any kind of worker.
 
     Args:
-        backend: starts the workers.
         workers: how many workers there are.
         job_seconds: a worker that takes longer for a job is ended and replaced.
     """
@@ -153,7 +143,7 @@ class Pool(Closing, Generic[J, R]):
 
     @property
     def idle(self) -> int:
-        """How many jobs can be submitted now; none while a job waits for its last try, or makes it."""
+        """How many jobs can be submitted now; none before and during a job's last try."""
         tasks = [*self._waiting, *(slot.task for slot in self._slots if slot.task)]
         if any(task.last_try for task in tasks):
             return 0
@@ -169,13 +159,13 @@ class Pool(Closing, Generic[J, R]):
         return sum(slot.task is not None for slot in self._slots)
 
     def submit(self, job: J) -> None:
-        """Give a job to an idle worker; there must be one."""
+        """See `Executor.submit`."""
         assert self.idle
         self._waiting.append(_Task(job))
         self._assign()
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """The next job that finishes, and its result; see `Executor.result`."""
+        """See `Executor.result`."""
         end = math.inf if timeout is None else time.monotonic() + timeout
         while not self._done:
             assert self.in_flight, "nothing was submitted"
@@ -188,11 +178,11 @@ class Pool(Closing, Generic[J, R]):
             raise done
         return done
 
-    def _listen(self, patience: float) -> None:
+    def _listen(self, timeout: float) -> None:
         began = time.monotonic()
-        events = self._backend.wait([slot.worker for slot in self._slots], patience)
-        # No more than `patience` counts: if the machine or this process slept, so did the workers.
-        passed = min(time.monotonic() - began, patience)
+        events = self._backend.wait([slot.worker for slot in self._slots], timeout)
+        # At most `timeout` counts: if the machine or this process slept, the workers slept too.
+        passed = min(time.monotonic() - began, timeout)
         heard = []
         for worker, event in events:
             slot = next(slot for slot in self._slots if slot.worker is worker)
@@ -246,7 +236,7 @@ class Pool(Closing, Generic[J, R]):
             raise PartialJobError(f"workers do not start: each tried {_FAILED_STARTS} times, and the last one {how}")
 
     def _assign(self) -> None:
-        """Hand out waiting jobs in order to workers that are ready; a last try only while no other worker is busy."""
+        """Give waiting jobs, in order, to workers that are ready; a last try only while no other worker is busy."""
         for slot in self._slots:
             if not self._waiting or (self._waiting[0].last_try and self._working):
                 return
@@ -255,7 +245,7 @@ class Pool(Closing, Generic[J, R]):
                 try:
                     slot.worker.send(slot.task.job)
                 except OSError:
-                    # It died while it rested, which is not this job's fault. The event of its end comes next.
+                    # The worker died while idle, which does not count against this job. Its `Died` event follows.
                     self._waiting.appendleft(slot.task)
                     slot.task = None
 
@@ -264,7 +254,7 @@ class Pool(Closing, Generic[J, R]):
         return self._backend.start(self._started - 1)
 
     def close(self) -> None:
-        """End all workers at once, whatever they are doing: none of them holds anything that could be lost."""
+        """See `Executor.close`."""
         for slot in self._slots:
             slot.worker.kill()
         self._slots = []

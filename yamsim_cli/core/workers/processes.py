@@ -1,7 +1,7 @@
 """Workers that are processes of this machine.
 
-Each has a pipe of its own, so that one that dies costs only the job that it runs. Each ends by itself when the parent
-is gone. They are spawned and never forked: a fork would share OpenGL.
+Each process has a pipe of its own, so that a process that dies costs only its job. Each process ends by itself when
+its parent has ended. Processes are spawned and never forked: a fork would share OpenGL.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import multiprocessing
 import pickle
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -20,34 +20,26 @@ from typing import Any, Generic, cast
 
 from .executor import Factory, J, R
 from .pool import JOB_SECONDS, Died, Event, Pool, Worker
-from .serving import HEADER, STOP_SIGNALS, serve
+from .serving import HEADER, STOP_SIGNALS, end_with_parent, serve
 
-# How long a process may take to end after it was killed, s.
-_END_SECONDS = 5.0
-# How long a message may take to arrive after its beginning has, s.
-_MESSAGE_SECONDS = 60.0
+_END_SECONDS = 5.0  # s, that a killed process may take to end
+_MESSAGE_SECONDS = 60.0  # s, from the first byte of a message to the last
 
-# Signals that are held back while a process starts, which must not be interrupted. The alarm is among them, because a
-# stop that comes during an import is raised by it later.
+# Signals that are blocked while a process starts, which must not be interrupted. SIGALRM is among them, because
+# `__main__` raises a stop that comes during an import later, by an alarm.
 _HELD = (*STOP_SIGNALS, signal.SIGALRM)
 
 
 class WorkerPool(Pool[J, R]):
-    """An `Executor` over processes of this machine; a context manager that ends them all.
-
-    Args:
-        factory: makes each worker's runner, in the worker's process; it has to be picklable.
-        workers: how many workers there are.
-        job_seconds: a worker that takes longer for a job is ended and replaced.
-    """
+    """An `Executor` over processes of this machine; see `Pool`. `factory` runs in each worker's process."""
 
     def __init__(self, factory: Factory[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
         super().__init__(_Processes(factory), workers, job_seconds)
-        # At exit multiprocessing would ask forgotten workers to end, which they ignore, and wait for ever.
+        # At exit multiprocessing would send SIGTERM to workers that are left, which they ignore, and wait for ever.
         atexit.register(self.close)
 
     def close(self) -> None:
-        """End all workers at once, whatever they are doing: none of them holds anything that could be lost."""
+        """See `Executor.close`."""
         super().close()
         atexit.unregister(self.close)
 
@@ -68,7 +60,7 @@ class _Process(Generic[J, R]):
 
     def receive(self) -> Event[R] | None:
         """The event that the worker has begun to send; None if another process sent it, or it is on another job."""
-        # A worker that stops in the middle of a message would hold the parent for ever.
+        # A worker that stops in the middle of a message would block the parent for ever.
         guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True
         guard.start()
@@ -100,26 +92,11 @@ class _Processes(Generic[J, R]):
     """The `Backend` that spawns processes."""
 
     def __init__(self, factory: Factory[J, R]) -> None:
-        self._context = multiprocessing.get_context("spawn")
-        # Pickled here, so that the worker can unpickle it after it has set up its signals.
+        # Pickled here, so that the worker unpickles it after it has set up its signals.
         self._factory = pickle.dumps(factory)
 
     def start(self, number: int) -> Worker[J]:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(
-            target=serve, args=(theirs, self._factory), name=f"yamsim-worker-{number}", daemon=True
-        )
-        try:
-            with stop_signals_held():
-                process.start()
-        except BaseException:
-            # A signal that was held back is raised here.
-            if process.pid is not None:
-                process.kill()
-            raise
-        # Only the worker may hold this end, or the pipe would not close when it dies.
-        theirs.close()
-        return _Process[J, R](process, ours)
+        return _Process[J, R](*start_process(f"yamsim-worker-{number}", serve, self._factory))
 
     def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], Event[R]]]:
         processes = {worker.pipe: worker for worker in workers if isinstance(worker, _Process)}
@@ -133,13 +110,13 @@ class _Processes(Generic[J, R]):
 
 @contextmanager
 def stop_signals_held() -> Iterator[None]:
-    """Hold back stop signals in the block. A process that starts in it begins with them blocked."""
-    # Starting multiprocessing's resource tracker would lift the block, so that it is started before.
+    """Block stop signals in the `with` block, and raise them after it. A process started there has them blocked."""
+    # Starting multiprocessing's resource tracker unblocks signals, so that the tracker is started first.
     resource_tracker.ensure_running()
     came: list[int] = []
     handlers = {}
     if threading.current_thread() is threading.main_thread():
-        # A library's thread may receive the signal, and its handler would run in this thread all the same.
+        # A library's thread may receive the signal, and Python would run the handler in this thread.
         for number in _HELD:
             if callable(signal.getsignal(number)):
                 handlers[number] = signal.signal(number, lambda number, frame: came.append(number))
@@ -152,3 +129,31 @@ def stop_signals_held() -> Iterator[None]:
             signal.signal(number, handler)
         for one in dict.fromkeys(came):
             signal.raise_signal(one)
+
+
+def start_process(name: str, work: Callable[..., None], *arguments: Any) -> tuple[BaseProcess, Connection]:
+    """Start a process that calls `work(pipe, *arguments)`; returns the process and this end of the pipe.
+
+    The process is spawned, ignores stop signals, and ends with this process. `work` and `arguments` are picklable.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_run, args=(work, theirs, arguments), name=name, daemon=True)
+    try:
+        with stop_signals_held():
+            process.start()
+    except BaseException:
+        # `stop_signals_held` raises a blocked signal at its end.
+        if process.pid is not None:
+            process.kill()
+        raise
+    # Only the process may hold this end, or the pipe would not close when the process dies.
+    theirs.close()
+    return process, ours
+
+
+def _run(work: Callable[..., None], pipe: Connection, arguments: tuple[Any, ...]) -> None:
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=end_with_parent, daemon=True).start()
+    work(pipe, *arguments)

@@ -1,7 +1,7 @@
 """Workers that are actors on a Ray cluster.
 
-They run the same code as local processes, by the same rules. An actor that is lost with its process or its node costs
-the job that it runs one try, and is replaced where the cluster has room.
+Actors run the same code as local processes, by the same rules. An actor that is lost with its process or its node
+costs its job one try, and is replaced where the cluster has room.
 """
 
 from __future__ import annotations
@@ -20,20 +20,18 @@ from .executor import Factory, J, R
 from .pool import JOB_SECONDS, Died, Event, Pool, Worker
 from .serving import STOP_SIGNALS, Servant
 
-# How long the head of a cluster may take to accept a connection, s.
-_KNOCK_SECONDS = 5.0
+_CONNECT_SECONDS = 5.0  # s, that the head of a cluster may take to accept a connection
 
 
 class RayPool(Pool[J, R]):
-    """An `Executor` over the actors of a Ray cluster; a context manager that ends them all.
+    """An `Executor` over the actors of a Ray cluster; see `Pool`.
 
     Args:
-        factory: makes each worker's runner, in the actor; it has to be picklable.
+        factory: makes each worker's runner, in the actor.
         workers: how many workers there are; each takes one CPU of the cluster.
-        address: address of a running cluster, as `ray.init` takes it. None starts one on this machine, which ends with
-            the pool.
+        address: address of a running cluster, as `ray.init` takes it. None starts a cluster on this machine, which
+            ends with the pool.
         environ: environment variables of the actors' processes.
-        job_seconds: a worker that takes longer for a job is ended and replaced.
 
     Raises:
         ResourceError: Ray is not installed, no cluster answers, or it has fewer CPUs than `workers`.
@@ -56,7 +54,7 @@ class _Actor(Generic[J]):
         self._ray = ray
         self._handle = handle
         self.name = name
-        # The answer that is awaited; None while the actor rests.
+        # Reference to the awaited answer; None while the actor is idle.
         self.answer: Any = opened
 
     def send(self, job: J) -> None:
@@ -82,7 +80,7 @@ class _Cluster(Generic[J, R]):
                 f"the Ray cluster has {cpus} CPUs, and {workers} workers need one each: "
                 f"add nodes, or give --workers {cpus}"
             )
-        # Put into the cluster's store once, from where each node fetches it once.
+        # One copy in the cluster's store, which each node fetches once.
         self._factory = self._ray.put(pickle.dumps(factory))
         options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
         if environ:
@@ -129,29 +127,25 @@ def _connect(ray: Any, address: str | None, workers: int) -> None:
             if address is None:
                 ray.init(address="local", num_cpus=workers, include_dashboard=False, **quiet)
             else:
-                _knock(address)
+                _require_listener(address)
                 ray.init(address=address, **quiet)
-        # SystemExit, too: if a head has vanished, Ray waits for it, and then sends itself a SIGTERM.
+        # SystemExit, too: if a head has vanished, Ray waits for it, and then sends its own process a SIGTERM.
         except (OSError, RuntimeError, ValueError, SystemExit, ray.exceptions.RayError) as error:
             reason = "no answer" if isinstance(error, SystemExit) else f"{error}".partition("\n")[0]
             where = f"at {address}" if address else "on this machine"
             raise ResourceError(f"no Ray cluster {where}: {reason}; start one with `ray start --head`") from error
 
 
-def _knock(address: str) -> None:
-    """Check that something listens at a HOST:PORT: Ray itself would take minutes to say that nothing does.
-
-    Raises:
-        OSError: nothing listens there.
-    """
+def _require_listener(address: str) -> None:
+    """Raise OSError if nothing listens at a HOST:PORT: Ray itself takes minutes to report that."""
     host, colon, port = address.rpartition("://")[2].rpartition(":")
     if colon and port.isdecimal():
-        socket.create_connection((host, int(port)), _KNOCK_SECONDS).close()
+        socket.create_connection((host, int(port)), _CONNECT_SECONDS).close()
 
 
 @contextlib.contextmanager
 def _own_signals() -> Iterator[None]:
-    """Restore the signals' handlers after the block, since Ray replaces that of SIGTERM when it connects."""
+    """Restore the signals' handlers after the block: Ray replaces that of SIGTERM when it connects."""
     before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         yield

@@ -1,6 +1,6 @@
-"""The worker's side: it makes a runner, and then answers job by job.
+"""What runs in a worker's process: a `Servant` makes a runner, and then answers job by job.
 
-It imports little, so that a new process soon ignores stop signals and watches its parent.
+This module imports little, so that a new process soon ignores stop signals and watches its parent.
 """
 
 from __future__ import annotations
@@ -11,26 +11,24 @@ import os
 import pickle
 import signal
 import struct
-import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
 from ..errors import YamsimError
-from ..stray_forks import forks_end_here
 from .executor import Factory, Runner
 from .pool import Answer, Bug, Event, Failed, Ready
 
-# Signals that stop the parent. They reach all processes of its group, and the parent alone acts on them.
+# Signals that stop the parent. They reach all processes of the parent's group, and the parent alone acts on them.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-# Comes before every answer: the id of the process that gives it, and the number of the job, or 0 for "ready".
+# Stands before every answer: the id of the answering process, and the number of the job, or 0 for "ready".
 HEADER = struct.Struct("!QQ")
 
 
 class Servant:
-    """Runs jobs. It never raises, since an error is an answer, too. Answers are pickled `pool.Event`s."""
+    """Runs jobs. A servant never raises: an error is an answer, too. Answers are pickled `pool.Event`s."""
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
@@ -45,7 +43,7 @@ class Servant:
         """The answer to making the runner.
 
         Args:
-            factory: a pickled `executor.Factory`; unpickling it imports what the runner needs, which takes a while.
+            factory: a pickled `executor.Factory`; unpickling imports what the runner needs, which takes seconds.
         """
 
         def make() -> Event[Any]:
@@ -67,15 +65,12 @@ class Servant:
 
 
 def serve(pipe: Connection, factory: bytes) -> None:
-    """Run a worker process, which answers jobs from a pipe until the pipe closes.
+    """Answer jobs from a pipe until the pipe closes.
 
     Args:
         pipe: brings numbered jobs, and takes pickled `pool.Event`s, each behind a `HEADER`.
         factory: see `Servant.open`.
     """
-    for number in STOP_SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=end_with_parent, daemon=True).start()
     # EOFError or OSError mean that the parent closed the pipe, or is gone.
     with contextlib.closing(Servant()) as servant, contextlib.suppress(EOFError, OSError):
         pipe.send_bytes(HEADER.pack(os.getpid(), 0) + servant.open(factory))
@@ -101,3 +96,23 @@ def _answer(work: Callable[[], Event[Any]]) -> bytes:
     # Every other exception is a bug. Its traceback goes to the parent, which stops with it.
     except Exception:  # noqa: BLE001
         return pickle.dumps(Bug(traceback.format_exc()))
+
+
+@contextlib.contextmanager
+def forks_end_here() -> Iterator[None]:
+    """End every process that user code forked in the `with` block, at the end of the block.
+
+    A fork that returns from a policy would otherwise go on as a second copy of the worker, and answer twice. A fork
+    that exits by itself keeps its exit code.
+    """
+    own = os.getpid()
+    try:
+        yield
+    except SystemExit as end:
+        if os.getpid() != own:
+            # The code that `sys.exit` makes of its argument.
+            os._exit(0 if end.code is None else end.code if isinstance(end.code, int) else 1)
+        raise
+    finally:
+        if os.getpid() != own:
+            os._exit(1)

@@ -1,4 +1,4 @@
-"""A request that a job end, which the job checks between two steps."""
+"""A request to end a job, which the job checks between two steps."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import time
 
 
 class Stop:
-    """A request that is made once, from a signal handler or another thread, and never withdrawn."""
+    """A request to end a job. A signal handler or another thread makes it once; it is never withdrawn."""
 
     def __init__(self) -> None:
         self._asked_at: float | None = None
 
     @property
     def asked(self) -> bool:
-        """Whether the job was asked to end."""
+        """Whether the job is to end."""
         return self._asked_at is not None
 
     @property
     def waited(self) -> float:
-        """Seconds since it was asked to end; 0 if it was not."""
+        """Seconds since the request; 0 without one."""
         return 0.0 if self._asked_at is None else time.monotonic() - self._asked_at
 
     def ask(self) -> None:
-        """Ask the job to end."""
+        """Request the end of the job."""
         if self._asked_at is None:
             self._asked_at = time.monotonic()

@@ -6,7 +6,7 @@ import pytest
 
 from tests.core.dataset.checks.sample import Sample, episode, look
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.survey import Survey
+from yamsim_cli.core.dataset.summary import Survey
 from yamsim_cli.core.resources import Locations
 
 

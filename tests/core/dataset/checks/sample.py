@@ -26,7 +26,7 @@ from yamsim_cli.core.dataset.records import (
     file_hashes,
     to_json,
 )
-from yamsim_cli.core.dataset.survey import Survey, survey
+from yamsim_cli.core.dataset.summary import Survey, survey
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.geometry.camera import Intrinsics

@@ -12,7 +12,6 @@ import pytest
 
 from tests.core.dataset.checks.sample import CAMERA, FRAMES, HEIGHT, WIDTH, Sample
 from tests.core.dataset.checks.test_codes import EP, cut, remove, write
-from yamsim_cli.core.dataset.arrays import dump_arrays
 from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_name
 from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.dataset.truth_files import (
@@ -20,6 +19,7 @@ from yamsim_cli.core.dataset.truth_files import (
     LabelRecord,
     TruthLabels,
     array_forms,
+    dump_arrays,
     dump_depth,
     load_truth,
 )

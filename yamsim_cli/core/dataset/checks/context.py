@@ -1,4 +1,4 @@
-"""What checks know of a dataset before they look at an episode: the episodes' places, and the dataset's config."""
+"""Finds a dataset's episodes, and reads from its config what checks of episodes need."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ from ..real import is_real, real_config
 from .motion import ArmLimits
 from .problem import Problems
 
-# The recording whose arm a plain one is taken to have, since it does not say.
-_USUAL = "default"
-# Objects by which a plain recording's outcome is judged, and the limits for success. Source: the lab's pick-and-place.
+_PLAIN_CONFIG = "default"  # config of `record` whose arm plain recordings are assumed to have
+# Objects, and limits for success (m), by which a plain recording is judged. Source: the lab's pick-and-place.
 _OBJECT, _TARGET = "banana", "plate"
 _THRESHOLD = 0.05
 _MAX_HEIGHT = 0.10
@@ -30,7 +29,7 @@ _MAX_HEIGHT = 0.10
 
 @dataclass(frozen=True)
 class EpisodeDirectory:
-    """An episode's directory, and its number, which is None where yamsim did not name it."""
+    """An episode's directory and number; None if yamsim did not name the directory."""
 
     path: Path
     number: int | None
@@ -38,7 +37,7 @@ class EpisodeDirectory:
 
 @dataclass(frozen=True)
 class StartRegion:
-    """The box in `world`, seen from above, from which the places of a target and its object were sampled, m."""
+    """The box in `world`, seen from above, from which starts of object and target are sampled, m."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -49,15 +48,15 @@ class Context:
     """What holds for all episodes of a dataset.
 
     Attributes:
-        recorded: whether yamsim recorded it; a plain recording has only rgb/ and lowdim/.
-        real: whether yamsim imported it, so that its episodes have records, but no attempts and no outcomes.
-        arms: what each arm can do, in the order of the data; of a plain recording the usual arm, however many it has.
-        T_base_in_world: pose (4, 4) of the base that poses are in: the only arm's, or the left one's.
-        object, target: names of the object that is carried, and of its target.
-        sampling: the box from which objects' places were sampled, in `world`; None where it is not known.
-        threshold, max_height: the task's own limits for success, m.
-        wrist_cameras: camera at a wrist -> number in `arms` of the arm that carries it, as far as that is known.
-        judged_by_goal: whether a goal tells success, and no distance does.
+        recorded: whether yamsim recorded the dataset; a plain recording has only rgb/ and lowdim/.
+        real: whether yamsim imported the dataset: its episodes have records, but no attempts and no outcomes.
+        arms: limits of each arm, in the order of the data; of a plain recording one assumed arm.
+        T_base_in_world: pose (4, 4) of the base of the only arm, or of the left arm.
+        object, target: names of the carried object and its target.
+        sampling: None if unknown.
+        threshold, max_height: the task's limits for success, m.
+        wrist_cameras: wrist camera -> number of its arm in `arms`, as far as known.
+        judged_by_goal: whether a goal decides success, and no distance.
     """
 
     recorded: bool
@@ -74,10 +73,10 @@ class Context:
 
 
 def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
-    """Every episode of a dataset, in order, and whether yamsim recorded it; it did not record what it imported.
+    """Every episode of a dataset, in order, and whether yamsim recorded (and did not import) the dataset.
 
     Raises:
-        DatasetError: there is no dataset, or it is a single episode, or it cannot be read.
+        DatasetError: there is no dataset, or `dataset` is a single episode or unreadable.
     """
     hint = "give the directory that `yamsim record` wrote"
     try:
@@ -103,7 +102,7 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
 
 
 def _numbered(dataset: Path) -> list[EpisodeDirectory]:
-    """Numbered episodes. Other spellings, such as ep_0000001, are left out: two directories could share a number."""
+    """Numbered episodes, without other spellings such as ep_0000001: two directories could share a number."""
     return [
         EpisodeDirectory(path, number)
         for number, path in episode_directories(dataset)
@@ -112,7 +111,7 @@ def _numbered(dataset: Path) -> list[EpisodeDirectory]:
 
 
 def looks_like_episode(path: Path) -> bool:
-    """Whether a directory seems to be an episode, by its name or by its content."""
+    """Whether a directory is an episode by its name or its content."""
     return path.is_dir() and not path.name.startswith(".") and (path.name.startswith("ep") or _is_episode(path))
 
 
@@ -121,12 +120,12 @@ def _is_episode(path: Path) -> bool:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """A key for sorting that puts ep2 before ep10."""
+    """A sorting key that puts ep2 before ep10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]{1,18})", path.name)]
 
 
 def read_context(dataset: Path, recorded: bool, locations: Locations, problems: Problems) -> Context:
-    """The context from the dataset's config; without one, only what holds for every arm."""
+    """The context from the dataset's config; without a config, what holds for every arm."""
     parsed: RecordConfig | None = None
     if recorded and not (dataset / CONFIG).is_file():
         problems.add("config.missing")
@@ -141,8 +140,8 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
             recorded, _limits(rig), rig.T_base_in_world(rig.recorded[0]), wrist_cameras=_wrists(rig), real=True
         )
     if parsed is None:
-        usual = load_config(RecordConfig, "record", _USUAL, locations).rig.arms[0]
-        return Context(recorded, (ArmLimits(widest_joints(usual.model), len(usual.robot.drives), None),), pose())
+        arm = load_config(RecordConfig, "record", _PLAIN_CONFIG, locations).rig.arms[0]
+        return Context(recorded, (ArmLimits(widest_joints(arm.model), len(arm.robot.drives), None),), pose())
     rig = parsed.rig
     arms, wrists = _limits(rig), _wrists(rig)
     T_base_in_world = rig.T_base_in_world(rig.recorded[0])
@@ -163,7 +162,7 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
 
 
 def _region(config: RecordConfig, roles: Sequence[str]) -> StartRegion | None:
-    """Return the smallest box around the regions on the table where things of some roles start; None without any."""
+    """The smallest box around the regions on the table where things of `roles` start; None without any."""
     starts = [config.starts[role] for role in roles if role in config.starts and config.starts[role].on == TABLE]
     if not starts:
         return None

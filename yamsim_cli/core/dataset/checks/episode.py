@@ -1,4 +1,4 @@
-"""Checks one episode: opens every file, notes the faults, and collects what statistics need."""
+"""Checks one episode: opens every file, notes the faults, and collects the facts for statistics."""
 
 from __future__ import annotations
 
@@ -13,25 +13,33 @@ from ..lowdim import content_hash
 from ..real import RealRecord
 from ..records import EpisodeRecord, from_json
 from .context import Context, EpisodeDirectory
-from .facts import POSE, EpisodeFacts, Values, each_hand, hand_keys, layout, numbered, places, pose_keys, seen_outcome
+from .facts import POSE, EpisodeFacts, Values, layout, numbered, places, rigid_poses, seen_outcome
 from .files import check_presence, list_files, read_file
-from .images import CameraChecks, ImageReader, check_frozen
+from .images import CameraChecks, ImageReader, TruthChecks, check_frozen
 from .lowdim import LowdimChecks, recorded_forms
-from .motion import angles_shown, check_fingers, check_limits, check_speeds, check_times, each_arm
-from .poses import check_intrinsics, check_pose, check_view
+from .motion import (
+    TIMESTAMPS,
+    angles_shown,
+    check_fingers,
+    check_intrinsics,
+    check_limits,
+    check_pose,
+    check_speeds,
+    check_times,
+    check_view,
+    each_arm,
+    read_timestamps,
+)
 from .problem import Problems
-from .timestamps import TIMESTAMPS, read_timestamps
-from .truth import TruthChecks
 
-# How much a recorded outcome may differ from what the last frame shows, m. The outcome is taken shortly after the last
-# frame, and a resting object moves by less than 0.1 mm until then.
+# m, largest difference between the recorded outcome and the last frame: the outcome is taken shortly after that frame,
+# and a resting object moves by less than 0.1 mm until then.
 _OUTCOME_TOLERANCE = 0.005
-
-_SHOWN_HASH = 12
+_SHOWN_HASH = 12  # digits of a hash in messages
 
 
 def check_episode(episode: EpisodeDirectory, context: Context, reader: ImageReader) -> EpisodeFacts:
-    """What was found in an episode. Every file is opened, and a fault in one does not end the checks of the others."""
+    """Check an episode. Every file is opened, and a fault in one file does not end the checks of others."""
     return _EpisodeCheck(episode, context, reader).run()
 
 
@@ -128,7 +136,7 @@ class _EpisodeCheck:
             self._problems.add("frames.count", "lowdim", f"{frames} in lowdim", f"{record.frames}, as in {EPISODE}")
 
     def _hash_fits(self, name: str, data: bytes) -> bool:
-        """Whether a file is as it was recorded; True if the record does not list it."""
+        """Whether a file's content is as recorded; True if the record does not list the file."""
         record = self._record or self._imported
         wanted = record.files.get(name) if record else None
         if wanted is None:
@@ -142,15 +150,13 @@ class _EpisodeCheck:
         return found == wanted
 
     def _check_lowdim(self) -> LowdimChecks:
-        known = self._record
-        forms = None if known is None else recorded_forms(known)
-        checks = LowdimChecks(forms, self._problems)
+        record = self._record
+        checks = LowdimChecks(recorded_forms(record) if record else None, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):
             data = self._read(name)
             if data is not None and checks.check(number, name, data):
                 unchanged &= self._hash_fits(name, data)
-        record = self._record
         if checks.frames and len(checks.frames) == len(self._files.lowdim):
             found = self._content = content_hash(checks.frames[k] for k in sorted(checks.frames))
             if record and unchanged and len(checks.frames) == record.frames and found != record.content_sha256:
@@ -173,9 +179,8 @@ class _EpisodeCheck:
         record = self._record
         if record is None or not record.truth:
             return
-        sizes, cloths = record.cameras, record.cloths
-        checks = TruthChecks(sizes, record.frames, cloths, self._reader, self._read, self._hash_fits, self._problems)
-        checks.check_missing(record.files, self._files.sizes)
+        checks = TruthChecks(record, self._reader, self._read, self._hash_fits, self._problems)
+        checks.check_missing(self._files.sizes)
         for camera in record.cameras:
             checks.check_arrays(camera)
             for _, name in sorted(self._files.truth["depth"].get(camera, {}).items()):
@@ -184,7 +189,7 @@ class _EpisodeCheck:
                 checks.check_segmentation(camera, name)
 
     def _check_others(self) -> None:
-        """Check other files that the record lists, by their hashes alone."""
+        """Check the hashes of other files that the record lists."""
         for name in self._files.others:
             record = self._record or self._imported
             if record and name in record.files and (data := self._read(name)) is not None:
@@ -201,7 +206,7 @@ class _EpisodeCheck:
         return check_times(times, period, self._frame_name, self._problems)
 
     def _capture_times(self) -> dict[int, float]:
-        """Frame -> time in s, from the file beside the first camera that has one."""
+        """Frame -> time in s, from the first camera that has a file of capture times."""
         for camera, names in sorted(self._files.images.items()):
             name = f"rgb/{camera}/{TIMESTAMPS}"
             data = self._read(name) if name in self._files.others else None
@@ -225,24 +230,18 @@ class _EpisodeCheck:
             check_frozen(checks.fingerprints, self._files.images[camera], moving, self._problems)
 
     def _check_poses(self, values: Values, cameras: Mapping[str, CameraChecks]) -> None:
-        keys = pose_keys(values)
         before = len(self._problems)
-        for key in keys:
-            check_pose(key, numbered(values, key), self._frame_name, self._problems)
-        for key in hand_keys(values):
-            for arm in range(2):
-                hands = {k: T[arm] for k, T in numbered(values, key).items()}
-                check_pose(f"{key}[{arm}]", hands, self._frame_name, self._problems)
+        poses = rigid_poses(values)
+        for key, by_frame in poses.items():
+            check_pose(key, by_frame, self._frame_name, self._problems)
         for camera, checks in cameras.items():
             key = f"intrinsics[{camera}]"
             matrices = {k: K for k, K in numbered(values, key).items() if np.shape(K) == (3, 3)}
             check_intrinsics(key, matrices, checks.size, self._frame_name, self._problems)
         if len(self._problems) == before:
-            points = [key for key in keys if key.endswith(POSE)]
-            seen = {k: {**entries, **each_hand(entries)} for k, entries in values.items()}
-            points += each_hand(values[min(values)]) if values else {}
+            points = {key: T for key, T in poses.items() if key.partition("[")[0].endswith(POSE)}
             for camera, checks in cameras.items():
-                check_view(camera, seen, points, checks.size, self._problems)
+                check_view(camera, values, points, checks.size, self._problems)
 
     def _compare_outcomes(self, seen: float | None, stored: float | None) -> None:
         if seen is not None and (stored is None or abs(seen - stored) > _OUTCOME_TOLERANCE):
@@ -251,11 +250,7 @@ class _EpisodeCheck:
 
 
 def _sane(record: EpisodeRecord) -> EpisodeRecord:
-    """The record itself, if its numbers are plausible.
-
-    Raises:
-        DatasetError: they are not.
-    """
+    """The record itself; DatasetError if its numbers are impossible."""
     if record.frames < 1 or record.frame_period_s <= 0:
         raise DatasetError(f"frames: {record.frames}, frame_period_s: {record.frame_period_s}: both must be above 0")
     for camera, (width, height) in record.cameras.items():

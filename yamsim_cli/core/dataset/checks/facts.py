@@ -1,4 +1,4 @@
-"""What statistics need of an episode. What was not recorded as such is read from its frames."""
+"""Facts of an episode, for statistics; what `episode.json` does not state is read from the frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..records import EpisodeRecord, OutcomeRecord
 from .context import Context
 from .problem import Problem
 
-# Frame -> flat key -> value, for the values that passed `lowdim.LowdimChecks`.
+# Frame -> flat key -> value, of values that passed `lowdim.LowdimChecks`.
 Values = Mapping[int, Mapping[str, Any]]
 
 POSE = "_pose"
@@ -23,24 +23,24 @@ _HAND = "ee_pose"
 
 @dataclass(frozen=True)
 class EpisodeFacts:
-    """What was found in an episode.
+    """What checks found in an episode.
 
     Attributes:
-        name: its directory's name.
-        number: the number in that name; None where yamsim did not name it.
-        record: its episode.json; None if that is missing or cannot be read.
-        record_sha256: the hash of its episode.json.
-        frames: how many frames it should have.
-        bytes: size of all its files.
-        seconds: time from the first frame to the last; None if that is not known.
+        name: the directory's name.
+        number: the number in that name; None if yamsim did not name the directory.
+        record: content of episode.json; None if missing or unreadable.
+        record_sha256: hash of episode.json.
+        frames: how many frames the episode should have.
+        bytes: size of all files.
+        seconds: time from the first frame to the last; None if unknown.
         cameras: camera -> width and height of its images.
-        images: camera -> paths of the images that decode, inside the episode, in order.
+        images: camera -> paths of decodable images, inside the episode, in order.
         starts, ends: object -> x and y in `world` in the first and in the last frame, m.
         layout: object -> x, y, z, yaw at the start, as recorded, or else in the robot's base; m and rad.
-        outcome: as recorded, or else read from the last frame; None if there is neither.
-        content: hash of its lowdim values; "" if one could not be read.
-        problems: its faults.
-        noted: what was found wrong with a real recording when it was imported.
+        outcome: as recorded, or else read from the last frame; None without either.
+        content: hash of the lowdim values; "" if a frame is unreadable.
+        problems: the episode's faults.
+        noted: faults of an imported recording that the import found.
     """
 
     name: str
@@ -62,41 +62,40 @@ class EpisodeFacts:
 
 
 def numbered(values: Values, key: str) -> dict[int, Array]:
-    """Frame -> its value under `key`, for frames that have one."""
+    """Frame -> value under `key`, of frames that have the key."""
     return {k: entries[key] for k, entries in sorted(values.items()) if key in entries}
 
 
-def pose_keys(values: Values) -> list[str]:
-    """Flat keys of poses: `<object>_pose`, `ee_pose`, `extrinsics[camera]` and between bases, where they are 4 x 4."""
+def rigid_poses(values: Values) -> dict[str, dict[int, Array]]:
+    """Flat key -> frame -> pose (4, 4): objects, `ee_pose`, `extrinsics[camera]`, and between bases.
+
+    The hands of two arms have the keys `ee_pose[0]` and `ee_pose[1]`.
+    """
     keys = dict.fromkeys(key for entries in values.values() for key in entries)
     named = [key for key in keys if key.endswith(POSE) or key.startswith("extrinsics[") or key == BETWEEN_BASES]
-    return [key for key in named if _are(values, key, (4, 4))]
+    found = {key: numbered(values, key) for key in named}
+    poses = {key: by_frame for key, by_frame in found.items() if _have_shape(by_frame, (4, 4))}
+    hands = found.get(_HAND, {})
+    if hands and _have_shape(hands, (2, 4, 4)):
+        poses |= {f"{_HAND}[{arm}]": {k: T[arm] for k, T in hands.items()} for arm in range(2)}
+    return poses
 
 
-def hand_keys(values: Values) -> list[str]:
-    """The key of both hands' poses, if the frames are of two arms; else empty."""
-    there = any(_HAND in entries for entries in values.values())
-    return [_HAND] if there and _are(values, _HAND, (2, 4, 4)) else []
-
-
-def each_hand(entries: Mapping[str, Any]) -> dict[str, Array]:
-    """The poses (4, 4) of both hands in a frame of two arms, by keys of their own; empty of any other."""
-    hands = np.asarray(entries.get(_HAND, ()))
-    return {f"{_HAND}[{k}]": hands[k] for k in range(2)} if hands.shape == (2, 4, 4) else {}
-
-
-def _are(values: Values, key: str, shape: tuple[int, ...]) -> bool:
-    return all(np.shape(entries[key]) == shape for entries in values.values() if key in entries)
+def _have_shape(by_frame: Mapping[int, Array], shape: tuple[int, ...]) -> bool:
+    return all(np.shape(value) == shape for value in by_frame.values())
 
 
 def object_poses(values: Values, frame: int) -> dict[str, Array]:
     """Object -> pose (4, 4) in the robot's base, in one frame."""
-    keys = [key for key in pose_keys(values) if key.endswith(POSE) and key != _HAND and key in values[frame]]
-    return {key.removesuffix(POSE): np.asarray(values[frame][key], dtype=np.float64) for key in keys}
+    return {
+        key.removesuffix(POSE): np.asarray(by_frame[frame], dtype=np.float64)
+        for key, by_frame in rigid_poses(values).items()
+        if key.endswith(POSE) and key != _HAND and frame in by_frame
+    }
 
 
 def places(values: Values, context: Context, *, last: bool) -> dict[str, tuple[float, float]]:
-    """Object -> x and y in `world` in the first or the last frame that could be read."""
+    """Object -> x and y in `world` in the first or the last readable frame."""
     if not values:
         return {}
     poses = object_poses(values, max(values) if last else min(values))
@@ -105,7 +104,7 @@ def places(values: Values, context: Context, *, last: bool) -> dict[str, tuple[f
 
 
 def layout(values: Values, record: EpisodeRecord | None) -> dict[str, tuple[float, ...]]:
-    """Object -> x, y, z and yaw at the start: as recorded, or else of the first frame, in the robot's base."""
+    """Object -> x, y, z and yaw at the start: as recorded, or else from the first frame, in the robot's base."""
     if record:
         return dict(record.layout)
     if not values:
@@ -114,7 +113,7 @@ def layout(values: Values, record: EpisodeRecord | None) -> dict[str, tuple[floa
 
 
 def seen_outcome(values: Values, context: Context) -> OutcomeRecord | None:
-    """The outcome as the last frame shows it; None where the poses of object and target are not stored."""
+    """The outcome that the last frame shows; None without stored poses of object and target."""
     if not values:
         return None
     poses = object_poses(values, max(values))

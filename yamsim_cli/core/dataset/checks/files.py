@@ -13,12 +13,10 @@ from ..layout import EPISODE, depth_name, image_name, lowdim_name, segmentation_
 from ..records import EpisodeRecord
 from .problem import Problems
 
-# Folders are searched to this depth. Nothing in the format lies deeper, and a link could lead back up.
-_DEEPEST = 4
-
-# Bytes of the largest file of each kind that is read.
-_LARGEST = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
-_LARGEST_OTHER = 2**28
+_MAX_DEPTH = 4  # of folders that are searched: the format has no deeper folders, and a link may lead back up
+# Ending -> bytes of the largest file that is read.
+_MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
+_MAX_OTHER_BYTES = 2**28
 
 _IMAGE = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
 _LOWDIM = re.compile(r"lowdim/([0-9]{1,12})\.pkl")
@@ -34,7 +32,7 @@ class Files:
         sizes: path -> bytes, of every regular file.
         lowdim: frame -> path inside the episode.
         images: camera -> frame -> path.
-        truth: "depth" or "segmentation" -> camera -> frame -> path; only where yamsim recorded them.
+        truth: "depth" or "segmentation" -> camera -> frame -> path; only in yamsim's recordings.
         others: paths of all other files except episode.json.
     """
 
@@ -46,10 +44,10 @@ class Files:
 
 
 def list_files(directory: Path, recorded: bool, problems: Problems) -> Files:
-    """All files below an episode's directory. Anything but regular files and folders is noted as a fault.
+    """All files below an episode's directory; anything but regular files and folders is noted.
 
     Args:
-        recorded: whether yamsim wrote it, so that frame numbers have at least six digits.
+        recorded: whether yamsim recorded the episode, so that frame numbers have at least six digits.
     """
     files = Files()
     for name in _walk(directory, directory, 0, files, problems):
@@ -82,12 +80,12 @@ def _walk(top: Path, folder: Path, depth: int, files: Files, problems: Problems)
         name = Path(entry.path).relative_to(top).as_posix()
         try:
             if entry.is_dir():
-                if depth < _DEEPEST:
+                if depth < _MAX_DEPTH:
                     found += _walk(top, Path(entry.path), depth + 1, files, problems)
                 continue
             status = entry.stat()
         except OSError as error:
-            # It is listed as present, so that it does not count as missing as well.
+            # The file is listed, so that it does not count as missing too.
             found.append(name)
             problems.add("file.unreadable", name, error.strerror)
             continue
@@ -100,10 +98,10 @@ def _walk(top: Path, folder: Path, depth: int, files: Files, problems: Problems)
 
 
 def read_file(directory: Path, name: str, files: Files, problems: Problems) -> bytes | None:
-    """A file's content, or None with its fault noted. A file that is too large is not read."""
+    """A file's content; None, with the fault noted, for files that are unreadable or too large."""
     if name not in files.sizes:
         return None
-    limit = _LARGEST.get(Path(name).suffix, _LARGEST_OTHER)
+    limit = _MAX_BYTES.get(Path(name).suffix, _MAX_OTHER_BYTES)
     if files.sizes[name] > limit:
         problems.add("file.unreadable", name, f"{files.sizes[name]} bytes", f"at most {limit}")
         return None
@@ -115,12 +113,9 @@ def read_file(directory: Path, name: str, files: Files, problems: Problems) -> b
 
 
 def check_presence(files: Files, record: EpisodeRecord | None, problems: Problems) -> int:
-    """How many frames the episode should have; missing frames, and files that do not belong, are noted.
-
-    Frames that are missing between others are a gap. A stream that ends early or late has another count.
-    """
+    """Note missing frames and unexpected files; returns how many frames the episode should have."""
     if record:
-        _set_aside_truth(files, record)
+        _disown_truth(files, record)
         for name in files.others:
             if name not in record.files:
                 problems.add("file.unexpected", name)
@@ -155,12 +150,12 @@ def check_presence(files: Files, record: EpisodeRecord | None, problems: Problem
 
 
 def _is_numbered(name: str, record: EpisodeRecord) -> bool:
-    """Whether a file belongs to a stream of frames, whose gaps are noted as such."""
+    """Whether a file belongs to a stream of frames, whose gaps are noted separately."""
     return bool(_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name) or (record.truth and _TRUTH.fullmatch(name)))
 
 
-def _set_aside_truth(files: Files, record: EpisodeRecord) -> None:
-    """Move depth and segmentation to the other files, where the record has no such camera or no truth."""
+def _disown_truth(files: Files, record: EpisodeRecord) -> None:
+    """Move depth and segmentation to `files.others`, if the record has no such camera or no truth."""
     for cameras in files.truth.values():
         for camera in [name for name in cameras if not record.truth or name not in record.cameras]:
             files.others += cameras.pop(camera).values()

@@ -14,20 +14,20 @@ from ..records import EpisodeRecord
 from ..unpickle import ForbiddenPickleError
 from .problem import Problems
 
-# Keys of the format that a frame need not have -> an example of the value.
+# Optional key -> an example of its value.
 _OPTIONAL = {"K_wrist": np.zeros((3, 3), np.float32)}
 
 
 @dataclass(frozen=True)
 class ValueForm:
-    """What a value must be: an array's dtype and shape, or a plain type and ()."""
+    """The form of a value: an array's dtype and shape, or a plain type and ()."""
 
     kind: str
     shape: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, value: Any) -> ValueForm:
-        """The form of a value."""
+        """The form of `value`."""
         if isinstance(value, np.ndarray):
             return cls(str(value.dtype), value.shape)
         return cls(type(value).__name__)
@@ -46,12 +46,12 @@ def expected_forms(
     joint_actions: bool = False,
     cloths: Mapping[str, tuple[int, int]] | None = None,
 ) -> dict[str, ValueForm]:
-    """Flat key -> form, for a frame that yamsim records with these objects, cameras, and arms of so many drives.
+    """Flat key -> form, of a frame that yamsim records.
 
     Args:
         joints: articulated object -> names of its joints.
-        joint_actions: see `shapes`.
-        cloths: cloth -> how many points lie along its x axis and along its y axis.
+        arms, drives, joint_actions: see `shapes`.
+        cloths: cloth -> number of points along its x axis and its y axis.
     """
     float32 = str(np.dtype(np.float32))
     rows = shapes(arms, drives, joint_actions=joint_actions)
@@ -72,7 +72,7 @@ def expected_forms(
 
 
 def recorded_forms(record: EpisodeRecord) -> dict[str, ValueForm]:
-    """Flat key -> form, for the frames of an episode, by what its record says of it."""
+    """Flat key -> form, of the frames of a recorded episode."""
     return expected_forms(
         record.objects,
         record.cameras,
@@ -85,7 +85,7 @@ def recorded_forms(record: EpisodeRecord) -> dict[str, ValueForm]:
 
 
 def frame_faults(frame: Mapping[str, Any], forms: Mapping[str, ValueForm]) -> list[str]:
-    """The faults of a decoded frame that yamsim recorded and that is to have these forms, one text each."""
+    """The faults of a decoded frame that should have these forms, one text each."""
     problems = Problems()
     LowdimChecks(forms, problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
@@ -95,11 +95,11 @@ class LowdimChecks:
     """Checks an episode's lowdim frames, one after the other.
 
     Args:
-        forms: flat key -> the form that a frame must have; None for those of the first frame.
+        forms: flat key -> the form that frames must have; None takes those of the first frame.
 
     Attributes:
-        frames: number -> frame, of those that could be read.
-        values: number -> flat key -> value, of the values that have the right form and are finite.
+        frames: number -> frame, of readable frames.
+        values: number -> flat key -> value, of values that have the right form and are finite.
     """
 
     def __init__(self, forms: Mapping[str, ValueForm] | None, problems: Problems) -> None:
@@ -110,7 +110,7 @@ class LowdimChecks:
         self.values: dict[int, dict[str, Any]] = {}
 
     def check(self, number: int, name: str, data: bytes) -> bool:
-        """Whether a frame could be read; its faults are noted."""
+        """Note a frame's faults; returns whether the frame could be read."""
         try:
             frame = load_frame(data)
         except ForbiddenPickleError as error:
@@ -123,8 +123,8 @@ class LowdimChecks:
         return True
 
     def take(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
-        """Check a frame that could be read."""
-        # The keys for physics are checked apart: their shapes differ in the last frame, and a frame may have none.
+        """Check a decoded frame."""
+        # `SIMULATION` keys are checked apart: their shapes differ in the last frame, and a frame may have none.
         for fault in simulation_faults(frame):
             self._problems.add("lowdim.simulation", name, fault, about=fault.split()[0])
         entries = {key: value for key, value in flat(frame).items() if key not in SIMULATION}

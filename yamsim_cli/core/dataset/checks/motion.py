@@ -1,18 +1,26 @@
-"""Checks that time goes on evenly, and that the arm moves as an arm can."""
+"""Checks of values over frames: even times, joints within their motors' limits, rigid poses, plausible cameras."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ...geometry.se3 import Array
+from ...geometry.camera import project
+from ...geometry.se3 import Array, inverse
 from ...robots.models import JointLimits
 from .problem import Problems
 
-# How far the time between frames may be off, as a share of the period. Simulations keep it exactly, and real cameras
-# jitter by milliseconds.
+TIMESTAMPS = "timestamps.npy"  # capture times, which converted real recordings have in `rgb/<camera>/`
+# Version 1.0 of npy, as numpy writes a plain list of 64-bit integers. Source: numpy.lib.format.
+_NPY_MAGIC = b"\x93NUMPY\x01\x00"
+_NPY_HEADER = re.compile(rb"\{'descr': '([<>])i8', 'fortran_order': (?:True|False), 'shape': \((\d{1,9}),\), \} *\n")
+
+# Largest deviation of the time between frames, as a share of the period: simulations keep the period exactly, and real
+# cameras jitter by milliseconds.
 _JITTER_RECORDED = 0.01
 _JITTER_PLAIN = 0.5
 
@@ -20,18 +28,26 @@ _JITTER_PLAIN = 0.5
 _LIMIT_SLACK_RAD = 0.05
 _LIMIT_SLACK_M = 0.002
 
-Named = Callable[[int], str]
+# Largest entry of R R^T - 1, and largest det R - 1, of a rotation: float32 leaves 1e-6, rounding to three digits 1e-3.
+_MAX_SKEW = 2e-3
+_MAX_COORDINATE = 20.0  # m, of a pose: larger than any room; millimetres taken for metres are far beyond
+# Largest distance of a principal point from the image's centre, as a share of width or height: lenses are off by a few
+# per cent, and a matrix of another image size by more than this.
+_MAX_OFF_CENTRE = 0.1
+_FOCAL_LENGTHS = (0.13, 10.0)  # smallest and largest, as a share of the image's width: fields of view of 150 to 6 deg
+
+Named = Callable[[int], str]  # frame -> path of the frame's file
 
 
 def check_times(times: Mapping[int, float], period: float | None, name: Named, problems: Problems) -> float | None:
-    """The time between frames, s: the recorded one or the median, or None if neither is known.
-
-    Times that do not increase, and uneven ones, are noted.
+    """Note times that do not increase or are uneven; returns the time between frames, s.
 
     Args:
         times: frame -> time, s.
-        period: recorded time between frames, s; None where it is not known.
-        name: the name of a frame's file.
+        period: recorded time between frames, s; None if unknown.
+
+    Returns:
+        `period`, or else the median time between frames; None if neither is known.
     """
     steps = {k: (times[k] - times[k - 1]) for k in sorted(times) if k - 1 in times}
     if late := [k for k, step in steps.items() if step <= 0]:
@@ -54,12 +70,12 @@ def check_times(times: Mapping[int, float], period: float | None, name: Named, p
 
 @dataclass(frozen=True)
 class ArmLimits:
-    """What an arm can do.
+    """Limits of an arm.
 
     Attributes:
         joints: from the base to the flange.
-        drives: how many numbers it has in a row of the data: its joints, and its fingers' opening if it has fingers.
-        fingers: stops of one finger, m; None where they are not known.
+        drives: length of the arm's part of `joints`: its joints, and its fingers' opening if the arm has fingers.
+        fingers: stops of one finger, m; None if unknown.
     """
 
     joints: tuple[JointLimits, ...]
@@ -77,12 +93,12 @@ class ArmData:
 
 
 def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated: bool) -> list[ArmData]:
-    """Every arm's part of the frames' `joints`; none if they are of no known order.
+    """Every arm's part of the frames' `joints`; empty if their length fits no known order.
 
     Args:
-        joints: frame -> all arms' joints and openings, one arm's after the other's.
-        repeated: how many arms there are is not known: as many of the first as there are numbers for; or it alone,
-            without its opening.
+        joints: frame -> all arms' joints and openings, one arm after the other.
+        repeated: whether the number of arms is unknown. The first of `arms` is then repeated as often as it fits, or
+            stands alone without its opening.
     """
     length = next((len(values) for values in joints.values() if values.ndim == 1), 0)
     first = arms[0]
@@ -104,10 +120,10 @@ def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated
 def angles_shown(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, int]) -> dict[int, Array]:
     """Frame -> angles (n,) of the arms whose motion a camera's pictures have to show, rad; empty without arms.
 
-    A camera at a wrist sees the same while its own arm stands still, whatever another one does.
+    A wrist camera shows the motion of its own arm alone.
 
     Args:
-        wrists: camera -> number of the arm that carries it.
+        wrists: wrist camera -> number of its arm.
     """
     if not arms:
         return {}
@@ -116,7 +132,7 @@ def angles_shown(camera: str, arms: Sequence[ArmData], wrists: Mapping[str, int]
 
 
 def check_limits(joints: Mapping[int, Array], limits: Sequence[JointLimits], name: Named, problems: Problems) -> None:
-    """Note joints beyond their stops. `joints` is frame -> angles (n,), rad."""
+    """Note joints beyond their stops; `joints` is frame -> angles (n,), rad."""
     for k, values in sorted(joints.items()):
         for value, joint in zip(values, limits, strict=True):
             low, high = joint.range
@@ -141,7 +157,7 @@ def check_speeds(
 
     Args:
         joints: frame -> angles (n,), rad.
-        period: time between consecutive frames, s; without it nothing is checked.
+        period: time between consecutive frames, s; None checks nothing.
     """
     if not period or len(joints) < 2:
         return
@@ -156,11 +172,95 @@ def check_speeds(
             most, what = (joint.reported_rad_s, "the drive reports") if jump else (joint.motor_rad_s, "the motor turns")
             before, after = frames[row], frames[row + 1]
             value = f"{joint.name} by {abs(angles[row + 1, column] - angles[row, column]):.3f} rad, {speed:.1f} rad/s"
-            code = "joints.jump" if jump else "joints.fast"
-            problems.add(
-                code,
-                name(after),
-                f"{value}, after frame {before}",
-                f"{what} at most {most:.1f} rad/s",
-                about=joint.name,
-            )
+            code, valid = "joints.jump" if jump else "joints.fast", f"{what} at most {most:.1f} rad/s"
+            problems.add(code, name(after), f"{value}, after frame {before}", valid, about=joint.name)
+
+
+def read_timestamps(data: bytes) -> list[float] | None:
+    """Times in s since the first one, from a list of int64 ns in an `.npy`; None if `data` is anything else.
+
+    `numpy.load` is not used: numpy allocates what the header announces before it reads the bytes.
+    """
+    start = len(_NPY_MAGIC) + 2
+    end = start + int.from_bytes(data[len(_NPY_MAGIC) : start], "little")
+    header = _NPY_HEADER.fullmatch(data[start:end])
+    if not data.startswith(_NPY_MAGIC) or not header or int(header[2]) * 8 != len(data) - end or end == len(data):
+        return None
+    times = np.frombuffer(data[end:], f"{header[1].decode()}i8")
+    # Subtracted as integers: a float holds nanoseconds since 1970 only to the nearest 0.2 microseconds.
+    return [(int(time) - int(times[0])) * 1e-9 for time in times]
+
+
+def check_pose(key: str, poses: Mapping[int, Array], name: Named, problems: Problems) -> None:
+    """Note poses (4, 4) under `key`, by frame, that are not rigid transforms in metres."""
+    numbers = sorted(poses)
+    T = np.array([poses[k] for k in numbers], dtype=np.float64)
+    if not len(T):
+        return
+    R = T[:, :3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        skewed = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        determinant = np.linalg.det(R)
+    for k, off, det, rows in zip(numbers, skewed, determinant, T, strict=True):
+        if not off <= _MAX_SKEW or not abs(det - 1) <= _MAX_SKEW:
+            value = f"{key}: R R^T is off by {off:.2g}, det R is {det:.3g}"
+            problems.add("pose.rotation", name(k), value, "orthonormal, det R = 1", about=key)
+        if not np.array_equal(rows[3], (0, 0, 0, 1)):
+            value = f"{key}: {' '.join(f'{entry:g}' for entry in rows[3])}"
+            problems.add("pose.row", name(k), value, about=key)
+        if (distance := float(np.abs(rows[:3, 3]).max())) > _MAX_COORDINATE:
+            problems.add("pose.far", name(k), f"{key}: {distance:.4g} m", f"within {_MAX_COORDINATE:g} m", about=key)
+
+
+def check_intrinsics(
+    key: str, matrices: Mapping[int, Array], size: tuple[int, int] | None, name: Named, problems: Problems
+) -> None:
+    """Note matrices (3, 3) under `key`, by frame, that are no camera matrices, or do not fit images of this size."""
+    for k, K in sorted(matrices.items()):
+        (fx, skew, cx), (zero, fy, cy), last = np.asarray(K, dtype=np.float64)
+        if skew or zero or not np.array_equal(last, (0, 0, 1)) or min(fx, fy) <= 0:
+            rows = "; ".join(" ".join(f"{entry:g}" for entry in row) for row in K)
+            problems.add("camera.intrinsics", name(k), f"{key}: {rows}", "fx 0 cx; 0 fy cy; 0 0 1", about=key)
+            continue
+        if size is None:
+            continue
+        width, height = size
+        off_x, off_y = abs(cx - (width - 1) / 2) / width, abs(cy - (height - 1) / 2) / height
+        if max(off_x, off_y) > _MAX_OFF_CENTRE:
+            value = f"{key}: principal point {cx:.1f}, {cy:.1f} in {width}x{height}"
+            problems.add("camera.fit", name(k), value, f"near {(width - 1) / 2:g}, {(height - 1) / 2:g}", about=key)
+        elif not _FOCAL_LENGTHS[0] * width <= fx <= _FOCAL_LENGTHS[1] * width or not 0.8 <= fx / fy <= 1.25:
+            value = f"{key}: focal length {fx:.4g}, {fy:.4g} px in {width}x{height}"
+            valid = f"{_FOCAL_LENGTHS[0] * width:.0f} to {_FOCAL_LENGTHS[1] * width:.0f}, alike"
+            problems.add("camera.fit", name(k), value, valid, about=key)
+
+
+def check_view(
+    camera: str,
+    values: Mapping[int, Mapping[str, Any]],
+    points: Mapping[str, Mapping[int, Array]],
+    size: tuple[int, int] | None,
+    problems: Problems,
+) -> None:
+    """Note a camera whose images show none of the poses `points`, key -> frame -> pose (4, 4).
+
+    Such extrinsics are inverted, or in another frame. All poses must have passed the other checks.
+    """
+    if size is None or not points:
+        return
+    judged = False
+    for k, frame in values.items():
+        K, T_cam_in_base = frame.get(f"intrinsics[{camera}]"), frame.get(f"extrinsics[{camera}]")
+        if K is None or T_cam_in_base is None or any(k not in by_frame for by_frame in points.values()):
+            continue
+        judged = True
+        positions = np.array([by_frame[k][:, 3] for by_frame in points.values()], dtype=np.float64)
+        in_cam = (inverse(T_cam_in_base) @ positions.T).T[:, :3]
+        in_front = in_cam[in_cam[:, 2] > 0.01]
+        if len(in_front):
+            pixels = project(K, in_front)
+            if bool(((pixels >= -0.5) & (pixels < np.array(size) - 0.5)).all(axis=1).any()):
+                return
+    if judged:
+        valid = f"at least one in its {size[0]}x{size[1]} image"
+        problems.add("camera.view", f"rgb/{camera}", ", ".join(points), valid)

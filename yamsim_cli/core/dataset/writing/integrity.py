@@ -1,4 +1,4 @@
-"""Checks by hashes that episodes on the disk are what was written, and moves away those that are not."""
+"""Checks by hashes that episodes on the disk are what was written, and moves damaged ones away."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from ...files import sha256_bytes
 from ..layout import DAMAGED, EPISODE, episode_directories
 from ..records import EpisodeRecord, from_json
 
-# Threads that read: each waits for the disk or the network, and hashing leaves the interpreter free.
-_READERS = 32
+_READERS = 32  # threads: each waits for the disk or the network, and hashing releases the GIL
 
 
 @dataclass(frozen=True)
-class Found:
-    """An episode's directory as it was found.
+class InspectedEpisode:
+    """An episode's directory, with all its files read and hashed.
 
     Attributes:
-        record: its `episode.json`; None if that cannot be read.
-        text: the bytes of its `episode.json`.
+        record: content of `episode.json`; None if unreadable.
+        text: bytes of `episode.json`.
         size: bytes of all files that the record names.
-        fault: what is wrong with it; None if it is whole.
+        fault: what is wrong; None if the episode is whole.
     """
 
     number: int
@@ -34,23 +33,23 @@ class Found:
     fault: str | None
 
 
-def find_episodes(dataset: Path) -> list[Found]:
-    """Every episode in a dataset, in order, with all its files read and hashed.
+def inspect_episodes(dataset: Path) -> list[InspectedEpisode]:
+    """Inspect every episode of a dataset, in order.
 
     Raises:
-        OSError: the disk failed; that a file is missing or altered is a fault of the episode and no error.
+        OSError: the disk failed. A missing or altered file is a fault of its episode instead.
     """
     with ThreadPoolExecutor(_READERS) as readers:
         return list(readers.map(lambda found: inspect_episode(*found), episode_directories(dataset)))
 
 
 def set_aside(episode: Path) -> Path:
-    """The new place of a damaged episode, which is moved into its dataset's directory for damaged parts."""
+    """Move a damaged episode into its dataset's directory of damaged parts; returns the new place."""
     return episode.rename(place_for_damaged(episode))
 
 
 def place_for_damaged(path: Path) -> Path:
-    """A free path for a damaged part of a dataset, in the directory for damaged parts, which is made if missing."""
+    """A free path for a damaged part of a dataset; the directory of damaged parts is made if missing."""
     folder = path.parent / DAMAGED
     folder.mkdir(exist_ok=True)
     number = 1
@@ -59,11 +58,11 @@ def place_for_damaged(path: Path) -> Path:
     return target
 
 
-def inspect_episode(number: int, directory: Path) -> Found:
-    """One episode, all its files read and hashed; see `find_episodes`."""
+def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
+    """Read and hash all files of one episode; raises as `inspect_episodes`."""
 
-    def found(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> Found:
-        return Found(number, directory, record, text, size, fault)
+    def found(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> InspectedEpisode:
+        return InspectedEpisode(number, directory, record, text, size, fault)
 
     try:
         text = (directory / EPISODE).read_bytes()

@@ -1,6 +1,6 @@
-"""The ledger of attempts, read line by line. Whole lines count, and lost ones are restored from the episodes.
+"""The ledger of attempts, `attempts.jsonl`, read line by line; damaged lines are restored from the episodes.
 
-Lines keep their bytes, so that a ledger that is written anew differs only where it was damaged.
+Lines keep their bytes, so that a restored ledger differs only where it was damaged.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ..layout import ATTEMPTS, episode_name
 from ..records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
 from .integrity import place_for_damaged
 
-# The outcome of an attempt whose line is lost and that is not made again.
+# Outcome of an attempt whose line is lost and that is not made again.
 LINE_LOST = OutcomeRecord(
     success=False,
     cause="line_lost",
@@ -31,12 +31,12 @@ class Ledger:
     """The content of a dataset's `attempts.jsonl`.
 
     Attributes:
-        known: attempt -> its record, from the lines that are whole; in order.
-        fault: the first fault of the file; None if it has none. A cut-off last line is no fault.
+        known: attempt -> its record, from whole lines; in order.
+        fault: the file's first fault, or None. A cut-off last line is no fault.
     """
 
     def __init__(self, dataset: Path) -> None:
-        """Read the file. A missing one holds no attempts, and a last line that a power cut broke off is left out."""
+        """Read the file. A missing file holds no attempts, and a cut-off last line is left out."""
         self._file = dataset / ATTEMPTS
         self.known: dict[int, AttemptRecord] = {}
         self.fault: str | None = None
@@ -60,7 +60,7 @@ class Ledger:
         if attempt.attempt in self.known:
             self.fault = self.fault or f"line {number}: attempt {attempt.attempt} is there twice"
             if attempt.attempt != number - 1:
-                # The earlier line stands in its right place, and this one does not.
+                # The earlier line stands in its right place.
                 return
         self._put(attempt, line + b"\n")
 
@@ -77,7 +77,7 @@ class Ledger:
         """Restore lost lines from the dataset's whole episodes, and leave out lines that contradict them.
 
         Raises:
-            DatasetError: an episode and the ledger contradict each other, and nothing says which is right.
+            DatasetError: an episode and the ledger contradict each other, and neither is known to be right.
         """
         made = {record.episode: record for record in episodes}
         for attempt in list(self.known.values()):
@@ -90,10 +90,12 @@ class Ledger:
             if line is not None and line.episode != record.episode:
                 raise DatasetError(
                     f"{self._file.parent / episode_name(record.episode)} is attempt {record.attempt}, which {ATTEMPTS} "
-                    "tells otherwise; it cannot be resumed"
+                    "contradicts; the dataset cannot be resumed"
                 )
             if line is None:
-                adopted = _attempt_of(record)
+                adopted = AttemptRecord.model_validate(
+                    {key: getattr(record, key) for key in AttemptRecord.model_fields}
+                )
                 self._put(adopted, to_json(adopted))
         self._check_order()
         self._drop_end()
@@ -108,7 +110,7 @@ class Ledger:
             )
 
     def _drop_end(self) -> None:
-        """Leave out failures after a gap, if no episode follows them: they are made again if they are needed."""
+        """Leave out failures after a gap, if no episode follows them: they are made again if needed."""
         last = max((number for number, attempt in self.known.items() if attempt.episode is not None), default=-1)
         while last + 1 in self.known:
             last += 1
@@ -117,28 +119,21 @@ class Ledger:
             del self.known[number], self._lines[number]
 
     def insert(self, attempt: AttemptRecord) -> None:
-        """Put an attempt whose line was lost into its place.
-
-        Raises:
-            OSError: it could not be written; the file is unchanged.
-        """
+        """Put an attempt whose line was lost into its place; after an OSError the file is unchanged."""
         self._put(attempt, to_json(attempt))
         self._write()
 
     def mend(self) -> Path | None:
-        """Write the file anew if it differs from what is known.
+        """Write the file anew if it differs from `known`; after an OSError the file is unchanged.
 
         Returns:
-            The place of a copy of the damaged file; None if there was no damage.
-
-        Raises:
-            OSError: it could not be written; the file is unchanged.
+            Path of a copy of the damaged file; None if there was no damage.
         """
         if self._read == self._text():
             return None
         kept = None
         if self.fault is not None:
-            # A copy, so that there is a ledger at every moment.
+            # A copy, so that a ledger exists at every moment.
             kept = place_for_damaged(self._file)
             write_file(kept, self._read)
         self._write()
@@ -152,10 +147,10 @@ class Ledger:
 
 
 def vacant_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:
-    """The number of the episode that an attempt must have given if it succeeded; numbers follow the attempts' order.
+    """The number of the episode that an attempt gave if it succeeded: episodes are numbered in order of attempts.
 
     Returns:
-        None if the episodes before and after it leave no number out: then it failed.
+        None if the episodes before and after leave no number free, so that the attempt failed.
     """
     before = [record.episode for record in attempts[:attempt] if record.episode is not None]
     after = [record.episode for record in attempts[attempt:] if record.episode is not None]
@@ -166,16 +161,3 @@ def vacant_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | Non
 def lost_line(attempt: int, seed: int) -> AttemptRecord:
     """The record of an attempt whose line is lost."""
     return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LINE_LOST, layout={})
-
-
-def _attempt_of(record: EpisodeRecord) -> AttemptRecord:
-    return AttemptRecord(
-        attempt=record.attempt,
-        seed=record.seed,
-        episode=record.episode,
-        outcome=record.outcome,
-        layout=record.layout,
-        randomized=record.randomized,
-        cast=record.cast,
-        phrasing=record.phrasing,
-    )

@@ -1,4 +1,4 @@
-"""Checks, before recording starts, that the disk has room for it."""
+"""Estimates the size of a recording, and checks before it starts that the disk has room."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _LEAST_OF_MEAN = 0.9  # share of the mean recorded episode that others take at l
 
 @dataclass(frozen=True)
 class EpisodeSize:
-    """The room that an episode takes on a disk.
+    """The size of an episode on a disk.
 
     Attributes:
-        least, likely: bytes; a lower bound, and what is expected.
-        least_inodes, inodes: the same of inodes.
+        least, likely: lower bound and estimate of bytes.
+        least_inodes, inodes: lower bound and estimate of inodes.
     """
 
     least: int
@@ -51,8 +51,8 @@ class EpisodeSize:
 
         Args:
             frames: of an episode, at least and typically.
-            block: bytes that the filesystem hands out at a time.
-            truth: whether ground truth is recorded too.
+            block: size of the filesystem's blocks, bytes.
+            truth: whether ground truth is recorded.
         """
         pixels = image.size_px[0] * image.size_px[1]
         qualities = list(_LIKELY_PER_PIXEL)
@@ -77,7 +77,7 @@ class EpisodeSize:
         )
 
     def learned(self, entries: Collection[ManifestEntry], block: int) -> EpisodeSize:
-        """The same episodes, with the bytes of those that are already there; `self` if there are none."""
+        """The size with the bytes of recorded episodes; `self` if there are none."""
         if not entries:
             return self
         # On average, half a block is lost at the end of each file.
@@ -87,27 +87,22 @@ class EpisodeSize:
 
 
 def files_per_episode(frames: int, cameras: int, *, truth: bool) -> int:
-    """How many files an episode has, not counting its `episode.json`."""
+    """Number of an episode's files, without `episode.json`."""
     return frames * (cameras + 1) + (2 * frames * cameras + cameras + 1 if truth else 0)
 
 
-def block_size(place: Path) -> int:
-    """Bytes that the filesystem at `place`, a directory, hands out at a time."""
-    return os.statvfs(place).f_frsize
-
-
 def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
-    """Compare the free space with what `episodes` more episodes will take.
+    """Compare the free space with the size of `episodes` more episodes.
 
     Returns:
-        A warning if they may not fit; None if they will.
+        A warning if the episodes may not fit, or None.
 
     Raises:
-        ResourceError: they cannot fit.
+        ResourceError: the episodes cannot fit.
     """
     state = os.statvfs(place)
     free = max(0, state.f_bavail * state.f_frsize - _RESERVE)
-    # Filesystems that make inodes as needed report that they have none.
+    # Filesystems that make inodes on demand report none.
     inodes = state.f_favail if state.f_files else math.inf
     fit = int(min(free / size.least, inodes / size.least_inodes))
     verb = "takes" if episodes == 1 else "take"
@@ -121,7 +116,7 @@ def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
     if free < size.likely * episodes or inodes < size.inodes * episodes:
         return (
             f"{takes}, probably {size.inodes * episodes} files and {_amount(size.likely * episodes)}, and {there}: "
-            "watch it. --resume goes on if it fills up."
+            "if the disk fills up, continue with --resume."
         )
     return None
 

@@ -1,8 +1,8 @@
 """Records onto a local disk, and moves finished episodes to a slow or remote dataset in the background.
 
-The dataset itself is written by one thread alone, episode by episode in the order of recording, by a `DatasetWriter`.
-So it is a whole dataset at every moment and can be resumed, and the stage holds only what is still on its way. If the
-stage is lost, its episodes take time to be made again, and no byte of the result changes.
+One thread alone writes the dataset, by a `DatasetWriter`, episode by episode in the order of recording. The dataset is
+therefore whole at every moment and can be resumed, and the stage holds only episodes on their way. Episodes of a lost
+stage are made again, and no byte of the result changes.
 
 <stage>/<name>-<hash of the dataset's path>/config.yaml
 attempts.jsonl         attempts since the dataset was last opened
@@ -27,14 +27,12 @@ from ...files import append_line, move_aside, publish_directory, sha256_bytes, w
 from ..disk_faults import reason
 from ..layout import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
 from ..records import AttemptRecord, EpisodeRecord, from_json, to_json
-from .directory_lock import DirectoryLock
 from .integrity import inspect_episode
-from .writer import DatasetWriter
+from .opening import DirectoryLock
+from .writer import AttemptLog, DatasetWriter
 
-# How many attempts may be on their way. It bounds the space on the local disk if the target is too slow.
-MAX_WAITING = 100
-# How long the episode that is being moved may take after the recording was given up, s.
-_HALT_SECONDS = 10.0
+MAX_WAITING = 100  # attempts on their way; limits the space on the local disk if the target is slow
+_HALT_SECONDS = 10.0  # s, that moving one episode may take after the recording has ended
 
 
 @dataclass(frozen=True)
@@ -45,35 +43,29 @@ class _Item:
     attempt: AttemptRecord | None
 
 
-class StagedWriter:
-    """Takes a recording as a `DatasetWriter` does, and hands it on to one.
+class StagedWriter(AttemptLog):
+    """Takes a recording as a `DatasetWriter` does, and passes it on to a `DatasetWriter`.
 
     Attributes:
-        path: the dataset's directory, as the user knows it.
-        attempts: all attempts that were taken, in order, including those on their way.
-        episodes: how many of them are episodes.
-        untold: see `DatasetWriter`.
-        repairs: a sentence on each thing in the stage that was in the way, and where it is now.
-        folder: the place in the stage where this dataset's episodes wait.
+        folder: this dataset's directory in the stage.
     """
 
     def __init__(self, target: DatasetWriter, stage: Path, config: Mapping[str, Any]) -> None:
-        """Continue with what is still on its way from an earlier recording.
+        """Continue with what an earlier recording left on its way.
 
         Args:
-            target: the dataset, opened for writing; from here on only this object uses it.
-            stage: a directory on a local disk, made when missing. Several datasets can share one.
+            target: the dataset, open for writing; from now on only this object uses `target`.
+            stage: a directory on a local disk, made if missing. Several datasets can share a stage.
 
         Raises:
             ResourceError: the stage cannot be made or written, or another recorder uses it.
         """
-        self.path = target.path
+        super().__init__(target.path)
         self.attempts = list(target.attempts)
         self.episodes = target.episodes
         self.missing = target.missing
         # A copy, since the target's own set changes in another thread.
-        self.untold = set(target.untold)
-        self.repairs: list[str] = []
+        self.lost_lines = set(target.lost_lines)
         self._target = target
         self._error: BaseException | None = None
         self._halt = threading.Event()
@@ -98,7 +90,7 @@ class StagedWriter:
 
     @property
     def on_their_way(self) -> int:
-        """How many episodes are in the stage and not yet in the dataset."""
+        """How many episodes are in the stage, and not yet in the dataset."""
         return len(episode_directories(self.folder)) if self.folder.is_dir() else 0
 
     def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
@@ -108,17 +100,15 @@ class StagedWriter:
             self.folder / episode_name(record.episode), {**files, EPISODE: to_json(record)}, self.folder / STAGING
         )
         if record.attempt < len(self.attempts):
-            # Made again for an attempt that is in the ledger already: nothing more will be logged.
+            # The attempt is in the ledger already, and is not logged again.
             self._put(_Item(record.episode, None))
 
     def log(self, attempt: AttemptRecord) -> None:
         """Add one attempt; waits while too many are on their way. See `DatasetWriter.log`."""
         self._raise_error()
-        if attempt.attempt in self.untold:
-            # Its episode, if it has one, is on its way already. If the stage is lost, the episode is made again.
-            self.untold.remove(attempt.attempt)
-            self.attempts[attempt.attempt] = attempt
-            self.episodes += attempt.episode is not None
+        if attempt.attempt in self.lost_lines:
+            # The attempt's episode, if any, is on its way already. If the stage is lost, the episode is made again.
+            self._restore(attempt)
             self._put(_Item(None, attempt))
             return
         append_line(self.folder / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
@@ -126,7 +116,7 @@ class StagedWriter:
         self._put(_Item(attempt.episode, attempt))
 
     def drain(self, seconds: float) -> bool:
-        """Wait until everything has arrived in the dataset; False if it has not within `seconds`.
+        """Wait at most `seconds` until everything has arrived in the dataset; returns whether it has.
 
         Raises:
             OSError, DatasetError: something cannot be moved.
@@ -143,28 +133,28 @@ class StagedWriter:
         """Stop the mover, and write the dataset's manifest. An empty stage is removed."""
         arrived = not self._queue.unfinished_tasks
         if not self._end_moving():
-            # The target does not answer. Touching it from here would hang this thread, too.
+            # The target does not answer, and would block this thread, too.
             return
         self._target.finish()
         if arrived and self._error is None:
             shutil.rmtree(self.folder, ignore_errors=True)
 
     def close(self) -> None:
-        """Stop the mover, and let others use the stage."""
+        """Stop the mover, and release the stage."""
         self._end_moving()
         self._lock.release()
 
     def _end_moving(self) -> bool:
-        """Let the mover finish the episode that it moves; False if it does not in time."""
+        """Let the mover finish its current episode; False if that takes longer than `_HALT_SECONDS`."""
         self._halt.set()
         with contextlib.suppress(queue.Full):
-            # This item only wakes it. If the queue is full, it gets another item anyway.
+            # This item only wakes the mover. From a full queue the mover gets another item.
             self._queue.put_nowait(_Item(None, None))
         self._mover.join(_HALT_SECONDS)
         return not self._mover.is_alive()
 
     def _put(self, item: _Item) -> None:
-        # Waits in small steps while the queue is full, to notice when nobody empties it any more.
+        # Waits in small steps while the queue is full, to notice an error of the mover.
         while True:
             self._raise_error()
             with contextlib.suppress(queue.Full):
@@ -175,10 +165,6 @@ class StagedWriter:
         if self._error is not None:
             raise self._error
 
-    def _count(self, attempt: AttemptRecord) -> None:
-        self.attempts.append(attempt)
-        self.episodes += attempt.episode is not None
-
     def _move_all(self) -> None:
         while True:
             item = self._queue.get()
@@ -186,7 +172,7 @@ class StagedWriter:
                 return
             try:
                 self._move(item)
-            # Any error is raised in the recording's thread, at its next call. What was not moved stays in the stage.
+            # The recording's thread raises any error at its next call. What was not moved stays in the stage.
             except BaseException as error:  # noqa: BLE001
                 with self._queue.all_tasks_done:
                     self._error = error
@@ -207,11 +193,11 @@ class StagedWriter:
             shutil.rmtree(directory)
 
     def _take_up(self, config: bytes) -> list[AttemptRecord]:
-        """The attempts that an earlier recording left here. Everything else in the stage is removed or moved aside."""
+        """The attempts that an earlier recording left; everything else in the stage is removed or moved aside."""
         file = self.folder / CONFIG
         if not file.is_file() or file.read_bytes() != config:
-            # It belongs to another dataset, or to this one with another config, so it must not be deleted.
-            self._start_afresh(config)
+            # The content belongs to another dataset or config, and must not be deleted.
+            self._start_empty(config)
         waiting = []
         for attempt in self._logged():
             if attempt.attempt == len(self.attempts) and self._is_here(attempt):
@@ -221,12 +207,12 @@ class StagedWriter:
         write_file(self.folder / ATTEMPTS, b"".join(map(to_json, waiting)))
         for number, directory in episode_directories(self.folder):
             if number not in kept:
-                # It has arrived already. Or it is not in the stage's own ledger yet, and is made again.
+                # The episode has arrived already; or it is not in the stage's own ledger yet, and is made again.
                 shutil.rmtree(directory)
         shutil.rmtree(self.folder / STAGING, ignore_errors=True)
         return waiting
 
-    def _start_afresh(self, config: bytes) -> None:
+    def _start_empty(self, config: bytes) -> None:
         if episode_directories(self.folder):
             moved = move_aside(self.folder)
             self._lock.moved(moved)

@@ -1,4 +1,4 @@
-"""The only code that writes a dataset: in one process, episode by episode. Every step leaves a whole dataset behind."""
+"""Writes a dataset, in one process, episode by episode. Every step leaves a whole dataset behind."""
 
 from __future__ import annotations
 
@@ -14,49 +14,67 @@ from ...files import append_line, publish_directory, sha256_bytes, write_file
 from ..disk_faults import reason
 from ..layout import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
 from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
-from .integrity import Found, find_episodes, set_aside
+from .integrity import InspectedEpisode, inspect_episodes, set_aside
 from .ledger import Ledger, lost_line
-from .opening import OpenMode, claim
-from .same_config import MESHES, require_same, unsaid_meshes
+from .opening import MESHES, OpenMode, claim, require_same_config, unstated_meshes
 
 
-class DatasetWriter(Closing):
-    """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
+class AttemptLog:
+    """What a writer has recorded.
 
     Attributes:
         path: the dataset's directory.
-        config: everything that decides the data, as it stands in the dataset.
-        moved_aside: the new place of an earlier dataset, with `OpenMode.OVERWRITE`.
-        repairs: a sentence on each thing that was damaged or missing on resuming, and what was done about it.
-        attempts: the ledger so far, in the order of attempts.
-        untold: attempts whose lines are lost; they count as failures until they are logged again.
-        entries: episode's number -> its entry in the manifest.
+        attempts: all attempts so far, in order.
         episodes: how many attempts are episodes.
+        lost_lines: attempts whose lines are lost; they count as failures until they are logged again.
+        repairs: a sentence on each damaged or missing part of what was found, and its repair.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.attempts: list[AttemptRecord] = []
+        self.episodes = 0
+        self.lost_lines: set[int] = set()
+        self.repairs: list[str] = []
+
+    def _count(self, attempt: AttemptRecord) -> None:
+        self.attempts.append(attempt)
+        self.episodes += attempt.episode is not None
+
+    def _restore(self, attempt: AttemptRecord) -> None:
+        self.lost_lines.remove(attempt.attempt)
+        self.attempts[attempt.attempt] = attempt
+        self.episodes += attempt.episode is not None
+
+
+class DatasetWriter(AttemptLog, Closing):
+    """Publishes episodes, and keeps the ledger of attempts and the manifest. A context manager that closes the dataset.
+
+    Attributes:
+        config: everything that decides the data, as in the dataset's config.yaml.
+        moved_aside: the new place of an earlier dataset, with `OpenMode.OVERWRITE`.
+        entries: episode's number -> its entry in the manifest.
     """
 
     def __init__(
         self, path: Path, config: Mapping[str, Any], mode: OpenMode, *, locks_reach_others: bool = True
     ) -> None:
-        """Open a dataset for writing. Nobody else can open it until it is closed.
+        """Open a dataset for writing; no other recorder can open it until `close`.
 
         Args:
-            config: everything that decides the data, as plain data.
+            config: everything that decides the data, JSON-ready.
             locks_reach_others: see `DirectoryLock.take`.
 
         Raises:
-            UsageError: the directory is not empty, or is no directory, and the mode does not say what to do.
-            ConfigError: resuming with a configuration that would give other data; the message names the keys.
-            DatasetError: resuming something that is no dataset, or whose episodes and ledger contradict each other.
+            UsageError: `path` is not empty, or no directory, and `mode` does not allow that.
+            ConfigError: resuming with a configuration that gives other data; the message names the keys.
+            DatasetError: resuming what is no dataset, or a dataset whose episodes and ledger contradict each other.
             ResourceError: the directory cannot be made or written, or another recorder holds it.
         """
-        self.path = path
+        super().__init__(path)
         self.config = config
-        self.repairs: list[str] = []
-        self.attempts: list[AttemptRecord] = []
-        self.untold: set[int] = set()
         self._ledger: Ledger | None = None
         self.entries: dict[int, ManifestEntry] = {}
-        self.episodes = 0
         self._task = str(config["task"]["name"])
         self._seed = int(config["seed"])
         try:
@@ -75,36 +93,30 @@ class DatasetWriter(Closing):
 
     @property
     def missing(self) -> list[AttemptRecord]:
-        """Attempts whose episodes are in the ledger but not on the disk, and have to be made again."""
+        """Attempts whose episodes are in the ledger but not on the disk."""
         return [
             attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self.entries
         ]
 
     def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
-        """Make one episode visible in one step.
-
-        Raises:
-            OSError: it could not be written; nothing of it is visible.
-        """
+        """Make one episode visible in one step; after an OSError nothing of the episode is visible."""
         name = episode_name(record.episode)
         text = to_json(record)
         publish_directory(self.path / name, {**files, EPISODE: text}, self.path / STAGING)
         self.entries[record.episode] = _entry(record, text, sum(map(len, files.values())))
 
     def log(self, attempt: AttemptRecord) -> None:
-        """Add one attempt to the ledger, after its episode; attempts come in order, or fill in one of `untold`."""
-        if attempt.attempt not in self.untold:
+        """Add one attempt to the ledger, after its episode; the next attempt in order, or one of `lost_lines`."""
+        if attempt.attempt not in self.lost_lines:
             append_line(self.path / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
             self._count(attempt)
             return
         assert self._ledger is not None
         self._ledger.insert(attempt)
-        self.untold.remove(attempt.attempt)
-        self.attempts[attempt.attempt] = attempt
-        self.episodes += attempt.episode is not None
+        self._restore(attempt)
 
     def finish(self) -> Manifest:
-        """The manifest of all published episodes, which is written; the staging directory is removed."""
+        """Write and return the manifest of all published episodes, and remove the staging directory."""
         entries = [self.entries[number] for number in sorted(self.entries)]
         manifest = Manifest(
             task=self._task,
@@ -119,17 +131,13 @@ class DatasetWriter(Closing):
         return manifest
 
     def close(self) -> None:
-        """Release the directory, so that others can record into it."""
+        """Release the directory for other recorders."""
         self._lock.release()
-
-    def _count(self, attempt: AttemptRecord) -> None:
-        self.attempts.append(attempt)
-        self.episodes += attempt.episode is not None
 
     def _resume(self, config: Mapping[str, Any]) -> None:
         self._compare(config)
         ledger = Ledger(self.path)
-        ledger.adopt([record for found in find_episodes(self.path) if (record := self._take_up(found)) is not None])
+        ledger.adopt([record for found in inspect_episodes(self.path) if (record := self._take_up(found)) is not None])
         self._take_over(ledger)
         for attempt in self.missing:
             place = self.path / episode_name(attempt.episode or 0)
@@ -138,13 +146,13 @@ class DatasetWriter(Closing):
 
     def _take_over(self, ledger: Ledger) -> None:
         """Count the attempts that the ledger holds, including those whose lines are lost."""
-        kept, self.untold = ledger.mend(), ledger.missing
+        kept, self.lost_lines = ledger.mend(), ledger.missing
         if kept is not None:
             self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
-        if self.untold:
+        if self.lost_lines:
             self._ledger = ledger
-            numbers = ranges(sorted(self.untold))
-            self.repairs.append(f"what {ATTEMPTS} said of attempt {numbers} is lost, and made again")
+            numbers = ranges(sorted(self.lost_lines))
+            self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost; the attempt is made again")
         for number in range(max(ledger.known, default=-1) + 1):
             self._count(ledger.known.get(number) or lost_line(number, self._seed))
 
@@ -156,13 +164,13 @@ class DatasetWriter(Closing):
             )
         recorded = parse_yaml(file.read_bytes(), str(file)).data
         if MESHES in config and MESHES not in recorded:
-            # The dataset goes on without this key: it helps little if only some of the episodes have it.
+            # The dataset is resumed without this key, which would be of no use in only some of the episodes.
             self.config = {key: value for key, value in config.items() if key != MESHES}
-            self.repairs.append(unsaid_meshes(self.path, config))
-        require_same(self.path, recorded, self.config)
+            self.repairs.append(unstated_meshes(self.path, config))
+        require_same_config(self.path, recorded, self.config)
 
-    def _take_up(self, found: Found) -> EpisodeRecord | None:
-        """The record of an episode that is whole. A damaged one is moved away, to be made again, and gives None."""
+    def _take_up(self, found: InspectedEpisode) -> EpisodeRecord | None:
+        """The record of a whole episode; None for a damaged episode, which is moved away to be made again."""
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(

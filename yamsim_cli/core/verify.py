@@ -1,8 +1,13 @@
-"""Make a recorded episode again, and compare: from its seed, from its actions, and its images."""
+"""Verify a dataset: worker processes simulate its episodes again, and compare them with what is stored.
+
+An episode is simulated again from its seed (`SEED`), from its recorded actions (`ACTIONS`), and its pictures are
+rendered again (`IMAGES`).
+"""
 
 from __future__ import annotations
 
 import functools
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,28 +15,31 @@ from typing import Any
 
 import numpy as np
 
-from ..attempt.engine import demonstrate, repeat
-from ..attempt.frames import frames as made_frames
-from ..attempt.payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, versions
-from ..attempt.pictures import image_files
-from ..attempt.sampling import sample
-from ..attempt.simulator import Simulator
-from ..attempt.simulators import Simulators
-from ..closing import Closing
-from ..dataset.actions import recorded_actions
-from ..dataset.compare import Comparison, Difference, compare_frames, compare_values
-from ..dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
-from ..dataset.reader import StoredEpisode, open_episode
-from ..dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
-from ..episode.rules import EXPERT_RULES, REPEATED_RULES
-from ..errors import DatasetError
-from ..images.jpeg import decode_jpeg
-from ..scene.build import shown_meshes
-from ..session import Session
-from ..shown_meshes import differences, shown
-from ..types import EpisodeJob
+from .attempt.engine import demonstrate, repeat
+from .attempt.frames import frames as made_frames
+from .attempt.payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, versions
+from .attempt.pictures import image_files
+from .attempt.sampling import sample
+from .attempt.simulator import Simulator
+from .attempt.simulators import Simulators
+from .closing import Closing
+from .dataset.compare import Comparison, Difference, compare_frames, compare_values
+from .dataset.layout import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
+from .dataset.lowdim import recorded_actions
+from .dataset.reader import StoredEpisode, open_episode
+from .dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
+from .episode.rules import EXPERT_RULES, REPEATED_RULES
+from .errors import DatasetError, InterruptedJobError, ranges
+from .images.jpeg import decode_jpeg
+from .progress import Progress
+from .scene.build import shown_meshes
+from .session import Session
+from .shown_meshes import differences, shown
+from .types import EpisodeJob
+from .workers.executor import run_all
+from .workers.processes import WorkerPool
 
-# The ways to make an episode again, in the order in which their differences are told.
+# The checks, in the order in which their differences are reported.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
 CHECKS = (SEED, ACTIONS, IMAGES)
 
@@ -39,12 +47,12 @@ Frames = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
-class Limits:
+class Tolerances:
     """How much may differ.
 
     Attributes:
         values: of a number, see `dataset.compare.Comparison`.
-        images: mean difference of an image's pixels, of 255; at 0 the files have to be the same byte for byte. None
+        images: mean difference of an image's pixels, 0 .. 255; at 0 the files have to be the same byte for byte. None
             leaves images out.
     """
 
@@ -53,15 +61,15 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What making one episode again gave.
+class EpisodeVerdict:
+    """The result of verifying one episode.
 
     Attributes:
-        episode: its number.
-        checks: check -> how far stored and made lie apart.
-        skipped: check -> why it could not be made.
-        problems: file -> what is wrong with it, whatever its values are; "" for the whole episode.
-        changed: name -> version when it was recorded, and now, where these are not the same.
+        episode: the episode's number.
+        checks: check -> comparison of the stored episode with the simulated one.
+        skipped: check -> why the check was not possible.
+        problems: file -> fault besides different values; "" for the whole episode.
+        changed: name -> version at the recording and now, where these differ.
     """
 
     episode: int
@@ -72,25 +80,24 @@ class Verdict:
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing is wrong with it."""
+        """Whether the episode has no fault and no difference."""
         return not self.problems and all(check.first is None for check in self.checks.values())
 
 
 class EpisodeVerifier(Closing):
-    """Makes episodes of one dataset again; a context manager, since it may own a renderer.
+    """Verifies episodes of one dataset; a context manager, since a verifier may own a renderer.
 
     Args:
         session: of the dataset's own config; its meshes matter to images alone.
     """
 
-    def __init__(self, session: Session, limits: Limits) -> None:
+    def __init__(self, session: Session, tolerances: Tolerances) -> None:
         self._simulators = Simulators(session)
-        self._said = session.config.meshes
         self._session = session
-        self._limits = limits
+        self._tolerances = tolerances
 
-    def run(self, job: tuple[int, Path]) -> Verdict:
-        """Check one episode, given by its number and its directory."""
+    def run(self, job: tuple[int, Path]) -> EpisodeVerdict:
+        """Verify one episode, given by its number and its directory."""
         number, directory = job
         problems: dict[str, str] = {}
         checks: dict[str, Comparison] = {}
@@ -110,21 +117,21 @@ class EpisodeVerifier(Closing):
                     f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
                     "makes other episodes of the same seeds; its actions are repeated"
                 )
-                if self._limits.images is not None:
+                if self._tolerances.images is not None:
                     skipped[IMAGES] = skipped[SEED]
             else:
                 checks |= self._from_seed(episode, frames, skipped)
-            if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._limits.values):
+            if repeated := repeat_actions(self._simulator(episode.record), episode, frames, self._tolerances.values):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
         except DatasetError as error:
-            # Says more than that the file was altered.
+            # Stands first: the error says more than that a file was altered.
             problems = {"": str(error)} | problems
-        return Verdict(number, checks, skipped, problems, changed)
+        return EpisodeVerdict(number, checks, skipped, problems, changed)
 
     def _from_seed(self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]) -> dict[str, Comparison]:
-        """The whole attempt again, from its two numbers; `skipped` says why its images are not compared."""
+        """Simulate the attempt from its seed and number; `skipped` gets why its images are not compared."""
         record, simulator = episode.record, self._simulator(episode.record)
         done = demonstrate(simulator, sample(simulator, EpisodeJob(record.seed, record.attempt)))
         made = made_frames(simulator, done.attempt, done.states)
@@ -133,19 +140,19 @@ class EpisodeVerifier(Closing):
             | {"randomized": asdict(record.randomized)},
             {"outcome": _judgement(OutcomeRecord.of(done.outcome)), "start": _arrays(done.attempt.places)}
             | {"randomized": asdict(done.attempt.variation)},
-            self._limits.values,
+            self._tolerances.values,
         )
-        checks = {SEED: _together(compare_frames(frames, made, self._limits.values), once)}
-        if self._limits.images is None:
+        checks = {SEED: _together(compare_frames(frames, made, self._tolerances.values), once)}
+        if self._tolerances.images is None:
             return checks
-        if (looks := _looks(record)) != LOOKS:
+        if (looks := record.versions.get("looks", FIRST_LOOKS)) != LOOKS:
             skipped[IMAGES] = (
                 f"its pictures are of looks revision {looks}, and this version draws revision {LOOKS}: they differ as "
                 "intended, which is no damage"
             )
         elif done.states:
             images = image_files(simulator, done.attempt, [state.qpos for state in done.states])
-            checks[IMAGES] = _compare_images(episode, images, self._limits.images)
+            checks[IMAGES] = _compare_images(episode, images, self._tolerances.images)
         return checks
 
     def _simulator(self, record: EpisodeRecord) -> Simulator:
@@ -155,7 +162,7 @@ class EpisodeVerifier(Closing):
         first = {"looks": FIRST_LOOKS, "engine": FIRST_ENGINE}
         then, now = first | episode.record.versions, versions()
         simulator = self._simulator(episode.record)
-        if self._limits.images is not None:
+        if self._tolerances.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
             for name, text in (episode.record.meshes or {}).items():
                 then[f"meshes {name}"] = shown(text)
@@ -164,12 +171,12 @@ class EpisodeVerifier(Closing):
 
     @functools.cached_property
     def _shown(self) -> dict[str, str]:
-        """What this machine shows of each mesh set."""
+        """Which meshes of each set this machine shows."""
         return shown_meshes(self._session)
 
     def _other_meshes(self, episode: StoredEpisode) -> list[str]:
-        said, own = self._said, episode.record.meshes
-        return differences(own, said, ("here", "there")) if said is not None and own is not None else []
+        stated, own = self._session.config.meshes, episode.record.meshes
+        return differences(own, stated, ("here", "there")) if stated is not None and own is not None else []
 
     def close(self) -> None:
         """Free the renderers."""
@@ -177,14 +184,14 @@ class EpisodeVerifier(Closing):
 
 
 def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames, tolerance: float) -> Comparison | None:
-    """An episode's actions again in physics, from where it began, and how far that leads from what it holds.
+    """Repeat an episode's actions in physics from its recorded start, and compare with the stored frames.
 
     Args:
         simulator: of the config that the episode was recorded with.
         tolerance: see `dataset.compare`.
 
     Returns:
-        None when the episode holds no actions that physics could repeat.
+        None if the episode holds no actions that physics can repeat.
 
     Raises:
         DatasetError: the episode is of another scene.
@@ -198,26 +205,21 @@ def repeat_actions(simulator: Simulator, episode: StoredEpisode, frames: Frames,
     attempt = recorded_attempt(episode.record, start)
     rules = EXPERT_RULES if episode.record.source == "record" else REPEATED_RULES
     done = repeat(simulator, attempt, actions, rules)
-    # What an expert tried again, its actions cannot tell.
+    # Actions do not show which skills the expert tried again.
     judged = OutcomeRecord.of(done.outcome).model_copy(update={"recoveries": stored.recoveries})
-    # Earlier engines judged and measured in other ways; where things ended does not depend on that.
+    # Earlier engines judged and measured otherwise; where things ended does not depend on that.
     keys = None if _engine(episode.record) == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
     once = compare_values({"outcome": _judgement(stored, keys)}, {"outcome": _judgement(judged, keys)}, tolerance)
     return _together(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
 
 
-def _looks(record: EpisodeRecord) -> str:
-    """Revision of looks that a recording's pictures were drawn with."""
-    return record.versions.get("looks", FIRST_LOOKS)
-
-
 def _engine(record: EpisodeRecord) -> str:
-    """Return the revision of the engine in which a recording was made."""
+    """The revision of the engine that made a recording."""
     return record.versions.get("engine", FIRST_ENGINE)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
-    """All frames of an episode; what was altered is told, and compared all the same."""
+    """All frames of an episode; altered files are noted in `problems`, and read too."""
     frames = []
     for k in range(episode.record.frames):
         data = episode.read(name := lowdim_name(k))
@@ -228,7 +230,7 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
 
 
 def _judgement(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
-    """Return an outcome's numbers and its verdict, or some of them; the text on them says nothing more."""
+    """An outcome's numbers and verdict, or the `keys` of them; without the text, which says the same."""
     return outcome.model_dump(include=keys, exclude={"detail"})
 
 
@@ -237,7 +239,7 @@ def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
 
 
 def _together(frames: Comparison, once: Comparison) -> Comparison:
-    """One comparison of both; an attempt that was never simulated tells of itself by its outcome."""
+    """One comparison of both. Where only the number of frames differs, the outcome's difference stands first."""
     first = frames.first or once.first
     if frames.first and frames.first.frame is None:
         first = once.first or frames.first
@@ -245,7 +247,7 @@ def _together(frames: Comparison, once: Comparison) -> Comparison:
 
 
 def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: float) -> Comparison:
-    """Recorded JPEGs against new ones: `largest` holds each camera's largest mean difference of pixels, of 255."""
+    """Compare recorded JPEGs with new ones; `largest` holds each camera's largest mean difference, 0 .. 255."""
     result = Comparison()
     record = episode.record
     for k in range(record.frames):
@@ -263,7 +265,7 @@ def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: 
 
 
 def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> Difference | None:
-    """The first file of ground truth that is not the same byte for byte; None if all are."""
+    """The first file of ground truth whose bytes differ; None if none does."""
     for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
         stored, made = episode.read(name), images.get(name, b"")
         if stored != made:
@@ -272,8 +274,100 @@ def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> D
 
 
 def _pixels_apart(stored: bytes, made: bytes) -> float | None:
-    """Mean difference of two JPEGs' pixels, of 255; None when one is damaged or has another size."""
+    """Mean difference of two JPEGs' pixels, 0 .. 255; None if one is damaged or has another size."""
     one, other = decode_jpeg(stored), decode_jpeg(made)
     if one is None or other is None or one.shape != other.shape:
         return None
     return float(np.abs(one.astype(float) - other).mean())
+
+
+def verify(
+    episodes: Sequence[tuple[int, Path]], session: Session, tolerances: Tolerances, workers: int, progress: Progress
+) -> dict[str, Any]:
+    """Verify episodes of one dataset.
+
+    Args:
+        episodes: number and directory of each.
+        session: of the dataset's own config; its meshes matter to images alone.
+
+    Returns:
+        JSON-ready: episodes, agree, max_error, first_divergence, divergences, problems, checks, versions_changed,
+        skipped, tolerance, seconds.
+
+    Raises:
+        InterruptedJobError: stopped by the user.
+    """
+    began = time.monotonic()
+    factory = functools.partial(EpisodeVerifier, session, tolerances)
+    verdicts: list[EpisodeVerdict] = []
+    try:
+        with WorkerPool[tuple[int, Path], EpisodeVerdict](factory, min(workers, len(episodes))) as pool:
+            for _, verdict in run_all(pool, episodes):
+                verdicts.append(verdict)
+                progress(len(verdicts), len(episodes))
+    except KeyboardInterrupt:
+        raise InterruptedJobError(
+            f"interrupted after {len(verdicts)} of {len(episodes)} episodes, "
+            f"{sum(verdict.agrees for verdict in verdicts)} of which agree"
+        ) from None
+    verdicts.sort(key=lambda verdict: verdict.episode)
+    return _report(verdicts, tolerances) | {"seconds": round(time.monotonic() - began, 3)}
+
+
+def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[str, Any]:
+    divergences = [
+        {"episode": verdict.episode, "check": check, **asdict(comparison.first)}
+        for verdict in verdicts
+        for check in CHECKS
+        if (comparison := verdict.checks.get(check)) and comparison.first
+    ]
+    checks = {check: _check_report(verdicts, check) for check in CHECKS}
+    remade = [found["max_error"] for check in (SEED, ACTIONS) if (found := checks[check])]
+    return {
+        "episodes": len(verdicts),
+        "agree": sum(verdict.agrees for verdict in verdicts),
+        # Images are left out: their differences have another unit.
+        "max_error": max(remade, default=0.0),
+        "first_divergence": divergences[0] if divergences else None,
+        "divergences": divergences,
+        "problems": [
+            {"episode": verdict.episode, "file": file, "problem": problem}
+            for verdict in verdicts
+            for file, problem in verdict.problems.items()
+        ],
+        "checks": checks,
+        "versions_changed": _versions(verdicts),
+        "tolerance": tolerances.values,
+        "image_tolerance": tolerances.images,
+    }
+
+
+def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, Any] | None:
+    """One check over all its episodes; None if no episode was checked or skipped, as when images are left out."""
+    found = [verdict.checks[check] for verdict in verdicts if check in verdict.checks]
+    reasons = sorted({verdict.skipped[check] for verdict in verdicts if check in verdict.skipped})
+    if not found and not reasons:
+        return None
+    largest: dict[str, float] = {}
+    for comparison in found:
+        for quantity, apart in comparison.largest.items():
+            largest[quantity] = max(largest.get(quantity, 0.0), apart)
+    return {
+        "episodes": len(found),
+        "agree": sum(comparison.first is None for comparison in found),
+        "max_error": max(largest.values(), default=0.0),
+        "largest": largest,
+        "skipped": reasons,
+    }
+
+
+def _versions(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
+    """Versions that changed since the recording, each with its episodes."""
+    concerned: dict[tuple[str, str, str], list[int]] = {}
+    for verdict in verdicts:
+        for name, (then, now) in verdict.changed.items():
+            concerned.setdefault((name, then, now), []).append(verdict.episode)
+    return [
+        {"name": name, "recorded": then, "now": now, "episodes": ranges(numbers)}
+        for (name, then, now), numbers in sorted(concerned.items())
+    ]
