@@ -32,7 +32,8 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
-from yamsim_cli.core.overlay.arm_poses import Lens, find_arms
+from yamsim_cli.core.overlay.arm_poses import find_arms
+from yamsim_cli.core.overlay.lenses import Lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.fiducials.locate import locate

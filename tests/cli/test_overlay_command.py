@@ -265,7 +265,7 @@ def test_limits_end_with_4(folder: Path) -> None:
         ([], 2, "give either --img or --episode"),
         (["--img", "photo.png", "--episode", "ep"], 2, "give either --img or --episode"),
         (["--img", "photo.png", "--episode-camera", "c"], 2, "--episode-camera goes with --episode"),
-        (["--episode", "ep", "--camera", "camera.yaml"], 2, "--camera goes with --img: an episode knows its own"),
+        (["--episode", "ep", "--camera", "camera.yaml"], 2, "--camera goes with --img: a recorded episode has its own"),
         (["--img", "photo.png", "--min-iou", "0.5"], 2, "--min-iou needs --mask-image"),
         (["--img", "photo.png", "--opacity", "2"], 2, "--opacity"),
         (["--img", "photo.png", "--rig", "nothing"], 3, "unknown rig 'nothing'"),

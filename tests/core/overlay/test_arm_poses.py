@@ -14,7 +14,8 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.core.overlay.arm_poses import Lens, PhotoResult, find_arms, unknown_lens
+from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms
+from yamsim_cli.core.overlay.lenses import Lens, unknown_lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.lens import project_points

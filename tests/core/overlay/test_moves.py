@@ -14,7 +14,8 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
-from yamsim_cli.core.overlay.arm_poses import ArmPose, Lens, PhotoResult
+from yamsim_cli.core.overlay.arm_poses import ArmPose, PhotoResult
+from yamsim_cli.core.overlay.lenses import Lens
 from yamsim_cli.core.overlay.moves import Moved, Stillness, find_moves
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status

@@ -14,7 +14,8 @@ from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
 from yamsim_cli.core.images.image_files import grey_of
-from yamsim_cli.core.overlay.arm_poses import RECORDED, ArmPose, Lens, PhotoResult
+from yamsim_cli.core.overlay.arm_poses import RECORDED, ArmPose, PhotoResult
+from yamsim_cli.core.overlay.lenses import Lens
 from yamsim_cli.core.overlay.outline_fit import overlap, refine, score_outlines
 from yamsim_cli.core.overlay.rendered_arms import ArmRenderer
 from yamsim_cli.core.resources import Locations
@@ -113,11 +114,9 @@ def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: Shot, re
 
 
 def test_overlap() -> None:
-    labels = np.zeros((10, 10), np.uint8)
-    labels[:5] = 2
-    mask = np.zeros((10, 10), bool)
-    assert overlap(labels, mask, Path("p")) == 0.0
-    mask[:, :5] = True
-    assert overlap(labels, mask, Path("p")) == pytest.approx(25 / 75)
-    assert overlap(labels, labels > 0, Path("p")) == 1.0
-    assert overlap(np.zeros_like(labels), np.zeros_like(mask), Path("p")) == 1.0
+    one, other = np.zeros((10, 10), bool), np.zeros((10, 10), bool)
+    assert overlap(one, other) == 1.0
+    one[:5] = True
+    assert overlap(one, other) == 0.0
+    other[:, :5] = True
+    assert overlap(one, other) == pytest.approx(25 / 75)

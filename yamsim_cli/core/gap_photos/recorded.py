@@ -1,11 +1,10 @@
-"""The photos of recordings whose gap is known, each with how the arms stood and how they stand in the simulation."""
+"""The photos of recordings whose gap is known, and how the arms stand in each, measured and simulated."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,14 +13,12 @@ from ..dataset.layout import image_name, lowdim_name
 from ..dataset.lowdim import load_frame
 from ..errors import DatasetError, UsageError, suggest
 from ..gap.figures import Gap
-from ..geometry.camera import CameraModel
-from ..geometry.se3 import Array, inverse
+from ..geometry.se3 import inverse
 from ..images.image import Image
 from ..motion import Motion
-from ..overlay.photos import Photo
+from ..overlay.joint_files import Stands
+from ..overlay.photos import Photo, camera_matrix, chosen_camera, pinhole_camera
 from ..types import Stand
-
-Stands = tuple[Stand, ...]
 
 
 @dataclass(frozen=True)
@@ -29,10 +26,9 @@ class Taken:
     """A photo that was taken during a recording.
 
     Attributes:
-        gap: of the recording.
+        gap: the recording's gap.
         frame: number of the measured sample, from 0.
-        sample: its row in the motion.
-        path: the photo's file.
+        sample: row of that sample in the motion.
     """
 
     gap: Gap
@@ -42,10 +38,10 @@ class Taken:
 
 
 def taken_photos(gaps: Sequence[Gap], camera: str | None) -> tuple[str, list[Taken]]:
-    """The photos of one camera in what was compared of recordings, and that camera's name.
+    """The name of one camera, and its photos in the compared parts of recordings.
 
     Args:
-        camera: name of the camera; by default the first one that is no wrist camera, of the first recording with any.
+        camera: name of the camera, see `chosen_camera`.
 
     Raises:
         UsageError: no recording has photos, or none by that camera.
@@ -54,8 +50,7 @@ def taken_photos(gaps: Sequence[Gap], camera: str | None) -> tuple[str, list[Tak
     cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
     if not cameras:
         raise UsageError("--pictures: no recording has photos; leave it out, or give episodes with rgb/")
-    if camera is None:
-        camera = next((name for name in cameras if "wrist" not in name), cameras[0])
+    camera = chosen_camera(cameras, camera)
     if camera not in cameras:
         raise UsageError(f"--episode-camera {camera!r}: no recording has it; {suggest(camera, cameras)}")
     taken = []
@@ -74,7 +69,7 @@ def taken_photos(gaps: Sequence[Gap], camera: str | None) -> tuple[str, list[Tak
 
 
 def chosen_photos(taken: Sequence[Taken], most: int) -> list[Taken]:
-    """So many of the photos, evenly chosen; the one nearest to the worst error is among them."""
+    """At most `most` of the photos, evenly chosen. The photo with the largest joint error is among them."""
     if len(taken) <= most:
         return list(taken)
     worst = max(range(len(taken)), key=lambda k: _error(taken[k]))
@@ -93,14 +88,14 @@ def stands_at(motion: Motion, sample: int, rig: RigConfig) -> Stands:
     for arm, number in zip(motion.arms, rig.recorded, strict=True):
         config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
         dynamics, names = config.dynamics, config.robot.joint_names
-        # A joint stands where it is read less what its encoder is off.
+        # An encoder's offset is in the recorded joints.
         off = [0.0 if dynamics is None else dynamics.joint(name).offset_rad for name in names]
         stands[number] = Stand(arm.joints[sample] - off, opening)
     return tuple(stands[number] for number in range(len(rig.arms)))
 
 
 def photo_of(taken: Taken, camera: str, rig: RigConfig, image: Image) -> Photo:
-    """What a recording says of a photo: its camera and where that stood, as far as it was recorded.
+    """A photo with its recorded camera and that camera's pose, as far as they were recorded.
 
     Raises:
         DatasetError: the frame cannot be read, or is damaged.
@@ -108,8 +103,10 @@ def photo_of(taken: Taken, camera: str, rig: RigConfig, image: Image) -> Photo:
     file = Path(taken.gap.name) / lowdim_name(taken.frame)
     try:
         frame = load_frame(file.read_bytes())
-        K = _matrix(frame, "intrinsics", camera, 3)
-        T_cam_in_base = _matrix(frame, "extrinsics", camera, 4)
+        K, T_cam_in_base = (
+            None if (frame.get(key) or {}).get(camera) is None else camera_matrix(frame, key, camera)
+            for key in ("intrinsics", "extrinsics")
+        )
     except OSError as error:
         raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from error
     except (TypeError, ValueError, DatasetError) as error:
@@ -117,29 +114,8 @@ def photo_of(taken: Taken, camera: str, rig: RigConfig, image: Image) -> Photo:
     height, width = image.shape[:2]
     T_base_in_cam = None
     if T_cam_in_base is not None:
-        # It was recorded in the base of the only arm, or of the left one.
+        # Extrinsics are recorded in the base of the only arm, or of the left one.
         T_cam_in_world = rig.T_base_in_world(rig.recorded[0]) @ T_cam_in_base
         T_base_in_cam = inverse(T_cam_in_world) @ rig.T_base_in_world(0)
-    return Photo(
-        taken.path,
-        None if K is None else _pinhole(K, width, height),
-        stands_at(taken.gap.simulated, taken.sample, rig),
-        "episode",
-        T_base_in_cam,
-    )
-
-
-def _matrix(frame: dict[str, Any], key: str, camera: str, side: int) -> Array | None:
-    """A camera's matrix (side, side) in a frame; None where it was not recorded."""
-    values = (frame.get(key) or {}).get(camera)
-    if values is None:
-        return None
-    matrix = np.asarray(values, dtype=np.float64)
-    if matrix.shape != (side, side) or not np.isfinite(matrix).all():
-        raise ValueError(f"{key} of {camera} has the shape {matrix.shape} or is not finite; valid: ({side}, {side})")
-    return matrix
-
-
-def _pinhole(K: Array, width: int, height: int) -> CameraModel:
-    (a, b, c), (d, e, f), _ = K.tolist()
-    return CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0)))
+    model = None if K is None else pinhole_camera(K, width, height)
+    return Photo(taken.path, model, stands_at(taken.gap.simulated, taken.sample, rig), "episode", T_base_in_cam)

@@ -22,9 +22,8 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
 from yamsim_cli.core.images.image_files import read_image
 from yamsim_cli.core.overlay import overlayer
 from yamsim_cli.core.overlay.overlay_report import OverlayReport
-from yamsim_cli.core.overlay.overlayer import OverlayOptions
+from yamsim_cli.core.overlay.overlayer import OverlayRequest, photo_jobs, run_overlays
 from yamsim_cli.core.overlay.photos import Photo, find_photos
-from yamsim_cli.core.overlay.series import OverlayRequest, run_overlays
 from yamsim_cli.core.resources import Locations
 
 pytestmark = pytest.mark.render
@@ -39,15 +38,19 @@ def run(russet_shot: Shot, locations: Locations, tmp_path: Path, monkeypatch: py
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
 
-    def run_photos(*paths: str, options: OverlayOptions | None = None, **changes: Any) -> OverlayReport:
-        asked: dict[str, Any] = {
-            "photos": [Photo(path) for path in find_photos([Path(path) for path in paths])],
-            "options": options or OverlayOptions(),
-            "camera": russet_shot.camera,
-            "stands": [russet_shot.stands],
-            "out": Path("out"),
-        }
-        request = OverlayRequest(**(asked | changes))
+    def run_photos(
+        *paths: str,
+        photos: list[Photo] | None = None,
+        stands: Any = (russet_shot.stands,),
+        out: Path = Path("out"),
+        camera: CameraModel | None = russet_shot.camera,
+        write_masks: bool = False,
+        mask_images: Path | None = None,
+        **changes: Any,
+    ) -> OverlayReport:
+        photos = photos or [Photo(path) for path in find_photos([Path(path) for path in paths])]
+        jobs = photo_jobs(photos, out, stands=stands, write_masks=write_masks, mask_images=mask_images)
+        request = OverlayRequest(jobs, out, camera, **changes)
         return run_overlays(russet_shot.rig, request, scene, quality, locations, lambda done, total: None)
 
     return run_photos
@@ -167,7 +170,7 @@ def test_a_mask_of_another_size_is_refused(run: Runner, photo: Path) -> None:
 def test_refining_keeps_a_good_pose_and_what_the_margin_promises(
     run: Runner, photo: Path, russet_shot: Shot, together: bool
 ) -> None:
-    report = run("photo.png", options=OverlayOptions(trust_margin=together, refine=True))
+    report = run("photo.png", trust_margin=together, refine=True)
     T = report.results[0].bases
     for k in (0, 1):
         mm, degrees = off(T[k], russet_shot.T_base_in_cam(k))
