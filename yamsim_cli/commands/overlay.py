@@ -103,7 +103,7 @@ def overlay(
     from yamsim_cli.core.overlay.photos import Photo, find_photos, recorded_photos
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.vision.fiducials.judge import Limits
+    from yamsim_cli.core.vision.fiducials.sighting import Limits
 
     photos = (
         recorded_photos(episode, episode_camera, settings)

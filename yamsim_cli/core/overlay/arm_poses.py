@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from ..config.rig import RigConfig
 from ..geometry.se3 import Array, inverse
-from ..vision.fiducials.judge import USUAL_LIMITS, Limits
-from ..vision.fiducials.locate import locate, unlocated
+from ..vision.fiducials.locate import locate, locate_together, unlocated
 from ..vision.fiducials.markers import seen_ids
-from ..vision.fiducials.sighting import Sighting, Status
-from ..vision.fiducials.together import locate_together
+from ..vision.fiducials.sighting import USUAL_LIMITS, Limits, Sighting, Status
 from .lenses import Lens
 from .photos import Photo
 

@@ -22,8 +22,7 @@ from ..images.png import encode_png
 from ..images.video import VideoWriter
 from ..progress import Progress
 from ..resources import Locations
-from ..vision.fiducials.judge import USUAL_LIMITS, Limits
-from ..vision.fiducials.sighting import Status
+from ..vision.fiducials.sighting import USUAL_LIMITS, Limits, Status
 from ..vision.picture_overlay import blend, draw_board, write_lines
 from .arm_poses import PhotoResult, find_arms
 from .joint_files import Stands, home_stands

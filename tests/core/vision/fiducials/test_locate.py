@@ -19,11 +19,9 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vec
 from yamsim_cli.core.vision.fiducials.fitting.align import align
 from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
-from yamsim_cli.core.vision.fiducials.judge import Limits
-from yamsim_cli.core.vision.fiducials.locate import at_pose, locate
+from yamsim_cli.core.vision.fiducials.locate import at_pose, locate, locate_together
 from yamsim_cli.core.vision.fiducials.markers import seen_ids
-from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
-from yamsim_cli.core.vision.fiducials.together import locate_together
+from yamsim_cli.core.vision.fiducials.sighting import Limits, Sighting, Status
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 WEBCAM = replace(

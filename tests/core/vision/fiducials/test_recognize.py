@@ -17,9 +17,13 @@ from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece, plane_of,
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 from yamsim_cli.core.vision.fiducials.locate import locate
 from yamsim_cli.core.vision.fiducials.recognition.bits import bits_of, evidence, least_chance
-from yamsim_cli.core.vision.fiducials.recognition.lattice import board_quads
-from yamsim_cli.core.vision.fiducials.recognition.quads import dark_quads, restless_quads
-from yamsim_cli.core.vision.fiducials.recognition.suspects import moved_suspects, suspects
+from yamsim_cli.core.vision.fiducials.recognition.candidates import (
+    board_quads,
+    candidates,
+    dark_quads,
+    edge_quads,
+    moved_candidates,
+)
 from yamsim_cli.core.vision.fiducials.sighting import Status
 from yamsim_cli.core.vision.lens import project_points
 
@@ -76,7 +80,7 @@ def test_chance_is_bounded_as_it_says() -> None:
 def test_a_dark_patch_on_a_light_table_is_a_suspect(where: tuple[float, ...]) -> None:
     truth = facing(*where)
     photo = photograph(CAMERA, [(ONE, truth)])
-    found = suspects(photo, ONE, dark_quads(photo, whole=True))
+    found = candidates(photo, ONE, dark_quads(photo, whole=True))
     cell = np.sqrt(cv2.contourArea(corners_of(ONE, truth).astype(np.float32))) / 26
     assert np.abs(found[0].corners - corners_of(ONE, truth)).max() < 2 * cell
     assert found[0].agreement > 6
@@ -90,7 +94,7 @@ def test_on_a_dark_table_the_grid_of_markers_is_one() -> None:
     corners = corners_of(ONE, truth)
     cv2.circle(dark, tuple(np.round(corners[0]).astype(int).tolist()), 16, 90, -1)
     grids = board_quads(dark_quads(dark, whole=False), ONE)
-    found = suspects(dark, ONE, grids)
+    found = candidates(dark, ONE, grids)
     assert found[0].agreement > 6
     assert np.abs(found[0].corners - corners).max() < 4
     (seen,), _ = locate(dark, CAMERA, [ONE])
@@ -107,9 +111,9 @@ def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edge
     # Other things give the photo its range.
     clean[:, :60], clean[:60] = 20, 230
     photo = with_noise(clean)
-    assert not suspects(photo, ONE, dark_quads(photo, whole=True))
-    assert not suspects(photo, ONE, board_quads(dark_quads(photo, whole=False), ONE))
-    (found, *_) = moved_suspects(photo, ONE, restless_quads(photo))
+    assert not candidates(photo, ONE, dark_quads(photo, whole=True))
+    assert not candidates(photo, ONE, board_quads(dark_quads(photo, whole=False), ONE))
+    (found, *_) = moved_candidates(photo, ONE, edge_quads(photo))
     assert np.abs(found.corners - corners).max() < 1
     (seen,), _ = locate(photo, CAMERA, [ONE])
     assert seen.T_board_in_cam is not None

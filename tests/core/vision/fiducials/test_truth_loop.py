@@ -13,9 +13,8 @@ from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_vector
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.fiducials.focal_length.estimate import FocalEstimate, estimate_focal, outlines_in
-from yamsim_cli.core.vision.fiducials.locate import locate
+from yamsim_cli.core.vision.fiducials.locate import locate, locate_together
 from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
-from yamsim_cli.core.vision.fiducials.together import locate_together
 
 pytestmark = pytest.mark.render
 

@@ -1,4 +1,4 @@
-"""What would help a board to be found, from what was measured of the photo."""
+"""What would help to find a board, from measures of the photo."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from .fitting.align import Alignment
 
 Grey = NDArray[np.uint8]
 
-# What spoils a photo: motion and blur (sigma) beyond this, px; less contrast than this many times the noise; cells of
-# the print smaller than this, px. Source: `make bench-fiducials`, below which nearly all boards are found.
-_MOTION, _BLUR, _CONTRAST, _CELL = 3.0, 1.5, 8.0, 0.8
-# A photo whose grey levels have less range than this is dark, or lacks contrast.
-_RANGE = 60.0
-# An edge with more blur than this (sigma, px) is not sharp, and a whole photo without sharper ones is blurred.
-_SOFT = 2.5
-_SMOOTHED = 1.5
-_ENDS = (0.5, 99.5)
+# Limits within which nearly all boards are found. Source: `make bench-fiducials`.
+_MOTION = 3.0  # px
+_BLUR = 1.5  # px, sigma
+_CONTRAST = 8.0  # times the noise
+_CELL = 0.8  # px
+_RANGE = 60.0  # grey levels, range below which a photo is dark or lacks contrast
+_SOFT = 2.5  # px, sigma of the sharpest edge above which a photo is blurred
+_SMOOTHED = 1.5  # px, sigma of the smoothing against noise before edges are measured
+_ENDS = (0.5, 99.5)  # percentiles of a photo's range
 
 
 @dataclass(frozen=True)
 class Looks:
-    """How a board looks in a photo.
+    """A board's appearance in a photo.
 
     Attributes:
-        cell: the shorter side of a cell of its print, px.
+        cell: the shorter side of a cell of the print, px.
         blur, motion: sigma and length, px.
-        contrast: grey levels from its black to its white, and `noise` beside it.
+        contrast: grey levels from black to white.
+        noise: standard deviation, grey levels.
     """
 
     cell: float
@@ -46,7 +47,7 @@ class Looks:
 
 
 def looks_of(board: Board, camera: CameraModel, photo: NDArray[np.float32], fit: Alignment) -> Looks:
-    """How a board looks at a fitted pose in a photo (height, width)."""
+    """A board's appearance at a fitted pose in a photo (height, width)."""
     T = fit.T_ref_in_cam
     corners = project_points(camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
     area = cv2.contourArea(corners.astype(np.float32))
@@ -61,7 +62,7 @@ def looks_of(board: Board, camera: CameraModel, photo: NDArray[np.float32], fit:
 
 
 def advice_on(looks: Looks) -> tuple[str, ...]:
-    """What would help a board that looks so; empty where nothing in particular spoils it."""
+    """What would help a board with this appearance; empty if all measures are within the limits."""
     found = []
     if looks.motion > _MOTION:
         found.append(f"hold still (it is smeared by {looks.motion:.0f} px)")
@@ -88,8 +89,7 @@ def advice_on_photo(grey: Grey) -> tuple[str, ...]:
 
 
 def _least_blur(grey: Grey, contrast: float) -> float:
-    """About the sigma (px) of a photo's sharpest edges: an edge of full contrast is steepest where it is sharp."""
-    # Against noise, which is then taken out of what is found.
+    """The approximate sigma (px) of a photo's sharpest edges, from their slope."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHED)
     across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(smooth, cv2.CV_32F, 0, 1) / 32
     steepest = float(np.percentile(np.hypot(across, down)[::2, ::2], 99.9))

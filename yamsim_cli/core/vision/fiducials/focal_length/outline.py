@@ -21,9 +21,8 @@ from ....geometry.camera import CameraModel
 from ....geometry.se3 import Array
 from ...lens import rays
 from ..fitting.align import BLUR_RANGE
-from ..fitting.descent import PrintProblem, System, weighed
 from ..fitting.fits import SAME_PRINT
-from ..fitting.linearize import Pixels, linearized
+from ..fitting.normal_equations import Pixels, PrintProblem, System, linearized, weighed
 from ..fitting.print_view import Piece, PrintView, view_print
 from ..fitting.smear import Smear
 from ..markers import Group
