@@ -18,8 +18,7 @@ from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.dataset.truth_files import TruthLabels, Visibility, array_faults, load_truth
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import triangles
-from yamsim_cli.core.vision.cloth_truth import drawn_sides
-from yamsim_cli.core.vision.frame_truth import FrameTruth, measure_frame
+from yamsim_cli.core.vision.frame_truth import FrameTruth, drawn_sides, measure_frame
 
 pytestmark = pytest.mark.render
 

@@ -16,7 +16,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.truth_files import KeypointRecord, Visibility
 from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.core.images.label_images import decode_labels, encode_labels
+from yamsim_cli.core.images.png import decode_labels, encode_labels
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.replica import Replica

@@ -1,9 +1,9 @@
 """Refine a pose by the boards' whole picture rather than by a few corners.
 
-The boards' print is drawn as the camera would see it from a supposed pose, with the lens's blur. Pose and blur are moved
-until drawing and photo agree best: robust least squares over all pixels, with free brightness and contrast for each
-marker. Corners that are found one by one lie on blurred edges and are displaced by neighbouring cells; here neighbours
-and blur are part of the model.
+The boards' print is drawn as the camera would see it from a supposed pose, with the lens's blur. Pose and blur are
+moved until drawing and photo agree best: robust least squares over all pixels, with free brightness and contrast for
+each marker. Corners that are found one by one lie on blurred edges and are displaced by neighbouring cells; here
+neighbours and blur are part of the model.
 """
 
 from __future__ import annotations

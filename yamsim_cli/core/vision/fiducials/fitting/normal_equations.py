@@ -250,6 +250,7 @@ class PrintProblem(LeastSquares[S, System]):
         """The approximate shift of the print in the picture by a step (f,), px."""
 
     def linearized(self, state: S, before: System | None) -> System | None:
+        """The system at a state, weighted for the noise known before."""
         if before is None:
             return self.system(state, None)
         found = self.system(state, before.noise)
@@ -259,6 +260,7 @@ class PrintProblem(LeastSquares[S, System]):
         return replace(found, noise=float(np.sqrt(found.misfit / max(1.0, found.weight - 7))))
 
     def settled(self, state: S, known: System, step: Array, gain: Array) -> bool:
+        """Whether the last step hardly moved the print."""
         px, sigmas = _NEARLY if self._roughly else _CONVERGED
         of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / max(known.noise, _LEAST_NOISE)
         if self._roughly and gain < 0 and of_noise < _NOT_WORTH_A_TRY:

@@ -1,7 +1,7 @@
-"""The focal length of a camera nobody calibrated, from the boards in its photos: as good as their perspective tells it.
+"""The focal length of an uncalibrated camera, from the perspective of the boards in its photos.
 
-What comes back is an interval that holds the truth in 95 of 100 photos, or the reason why there is none that is worth
-having: seen straight on, a board looks the same through any lens.
+The result is an interval that holds the truth in 95 of 100 photos, or the reason why no useful interval exists: seen
+straight on, a board looks the same through any lens.
 """
 
 from __future__ import annotations
@@ -21,35 +21,28 @@ from .perspective import Profile, profile
 
 Grey = NDArray[np.uint8]
 
-# Focal lengths that are looked at, in image widths: from wider than any lens without much distortion, 100 degrees, to
-# longer than any that a robot is filmed with.
+# Range of the search, image widths: from a field of view of 100 degrees to a longer lens than robots are filmed with.
 _FOCALS = (0.42, 16.0)
-_NODES, _NODES_CLOSE = 57, 33
-# So many valleys of likely ones, at most, are looked into.
-_VALLEYS = 3
-# The valley of likely ones is looked at closer until so many of the nodes lie in it.
-_NODES_INSIDE = 14
-_MOST_ZOOMS = 6
+_NODES, _NODES_CLOSE = 57, 33  # focal lengths of a profile over the whole range, and over one valley
+_VALLEYS = 3  # valleys of the misfit that are searched at most
+_NODES_INSIDE = 14  # nodes within a valley, below which the profile is refined
+_MOST_ZOOMS = 6  # refinements of a valley
 
-# Chi squared that a 95 % interval goes up to, of one degree of freedom; and how far its valley is looked at.
-_CHI_95 = 3.84
-_CHI_AROUND = 16.0
-# However many boards are seen, what lenses do beyond that is left out. It moves the logarithm of the focal length so
-# much, the principal point so many focal lengths, and k1. Source: 120 times five photos by lenses with distortion;
-# errors of the focal length had an rms of 0.2 and 0.3 %, what the outlines alone leave open was 0.1 %.
+_CHI_95 = 3.84  # chi squared of a 95 % interval, one degree of freedom
+_CHI_AROUND = 16.0  # chi squared up to which a valley is searched
+# Least standard deviations for any number of boards, from lens effects that are not modelled: of the log of the focal
+# length, of the principal point, focal lengths, and of k1. Source: 120 times five photos by lenses with distortion;
+# errors of the focal length had an rms of 0.2 and 0.3 %, of which the outlines explain 0.1 %.
 _LEAST_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
-# Likely lenses lie in a curved valley, of which a covariance is the straight middle: so much of each sigma is added to
-# it as if each went its own way. Source: outlines of 200 single and of 70 times four random photos by lenses as
-# expected; without it 62 and 84 % of squared errors are within where 95 % should be, with it 95 and 96 %.
+# Share of each sigma that is added independently, since likely lenses lie in a curved valley and a covariance is
+# straight. Source: outlines of 200 single and of 70 times four random photos by expected lenses; without this share 62
+# and 84 % of squared errors are within the 95 % bounds, with this share 95 and 96 %.
 _CURVED = 0.5
-# A wider interval (ratio of its ends) is no answer: what is off by so much is not near enough to a normal distribution.
-_WIDEST = 1.5
-# Of outlines that one lens explains, one in ten thousand is farther off (standard deviations).
-_FAR = 3.72
+_WIDEST = 1.5  # ratio of an interval's ends, above which errors are too far from a normal distribution
+_FAR = 3.72  # standard deviations, exceeded by one in ten thousand sets of outlines that one lens explains
 
-# Where nothing is known: a horizontal field of view of 60 degrees, or anything near it.
-_USUAL = 0.5 / math.tan(math.radians(30.0))
-_USUAL_SIGMA = 0.35
+_USUAL = 0.5 / math.tan(math.radians(30.0))  # image widths, focal length of a 60 degrees horizontal field of view
+_USUAL_SIGMA = 0.35  # standard deviation of its logarithm
 
 _NO_BOARD = "no board tells the focal length"
 _ADVICE = "photograph the board from a slant, or give --camera"
@@ -57,12 +50,12 @@ _ADVICE = "photograph the board from a slant, or give --camera"
 
 @dataclass(frozen=True)
 class FocalEstimate:
-    """A camera's focal length as far as its photos tell it.
+    """A camera's focal length, estimated from photos.
 
     Attributes:
-        camera: the likeliest; some usual one where there is a `reason`.
-        low, high: ends of the 95 % interval, px; None where the photos set no end to it.
-        reason: why no pose should rest on it, for a person; empty where the interval is worth having.
+        camera: the likeliest camera; a usual one if there is a `reason`.
+        low, high: ends of the 95 % interval, px; None for an open end.
+        reason: why no pose should rest on the estimate, for users; empty for a useful interval.
     """
 
     camera: CameraModel
@@ -72,7 +65,7 @@ class FocalEstimate:
 
 
 def known_focal(camera: CameraModel) -> FocalEstimate:
-    """What is said of a camera that somebody calibrated."""
+    """The focal length of a calibrated camera, with the interval of its uncertainty."""
     wide = math.exp(math.sqrt(_CHI_95) * camera.focal_sigma)
     return FocalEstimate(camera, camera.focal / wide, camera.focal * wide)
 
@@ -81,7 +74,7 @@ def outlines_in(grey: Grey, boards: Sequence[Board]) -> list[Outline]:
     """Where boards lie in a photo (height, width) of an unknown camera."""
     height, width = grey.shape
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
-    # Only for putting markers together: any lens does.
+    # Any lens does to group markers.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     found, photo = [], None
     for board in boards:
@@ -93,11 +86,11 @@ def outlines_in(grey: Grey, boards: Sequence[Board]) -> list[Outline]:
 
 
 def estimate_focal(outlines: Sequence[Outline], size: tuple[int, int]) -> FocalEstimate:
-    """The focal length that outlines speak for.
+    """The focal length that explains outlines.
 
     Args:
         outlines: from all photos of one camera.
-        size: of these photos, width and height in px.
+        size: width and height of these photos, px.
     """
     width, height = size
     usual = CameraModel.pinhole(width, height, _USUAL * max(size), _USUAL_SIGMA)
@@ -110,11 +103,11 @@ def estimate_focal(outlines: Sequence[Outline], size: tuple[int, int]) -> FocalE
 
 
 def _deepest(outlines: Sequence[Outline], size: tuple[int, int], wide: Profile) -> Profile:
-    """The profile around the best focal length; valleys may be narrower than nodes are apart, so several are tried."""
+    """The profile around the best focal length. Valleys may be narrower than the nodes, so several are tried."""
     misfit = np.pad(wide.misfit, 1, constant_values=math.inf)
     bottoms = np.flatnonzero((misfit[1:-1] <= misfit[:-2]) & (misfit[1:-1] <= misfit[2:]))
     ends = np.isin(bottoms, (0, len(wide.spread) - 1))
-    # An end is as deep as it seems, so it comes last, and counts only if it is no worse than what the valleys hold.
+    # The depth at an end of the range is known, so ends come last, and count only if no valley is deeper.
     inner, found = bottoms[~ends], []
     for bottom in inner[np.argsort(wide.misfit[inner])][:_VALLEYS]:
         found.append(_closer(outlines, size, wide, int(bottom)))
@@ -141,7 +134,7 @@ def _closer(outlines: Sequence[Outline], size: tuple[int, int], found: Profile, 
 
 
 def _interval(found: Profile, size: tuple[int, int]) -> tuple[float | None, float | None]:
-    """Ends of what is less than `_CHI_95` worse than the best, px; None where the search ends before it."""
+    """Ends of the focal lengths whose misfit is within `_CHI_95` of the best, px; None at an end of the range."""
     best = math.log(found.spread[np.argmin(found.misfit)])
     over = found.misfit - found.misfit.min() - _CHI_95
     inside = np.flatnonzero(over <= 0)
@@ -158,7 +151,7 @@ def _interval(found: Profile, size: tuple[int, int]) -> tuple[float | None, floa
 
 
 def _reason(found: Profile, boards: int, low: float | None, high: float | None) -> str:
-    """Why an interval is none to rest a pose on; empty where it is."""
+    """Why no pose should rest on an interval; empty for a useful interval."""
     freedom = 2 * boards - 1
     # Wilson and Hilferty's approximation of chi squared.
     most = freedom * (1 - 2 / (9 * freedom) + _FAR * math.sqrt(2 / (9 * freedom))) ** 3
@@ -176,15 +169,15 @@ def _reason(found: Profile, boards: int, low: float | None, high: float | None) 
 
 
 def _camera(found: Profile, size: tuple[int, int]) -> CameraModel:
-    """The likeliest camera, and how far all of it is to be doubted."""
+    """The likeliest camera, with the covariance of its parameters."""
     width, height = size
     best = int(np.argmin(found.misfit))
     focal = max(size) / float(found.spread[best])
     off = -np.log(found.spread / found.spread[best])
     likely = np.exp(-0.5 * (found.misfit - found.misfit[best]))
-    # About the likeliest, not about the mean: where the valley is lopsided, that counts.
+    # About the likeliest focal length, not about the mean: the two differ in a lopsided valley.
     variance = float((likely * off**2).sum() / likely.sum())
-    # In focal lengths instead of image widths.
+    # From image widths to focal lengths.
     units = np.array([found.spread[best], found.spread[best], 1.0])
     lens = found.lens * units
     slope = (likely * off) @ (lens - lens[best]) / max(float((likely * off**2).sum()), 1e-30)

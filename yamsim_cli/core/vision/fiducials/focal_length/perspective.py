@@ -1,8 +1,8 @@
-"""What outlines of flat boards say of the focal length of the camera that saw them: how well each one explains them.
+"""The misfit of each focal length to the outlines of flat boards.
 
-A board seen at a slant shrinks towards its far edge, and how much so tells its distance apart from its size in the
-picture. Seen straight on it does not, and any lens explains it. So no one value is sought: for every focal length, each
-board takes the pose that explains its outline best, and what is left over (chi squared) is what speaks against it.
+A board seen at a slant shrinks towards its far edge, which separates its distance from its size in the picture. Seen
+straight on, any lens explains the outline. So a whole range is evaluated: at every focal length, each board takes the
+pose that explains its outline best, and the remaining chi squared is the misfit.
 """
 
 from __future__ import annotations
@@ -19,28 +19,26 @@ from ....geometry.se3 import Array
 from .board_poses import BoardPoses, Poses, poses_of
 from .outline import Outline
 
-# How far lenses are expected to be from a centred pinhole: standard deviations of the principal point, image widths
-# right and down, and of the distortion k1. Source: 13 calibrations of webcams and robots' cameras that people publish;
-# half of them are within these, and three in four within twice as much. Phones correct theirs and are well within.
+# Prior of lenses: standard deviations of the principal point, image widths right and down, and of the distortion k1.
+# Source: 13 published calibrations of webcams and robots' cameras, half of which are within these, and three in four
+# within twice as much. Phones correct their distortion and are well within.
 _LENS_SIGMAS = np.array([0.02, 0.02, 0.1])
-# How often the lens is looked for anew once the poses have followed it: at most, and in vain.
-_LENS_ROUNDS, _IDLE_ROUNDS = 25, 2
-
-# Where chi squared is so much worse than the best, it is no matter by how much; elsewhere, so little is no gain.
-_LIKELY, _LITTLE_GAIN = 150.0, 0.03
-# Chi squared of what cannot be.
-_NEVER = 1e12
+_LENS_ROUNDS = 25  # rounds of lens and poses at most
+_IDLE_ROUNDS = 2  # rounds without gain that end the search
+_LIKELY = 150.0  # chi squared above the best, from which the exact value does not matter
+_LITTLE_GAIN = 0.03  # chi squared, gain that does not count
+_NEVER = 1e12  # chi squared of impossible states
 
 
 @dataclass(frozen=True)
 class Profile:
-    """How well each focal length explains the outlines.
+    """The misfit of focal lengths to the outlines, with the best lens of each.
 
     Attributes:
-        spread: the longer side over the focal length (n,), each with its best poses and lens.
+        spread: the longer side over the focal length (n,).
         misfit: chi squared (n,).
-        lens: the principal point's shift (image widths, right and down) and k1 that go with each (n, 3).
-        lens_covariance: (n, 3, 3) of these, at a fixed focal length.
+        lens: the principal point's shift (image widths, right and down) and k1 (n, 3).
+        lens_covariance: (n, 3, 3) of `lens`, at a fixed focal length.
     """
 
     spread: Array
@@ -50,20 +48,20 @@ class Profile:
 
 
 def profile(outlines: Sequence[Outline], size: tuple[int, int], spread: Array, near: Profile | None = None) -> Profile:
-    """Explain outlines of boards by each of several focal lengths.
+    """The misfit of focal lengths to outlines.
 
     Args:
-        outlines: of one camera's photos, all of them together.
-        size: of its photos, width and height in px.
-        spread: the longer side over the focal length, for each (n,).
-        near: what is known already of focal lengths between these.
+        outlines: from all photos of one camera.
+        size: width and height of the photos, px.
+        spread: the longer side over the focal length (n,).
+        near: a coarser profile, for lenses to start from.
     """
     lens = np.zeros((len(spread), 3))
     if near is not None:
         lens = np.column_stack([np.interp(spread, near.spread, near.lens[:, k]) for k in range(3)])
     problem = _LensProblem([poses_of(outline, size, spread) for outline in outlines])
     found = descend(problem, problem.start(lens), _LENS_ROUNDS)
-    assert found is not None  # the evidence can always be told
+    assert found is not None  # the evidence exists at every state
     state, known = found
     return Profile(spread, known.cost, state.lens, known.covariance())
 
@@ -78,11 +76,11 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What boards, each at its best pose, say of the lens at each of n focal lengths, with what lenses usually are.
+    """The evidence of boards, each at its best pose, on the lens at each of n focal lengths.
 
     Attributes:
-        information, slope, misfit: of the boards alone, (n, 3, 3), (n, 3) and (n,).
-        lens: that the boards are seen through (n, 3).
+        information, slope, misfit: from the boards alone, (n, 3, 3), (n, 3) and (n,).
+        lens: the lens (n, 3) through which the boards are seen.
     """
 
     information: Array
@@ -97,16 +95,16 @@ class _Evidence:
 
     @classmethod
     def of(cls, board: BoardPoses, poses: Poses, lens: Array) -> _Evidence:
-        """What one board says."""
+        """The evidence of one board."""
         residual, by_pose, by_lens = board.equations(poses, lens)
-        # What the pose makes up for is no word on the lens.
+        # What a pose can explain is projected out.
         q, _ = np.linalg.qr(by_pose)
         own = by_lens - q @ (np.swapaxes(q, 1, 2) @ by_lens)
         left = residual - (q @ (np.swapaxes(q, 1, 2) @ residual[..., None]))[..., 0]
         return cls(np.swapaxes(own, 1, 2) @ own, np.einsum("nij,ni->nj", own, left), (left**2).sum(axis=1), lens)
 
     def where(self, take: NDArray[np.bool_], other: _Evidence) -> _Evidence:
-        """This one for some focal lengths, another for the rest."""
+        """This evidence for some focal lengths, another for the rest."""
         return _Evidence(
             np.where(take[:, None, None], self.information, other.information),
             np.where(take[:, None], self.slope, other.slope),
@@ -116,13 +114,13 @@ class _Evidence:
 
     @property
     def cost(self) -> Array:
-        """Chi squared (n,), and how unusual the lens is."""
+        """Chi squared (n,), with the lens prior."""
         cost: Array = self.misfit + (self.lens**2 / _LENS_SIGMAS**2).sum(axis=1)
         return np.where(np.isfinite(cost), cost, _NEVER)
 
     @property
     def normal(self) -> Array:
-        """Of the lens (n, 3, 3), with what lenses usually are."""
+        """The information (n, 3, 3) on the lens, with the prior."""
         return np.nan_to_num(self.information) + np.diag(_LENS_SIGMAS**-2.0)
 
     @property
@@ -131,12 +129,12 @@ class _Evidence:
         return -np.nan_to_num(self.slope + _LENS_SIGMAS**-2.0 * self.lens)
 
     def covariance(self) -> Array:
-        """Of the lens (n, 3, 3), with what lenses usually are."""
+        """The covariance (n, 3, 3) of the lens, with the prior."""
         return np.linalg.inv(self.normal).astype(np.float64)
 
 
 class _LensProblem(LeastSquares[_Seen, _Evidence]):
-    """Least squares over the lens, at each focal length for itself; all boards' poses follow it."""
+    """Least squares over the lens, separately at each focal length; the boards' poses follow the lens."""
 
     def __init__(self, boards: Sequence[Sequence[BoardPoses]]) -> None:
         self._boards = boards
@@ -162,7 +160,7 @@ class _LensProblem(LeastSquares[_Seen, _Evidence]):
         return self._through(state.lens + step, state.poses)
 
     def settled(self, state: _Seen, known: _Evidence, step: Array, gain: Array) -> bool:
-        """Whether steps were in vain for some rounds, where it matters."""
+        """Whether no likely focal length has gained for some rounds."""
         matters = known.cost < known.cost.min() + _LIKELY
         self._idle = 0 if (gain[matters] > _LITTLE_GAIN).any() else self._idle + 1
         return self._idle == _IDLE_ROUNDS
