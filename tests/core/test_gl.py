@@ -46,29 +46,21 @@ GOOD = (0, "")
 BAD = (1, "Traceback\n  File x\nImportError: no libEGL\n")
 
 
-def test_the_gpu_is_tried_first(probing):
-    probes = probing(egl=GOOD)
-    assert find_backend({}, "linux").name == "egl"
-    assert probes.tried == ["egl"]
-
-
-def test_software_rendering_is_the_second_choice(probing):
-    probes = probing(egl=BAD, osmesa=GOOD)
-    assert find_backend({}, "linux").name == "osmesa"
-    assert probes.tried == ["egl", "osmesa"]
-
-
-def test_an_empty_choice_is_none(probing):
-    probes = probing(egl=GOOD)
-    assert find_backend({"MUJOCO_GL": ""}, "linux").name == "egl"
-    assert probes.tried == ["egl"]
-
-
-@pytest.mark.parametrize("platform", ["linux", "darwin"])
-def test_the_users_choice_is_the_only_one_tried(probing, platform):
-    probes = probing(osmesa=GOOD)
-    assert find_backend({"MUJOCO_GL": "osmesa"}, platform).name == "osmesa"
-    assert probes.tried == ["osmesa"]
+@pytest.mark.parametrize(
+    ("answers", "environ", "platform", "tried"),
+    [
+        ({"egl": GOOD}, {}, "linux", ["egl"]),
+        ({"egl": BAD, "osmesa": GOOD}, {}, "linux", ["egl", "osmesa"]),
+        ({"egl": GOOD}, {"MUJOCO_GL": ""}, "linux", ["egl"]),
+        ({"osmesa": GOOD}, {"MUJOCO_GL": "osmesa"}, "linux", ["osmesa"]),
+        ({"osmesa": GOOD}, {"MUJOCO_GL": "osmesa"}, "darwin", ["osmesa"]),
+    ],
+    ids=["GPU first", "software second", "empty choice", "user's choice on Linux", "user's choice elsewhere"],
+)
+def test_the_first_backend_that_works_is_chosen(probing, answers, environ, platform, tried):
+    probes = probing(**answers)
+    assert find_backend(environ, platform) == GlBackend(tried[-1], "llvmpipe (LLVM 15)")
+    assert probes.tried == tried
 
 
 def test_a_bad_choice_of_the_users_is_not_replaced_by_another(probing):
@@ -150,12 +142,6 @@ def test_a_real_probe_that_hangs_crashes_or_prints_junk_costs_a_message_only(mon
 )
 def test_software_is_told_by_what_opengl_calls_itself(renderer, software):
     assert GlBackend("egl", renderer).software is software
-
-
-def test_a_probe_tells_what_draws(probing):
-    probing(egl=GOOD)
-    assert find_backend({}, "linux") == GlBackend("egl", "llvmpipe (LLVM 15)")
-    assert find_backend({}, "darwin") == GlBackend(None, "")
 
 
 @pytest.mark.render

@@ -96,7 +96,6 @@ def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
     episode = tmp_path / "ep_000001"
     for k in TAKEN[:2]:
         image = cv2.imread(str(Path(photographed.name) / image_name(SCENE_CAMERA, k)))
-        assert image is not None
         _write(episode, k, cv2.cvtColor(image, cv2.COLOR_BGR2RGB), {})
     other = replace(photographed, name=str(episode))
     report, _ = _compare(other, locations, PhotoRequest(10, CAMERA))

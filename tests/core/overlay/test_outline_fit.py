@@ -93,7 +93,6 @@ def test_the_score_says_how_many_pixels_it_is_off(russet_shot: Shot, renderer: A
         poses = {k: moved(russet_shot.T_base_in_cam(k), (0.001 * mm, 0, 0), (0, 0, 0)) for k in (0, 1)}
         renderer.pose(poses, russet_shot.stands)
         result = score_outlines(with_poses(russet_shot, poses), renderer, grey)
-        assert result.edge_residual is not None
         scores.append(result.edge_residual)
         assert all(arm.edge_residual is not None for arm in result.arms)
     assert scores[0] < 0.4

@@ -19,7 +19,6 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
 from yamsim_cli.core.geometry.se3 import inverse
-from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
@@ -136,30 +135,6 @@ def test_closing_twice_is_harmless(scene: CompiledScene) -> None:
     renderer = SceneRenderer(scene.model, (64, 48))
     renderer.close()
     renderer.close()
-
-
-def test_jpeg_round_trip_keeps_colours_in_order() -> None:
-    image = np.zeros((32, 48, 3), np.uint8)
-    image[..., 0] = 200
-    decoded = decode_jpeg(encode_jpeg(image, 95))
-    assert decoded is not None
-    assert decoded.shape == image.shape
-    assert decoded[..., 0].mean() > 190
-    assert decoded[..., 2].mean() < 10
-
-
-def test_jpeg_reads_as_opencv_reads_it() -> None:
-    image = np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8)
-    data = encode_jpeg(image, 85)
-    expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-    assert (decode_jpeg(data) == expected).all()
-
-
-def test_a_cut_jpeg_is_refused_at_every_length() -> None:
-    data = encode_jpeg(np.full((16, 16, 3), 90, np.uint8), 85)
-    assert decode_jpeg(data) is not None
-    for length in range(len(data)):
-        assert decode_jpeg(data[:length]) is None
 
 
 @pytest.mark.parametrize("size", [(640, 480), (333, 250)])
@@ -281,7 +256,6 @@ def test_the_plate_does_not_speckle_itself(
     """Where its scan casts a shadow, light that grazes it leaves dots on it."""
     config = make_config({("render",): preset})
     (plate,) = config.task.things["target"].of
-    assert plate.mesh is not None
     mesh = plate.mesh.model_copy(update={"castshadow": True})
     target = Role(of=(plate.model_copy(update={"mesh": mesh}),), named="object")
     things = {**config.task.things, "target": target}

@@ -58,7 +58,6 @@ def test_two_boards_from_a_slant() -> None:
     photo = photograph(true, [(ONE, facing(0.02, 0.01, 0.4, 0.8, 0.2)), (TWO, facing(-0.14, 0, 0.5, -0.6, 0.3))])
     found = estimate_focal(outlines_in(photo, [ONE, TWO]), SIZE)
     assert found.reason == ""
-    assert found.low is not None and found.high is not None
     assert found.low < 740 < found.high < 1.1 * found.low
     assert found.low < found.camera.focal < found.high
     # The interval is that of the sigma, as far as a lopsided one can be.
