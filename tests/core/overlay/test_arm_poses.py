@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.board_photos import facing, photograph, picture, with_noise
+from tests.board_photos import CAMERA, facing, photograph, picture, with_noise
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms
 from yamsim_cli.core.overlay.lenses import Lens, unknown_lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.vision.lens import project_points
 
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
 # Both boards lie between the arms: the middle of the rig, a little turned.
 T_WORLD_IN_CAM = facing(0.0, 0.0, 0.75, 0.6, 0.15)
 PHOTO = Photo(Path("p.png"))

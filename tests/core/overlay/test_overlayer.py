@@ -12,13 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.board_photos import pose_error
 from tests.rig_photos import Shot, standing
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.pictures import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import ConfigError, PartialJobError, ResourceError, UsageError
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, inverse
 from yamsim_cli.core.images.image_files import read_image
 from yamsim_cli.core.overlay import overlayer
 from yamsim_cli.core.overlay.overlay_report import OverlayReport
@@ -69,8 +70,8 @@ def save(path: Path, image: np.ndarray) -> None:
 
 def off(T: Array, truth: Array) -> tuple[float, float]:
     """How far a pose is off, mm and degrees."""
-    turn = np.linalg.norm(rotation_vector(T[:3, :3] @ truth[:3, :3].T))
-    return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])) * 1000, float(np.rad2deg(turn))
+    shift, turn = pose_error(T, truth)
+    return shift * 1000, float(np.rad2deg(turn))
 
 
 def nothing_but(folder: Path, *names: str) -> None:

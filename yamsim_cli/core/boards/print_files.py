@@ -87,7 +87,6 @@ def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
 
 
 def _raster(sheet: Sheet) -> tuple[Image, float]:
-    """A page as a grey image, and its pixels per millimetre."""
     cell_px = _cell_px(sheet)
     cell = next(mark.cell for mark in sheet.marks if isinstance(mark, PrintedMarker))
     scale = cell_px / cell

@@ -82,7 +82,6 @@ _CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
 
 
 def _av() -> Any:
-    """PyAV, which is imported when needed."""
     try:
         import av
     except ModuleNotFoundError as error:

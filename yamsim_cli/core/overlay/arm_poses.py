@@ -141,7 +141,6 @@ def find_arms(
 
 
 def _T_board_in_world(rig: RigConfig, k: int) -> Array:
-    """The pose (4, 4) of the k-th arm's board in `world`, by the rig."""
     T: Array = rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base
     return T
 
@@ -209,12 +208,10 @@ def _size_ratio(one: Sighting, two: Sighting, T_one: Array, T_two: Array) -> flo
 
 
 def _without_pose(sighting: Sighting) -> Sighting:
-    """A sighting without its pose, of an arm whose pose has another source or is refused."""
     return replace(sighting, T_board_in_cam=None, covariance=None, shared=None)
 
 
 def _posed_otherwise(arm: ArmPose, status: str, T_base_in_cam: Array) -> ArmPose:
-    """The arm with a pose that is not from its own board."""
     sighting = arm.sighting and _without_pose(arm.sighting)
     return replace(arm, status=status, sighting=sighting, T_base_in_cam=T_base_in_cam)
 
@@ -230,7 +227,6 @@ def _recorded(rig: RigConfig, result: PhotoResult, T_first_base_in_cam: Array) -
 
 
 def _misfits(arms: Sequence[ArmPose]) -> tuple[str, ...]:
-    """A note on each board whose markers are not where rig and camera file put them."""
     return tuple(
         f"{arm.name}'s markers lie {rms:.2f} px from where its pose puts them: check the camera's distortion, and the "
         "rig's marker_length_mm and gap_mm against the print"

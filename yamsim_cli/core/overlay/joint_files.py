@@ -70,7 +70,6 @@ def _stands(values: list[Array], rig: RigConfig) -> list[Stands]:
 
 
 def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
-    """The rows of every arm, with openings that are in metres or shares turned into m."""
     fingers = [(arm.robot.fingers.full_opening, k) for k, arm in enumerate(rig.arms) if arm.robot.fingers]
     are_shares = any((values[k][:, -1] > _MOST_OPENING * full).any() for full, k in fingers)
     for full, k in fingers:
@@ -150,7 +149,6 @@ def _by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
 
 
 def _padded(rows: Array, width: int) -> Array:
-    """Rows, with closed grippers added where the openings are left out."""
     padded = np.zeros((len(rows), width))
     padded[:, : rows.shape[1]] = rows
     return padded

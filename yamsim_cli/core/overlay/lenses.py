@@ -70,7 +70,6 @@ class PhotoLenses:
         return self._estimated[image.shape]
 
     def _images(self, shape: tuple[int, ...]) -> Iterator[Image]:
-        """All readable photos of a shape."""
         for path in self._paths:
             try:
                 image = read_image(path)

@@ -188,7 +188,6 @@ class _Track:
 
 
 def _track(results: Sequence[PhotoResult], k: int) -> _Track | None:
-    """The track of the k-th arm's board; None with too few photos."""
     photos, boards, bases, noise = [], [], [], []
     for number, result in enumerate(results):
         arm = result.arms[k]
@@ -344,5 +343,4 @@ def _split(series: Array, start: int) -> list[int]:
 
 
 def _cost(series: Array) -> float:
-    """The sum of the samples' distances from their level, each one clipped, standard deviations."""
     return float(np.minimum(np.abs(series - np.median(series, axis=0)), _CLIP).sum())

@@ -79,7 +79,6 @@ def _pull(flat: FlatArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, r
 
 
 def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:
-    """The arm at another pose, with its board's reprojection error there."""
     seen = arm.sighting
     if seen is not None and seen.T_board_in_cam is not None:
         assert arm.T_base_in_cam is not None

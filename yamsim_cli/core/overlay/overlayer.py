@@ -245,7 +245,6 @@ def _changed(picture: Image, image: Image) -> NDArray[np.bool_]:
 
 
 def _written(paths: Sequence[Path], images: Sequence[Image]) -> Sequence[Path]:
-    """Write the images, each file in one step, and return the paths."""
     try:
         for path, image in zip(paths, images, strict=False):
             write_file(path, encode_png(image))
@@ -256,7 +255,6 @@ def _written(paths: Sequence[Path], images: Sequence[Image]) -> Sequence[Path]:
 
 
 def _failures(result: PhotoResult, request: OverlayRequest) -> list[str]:
-    """A message for each limit of the request that a photo does not keep."""
     found = []
     for arm in result.arms:
         if request.max_reprojection is None or arm.board is None or not arm.sighting:

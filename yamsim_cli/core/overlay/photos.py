@@ -130,7 +130,6 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
 
 
 def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Photo:
-    """The photo at `path` with what its recorded frame holds."""
     lowdim = episode / "lowdim" / f"{path.stem}.pkl"
     try:
         frame = load_frame(lowdim.read_bytes())

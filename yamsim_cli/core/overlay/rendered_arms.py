@@ -138,7 +138,6 @@ class ArmRenderer(Closing):
         return FlatArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
 
     def _ideal_labels(self) -> NDArray[np.uint8]:
-        """Labels in the ideal picture, rendered once for each pose."""
         if self._labels is None:
             self._labels = self._arm_of_geom[self._renderer.segment(self._data, _CAMERA)]
         return self._labels

@@ -78,7 +78,6 @@ def whole_mm(distance: NDArray[np.float32]) -> Depth:
 
 
 def _poses(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array) -> Array:
-    """Poses (n, 4, 4) of bodies in the camera's frame."""
     T = np.tile(np.eye(4), (len(bodies), 1, 1))
     T[:, :3, :3] = data.xmat[bodies].reshape(-1, 3, 3)
     T[:, :3, 3] = data.xpos[bodies]

@@ -208,7 +208,6 @@ def _first_hit(
 
 
 def _corners(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[Keypoint]:
-    """The four corners of each board's print."""
     for arm in rig.arms:
         if arm.board is None:
             continue

@@ -10,26 +10,23 @@ import numpy as np
 import pytest
 
 from tests.bench.print_shape import photo_of
-from tests.board_photos import facing, photograph, picture, with_noise
+from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, pose_error, with_noise
 from tests.damaged_photos import creased, enlarged_print
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from yamsim_cli.core.vision.fiducials import markers
 from yamsim_cli.core.vision.fiducials.fitting.align import align
 from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 from yamsim_cli.core.vision.fiducials.locate import at_pose, locate, locate_together
-from yamsim_cli.core.vision.fiducials.markers import seen_ids
+from yamsim_cli.core.vision.fiducials.markers import find_markers, seen_ids
 from yamsim_cli.core.vision.fiducials.sighting import Limits, Sighting, Status
 
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
 WEBCAM = replace(
     CAMERA, K=((600.0, 0, 330.0), (0, 598.0, 231.0), (0, 0, 1.0)), distortion=(-0.28, 0.09, 1e-3, -1e-3, 0)
 )
-LENGTH = 0.02923077
-ONE = Board("one", 217, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
-TWO = replace(ONE, name="two", first_id=226)
 LEFT, RIGHT = facing(-0.12, 0.0, 0.6), facing(0.12, 0.0, 0.6)
 
 
@@ -39,11 +36,8 @@ def seen(photo: np.ndarray, board: Board = ONE, camera: CameraModel = CAMERA) ->
 
 def errors(sighting: Sighting, truth: Array) -> tuple[float, float]:
     """Of the centre, m, and of the orientation, rad."""
-    T = sighting.T_board_in_cam
-    assert T is not None, sighting.reason
-    return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), float(
-        np.linalg.norm(rotation_vector(T[:3, :3] @ truth[:3, :3].T))
-    )
+    assert sighting.T_board_in_cam is not None, sighting.reason
+    return pose_error(sighting.T_board_in_cam, truth)
 
 
 def assert_exact(sighting: Sighting, truth: Array) -> None:
@@ -227,7 +221,7 @@ def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -
     """Fixed, so small an error would tilt both boards by tenths of a degree: the known distance would pull at them."""
     apart = pose((0.25, 0.0, 0.0))
     truth = facing(-0.12, 0.0, 0.8)
-    printed = [replace(board, marker_length=LENGTH * larger, gap=LENGTH / 10 * larger) for board in (ONE, TWO)]
+    printed = [replace(board, marker_length=ONE.marker_length * larger, gap=ONE.gap * larger) for board in (ONE, TWO)]
     photo = photograph(CAMERA, [(printed[0], truth), (printed[1], truth @ apart)])
     alone, _ = locate(photo, CAMERA, [ONE, TWO])
     assert errors(alone[0], truth)[0] > 1.5e-3
@@ -304,3 +298,43 @@ def test_what_lies_beside_a_blurred_print_does_not_pull_it() -> None:
     fit = align(picture(CAMERA, [(ONE, truth)], 4.0), CAMERA, [whole], truth, Smear(3.5))
     assert fit.smear.blur == pytest.approx(4.0, abs=0.02)
     assert np.linalg.norm(fit.T_ref_in_cam[:3, 3] - truth[:3, 3]) < 2e-3
+
+
+LARGE = CameraModel.pinhole(7200, 5400, 6500.0)
+# The first board's markers, 60 px, are about the smallest that the detector reads in a photo of this size.
+LARGE_PLACED = ((ONE, facing(-0.4, 0.3, 3.0, 0.3, 0.2)), (TWO, facing(0.2, 0.0, 1.2, 0.6, -0.2)))
+
+
+@pytest.fixture(scope="module")
+def large_photo() -> np.ndarray:
+    return photograph(LARGE, LARGE_PLACED, blur=2.0)
+
+
+@pytest.mark.slow
+def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
+    large_photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = []
+    stretched = markers._stretched
+
+    def spy(grey: np.ndarray) -> np.ndarray:
+        sizes.append(grey.shape)
+        return stretched(grey)
+
+    monkeypatch.setattr(markers, "_stretched", spy)
+    found = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
+    monkeypatch.setattr(markers, "_SHRINK_TO", 10**6)
+    whole = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
+    assert sizes == [(3072, 4096), (5400, 7200)]
+    assert set(found) >= set(whole) >= set(TWO.ids)
+    assert set(found) & set(ONE.ids)
+    # Only where the search starts from; a pixel there is 1.8 px here.
+    assert max(np.abs(found[number] - whole[number]).max() for number in whole) < 4.0
+
+
+@pytest.mark.slow
+def test_a_board_in_a_photo_is_where_it_is(large_photo: np.ndarray) -> None:
+    for sighting, (_, truth) in zip(locate(large_photo, LARGE, [ONE, TWO])[0], LARGE_PLACED, strict=True):
+        T = sighting.T_board_in_cam
+        assert T is not None, sighting.reason
+        assert np.linalg.norm(T[:3, 3] - truth[:3, 3]) < 5e-4 * truth[2, 3]

@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.board_photos import facing, photograph, picture, with_noise
+from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, pose_error, with_noise
 from tests.strangers import KINDS, stranger
 from yamsim_cli.core.geometry.board import Board
-from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
 from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece, plane_of, view_print
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 from yamsim_cli.core.vision.fiducials.locate import locate
@@ -27,20 +26,9 @@ from yamsim_cli.core.vision.fiducials.recognition.candidates import (
 from yamsim_cli.core.vision.fiducials.sighting import Status
 from yamsim_cli.core.vision.lens import project_points
 
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
-LENGTH = 0.02923077
-ONE = Board("one", 217, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
-TWO = Board("two", 226, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
-
 
 def corners_of(board: Board, T: Array) -> Array:
     return project_points(CAMERA, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
-
-
-def off(T: Array, truth: Array) -> tuple[float, float]:
-    return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), float(
-        np.linalg.norm(rotation_vector(T[:3, :3].T @ truth[:3, :3]))
-    )
 
 
 def chance(photo: np.ndarray, board: Board, T: Array) -> float:
@@ -97,7 +85,7 @@ def test_on_a_dark_table_the_grid_of_markers_is_one() -> None:
     assert found[0].agreement > 6
     assert np.abs(found[0].corners - corners).max() < 4
     (seen,), _ = locate(dark, CAMERA, [ONE])
-    assert off(seen.T_board_in_cam, truth)[1] < math.radians(1)
+    assert pose_error(seen.T_board_in_cam, truth)[1] < math.radians(1)
 
 
 def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edges() -> None:
@@ -114,7 +102,7 @@ def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edge
     (found, *_) = moved_candidates(photo, ONE, edge_quads(photo))
     assert np.abs(found.corners - corners).max() < 1
     (seen,), _ = locate(photo, CAMERA, [ONE])
-    assert off(seen.T_board_in_cam, truth)[1] < math.radians(0.2)
+    assert pose_error(seen.T_board_in_cam, truth)[1] < math.radians(0.2)
 
 
 def test_another_board_tells_two_poses_apart() -> None:
@@ -124,7 +112,7 @@ def test_another_board_tells_two_poses_apart() -> None:
     alone, _ = locate(photo, CAMERA, [ONE, TWO])
     assert alone[0].status is Status.AMBIGUOUS and alone[1].status is Status.OK
     told, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), apart])
-    assert off(told[0].T_board_in_cam, truth)[1] < math.radians(3)
+    assert pose_error(told[0].T_board_in_cam, truth)[1] < math.radians(3)
     tilted = apart @ pose((0, 0, 0), rotation_from_vector([math.radians(-13), 0, 0]))
     untold, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), tilted])
     assert untold[0].status is Status.AMBIGUOUS
@@ -147,7 +135,7 @@ def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
     before, _ = locate(photo, CAMERA, [ONE, TWO], before=[None, truth @ apart @ near])
     for seen in (beside[1], before[1]):
         assert seen.T_board_in_cam is not None, seen.explanation
-        shift, turn = off(seen.T_board_in_cam, truth @ apart)
+        shift, turn = pose_error(seen.T_board_in_cam, truth @ apart)
         assert shift < 0.015 and turn < math.radians(3)
 
 
@@ -175,7 +163,7 @@ def test_what_would_help_is_said(spoil: dict[str, float], part: str) -> None:
     boards = (
         [(ONE, facing(0, 0, 0.35))]
         if spoil
-        else [(Board("other", 100, 3, 3, "DICT_4X4_250", LENGTH, LENGTH / 10), facing(0, 0, 0.5))]
+        else [(Board("other", 100, 3, 3, "DICT_4X4_250", ONE.marker_length, ONE.gap), facing(0, 0, 0.5))]
     )
     photo = photograph(CAMERA, boards, blur=spoil.get("blur", 0.6), noise=4.0)
     photo = (photo * spoil.get("light", 1.0)).astype(np.uint8)

@@ -110,7 +110,6 @@ def _read(
     markers: Mapping[str, Sequence[DetectedMarker]],
     limits: Limits,
 ) -> Sighting:
-    """The sighting of a board by the markers that were read."""
     found = groups(markers[board.dictionary], board, camera)
     if not found:
         return _not_found(board)

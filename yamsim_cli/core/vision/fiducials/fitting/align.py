@@ -155,8 +155,6 @@ def _centre(pieces: Sequence[Piece]) -> Array:
 
 @dataclass(frozen=True)
 class _State:
-    """The fitted pose (4, 4), smear, and logarithm of the print's size."""
-
     T: Array
     smear: Smear
     growth: float = 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -81,13 +82,14 @@ class Poses:
     middles: Array
     sizes: Array
 
-    def where(self, take: NDArray[np.bool_], other: Poses) -> Poses:
-        """These poses for some focal lengths, others for the rest."""
-        return Poses(
-            np.where(take[:, None, None], self.turns, other.turns),
-            np.where(take[:, None], self.middles, other.middles),
-            np.where(take, self.sizes, other.sizes),
-        )
+
+R = TypeVar("R")
+
+
+def choose(take: NDArray[np.bool_], one: R, other: R) -> R:
+    """One dataclass of arrays (n, ...) where `take` (n,) is true, and another elsewhere."""
+    arrays = zip(vars(one).values(), vars(other).values(), strict=True)
+    return type(one)(*(np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in arrays))
 
 
 class BoardPoses:
@@ -170,8 +172,6 @@ class BoardPoses:
 
 @dataclass(frozen=True)
 class _Linear:
-    """Residuals (n, 8), and their derivatives (n, 8, 6) by the poses."""
-
     residual: Array
     by_pose: Array
 
@@ -221,6 +221,4 @@ class _PoseProblem(LeastSquares[Poses, _Linear]):
     def better_of(
         self, better: NDArray[np.bool_], there: tuple[Poses, _Linear], here: tuple[Poses, _Linear]
     ) -> tuple[Poses, _Linear]:
-        residual = np.where(better[:, None], there[1].residual, here[1].residual)
-        by_pose = np.where(better[:, None, None], there[1].by_pose, here[1].by_pose)
-        return there[0].where(better, here[0]), _Linear(residual, by_pose)
+        return choose(better, there[0], here[0]), choose(better, there[1], here[1])

@@ -169,7 +169,6 @@ def _reason(found: Profile, boards: int, low: float | None, high: float | None) 
 
 
 def _camera(found: Profile, size: tuple[int, int]) -> CameraModel:
-    """The likeliest camera, with the covariance of its parameters."""
     width, height = size
     best = int(np.argmin(found.misfit))
     focal = max(size) / float(found.spread[best])

@@ -106,8 +106,6 @@ def _fitted(
 
 
 class _PlaneProblem(PrintProblem[_State]):
-    """Least squares over the map's eight numbers and the blur."""
-
     def __init__(self, view: PrintView, focal: float) -> None:
         super().__init__()
         self._view, self._focal = view, focal

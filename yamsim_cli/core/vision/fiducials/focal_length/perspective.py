@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ....geometry.least_squares import LeastSquares, descend
 from ....geometry.se3 import Array
-from .board_poses import BoardPoses, Poses, poses_of
+from .board_poses import BoardPoses, Poses, choose, poses_of
 from .outline import Outline
 
 # Prior of lenses: standard deviations of the principal point, image widths right and down, and of the distortion k1.
@@ -103,15 +103,6 @@ class _Evidence:
         left = residual - (q @ (np.swapaxes(q, 1, 2) @ residual[..., None]))[..., 0]
         return cls(np.swapaxes(own, 1, 2) @ own, np.einsum("nij,ni->nj", own, left), (left**2).sum(axis=1), lens)
 
-    def where(self, take: NDArray[np.bool_], other: _Evidence) -> _Evidence:
-        """This evidence for some focal lengths, another for the rest."""
-        return _Evidence(
-            np.where(take[:, None, None], self.information, other.information),
-            np.where(take[:, None], self.slope, other.slope),
-            np.where(take, self.misfit, other.misfit),
-            np.where(take[:, None], self.lens, other.lens),
-        )
-
     @property
     def cost(self) -> Array:
         """Chi squared (n,), with the lens prior."""
@@ -153,7 +144,7 @@ class _LensProblem(LeastSquares[_Seen, _Evidence]):
         taken = []
         for boards, poses in zip(self._boards, state.poses, strict=True):
             one, two = (_Evidence.of(b, p, state.lens) for b, p in zip(boards, poses, strict=True))
-            taken.append(one.where(one.misfit <= np.nan_to_num(two.misfit, nan=_NEVER), two))
+            taken.append(choose(one.misfit <= np.nan_to_num(two.misfit, nan=_NEVER), one, two))
         return functools.reduce(_Evidence.__add__, taken)
 
     def moved(self, state: _Seen, step: Array) -> _Seen:
@@ -169,8 +160,8 @@ class _LensProblem(LeastSquares[_Seen, _Evidence]):
         self, better: NDArray[np.bool_], there: tuple[_Seen, _Evidence], here: tuple[_Seen, _Evidence]
     ) -> tuple[_Seen, _Evidence]:
         poses = tuple(
-            tuple(new.where(better, old) for new, old in zip(*pair, strict=True))
+            tuple(choose(better, new, old) for new, old in zip(*pair, strict=True))
             for pair in zip(there[0].poses, here[0].poses, strict=True)
         )
         lens = np.where(better[:, None], there[0].lens, here[0].lens)
-        return _Seen(lens, poses), there[1].where(better, here[1])
+        return _Seen(lens, poses), choose(better, there[1], here[1])

@@ -136,7 +136,6 @@ class Recognizer:
         return [T for T in poses if np.isfinite(T).all() and faces_camera(T)]
 
     def _fits(self, board: Board, poses: Sequence[Array]) -> list[PoseFit]:
-        """The fits of poses to the print whose bits are more than chance."""
         found = list[PoseFit]()
         for T in poses:
             if fit := self._fit(board, T):
