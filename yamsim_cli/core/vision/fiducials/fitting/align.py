@@ -101,10 +101,9 @@ def align(
     Returns:
         None where a piece is not in the picture, or the fit breaks down.
     """
-    views = _views(photo, camera, pieces, T_ref_in_cam)
-    if views is None:
+    fit = _problem(photo, camera, pieces, T_ref_in_cam, smear.length > 0, growth, roughly)
+    if fit is None:
         return None
-    fit = _PoseProblem(views, camera, _centre(pieces), moving=smear.length > 0, growth=growth, roughly=roughly)
     found = fit.solve(_State(T_ref_in_cam, smear, growth.start if growth else 0.0))
     return None if found is None else fit.alignment(*found)
 
@@ -113,10 +112,9 @@ def agreement(
     photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T_ref_in_cam: Array, smear: Smear, noise: float
 ) -> Alignment | None:
     """The agreement of print and photo at a given pose, which is not moved; residuals are weighted for `noise`."""
-    views = _views(photo, camera, pieces, T_ref_in_cam)
-    if views is None:
+    fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _State(T_ref_in_cam, smear)
+    if fit is None:
         return None
-    fit, state = _PoseProblem(views, camera, _centre(pieces), moving=False), _State(T_ref_in_cam, smear)
     system = fit.system(state, noise)
     return None if system is None else fit.alignment(state, system)
 
@@ -136,21 +134,27 @@ def with_shape(
         pieces, growth: those of `found`.
         creased: prior probability of a creased print.
     """
-    views = _views(photo, camera, pieces, found.T_ref_in_cam)
-    if views is None:
+    fit = _problem(photo, camera, pieces, found.T_ref_in_cam, found.smear.length > 0, growth)
+    if fit is None:
         return found
-    fit = _PoseProblem(views, camera, _centre(pieces), moving=found.smear.length > 0, growth=growth)
     return fit.shaped(_State(found.T_ref_in_cam, found.smear, found.growth), found, creased)
 
 
-def _views(photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T: Array) -> list[PrintView] | None:
+def _problem(
+    photo: Grey,
+    camera: CameraModel,
+    pieces: Sequence[Piece],
+    T: Array,
+    moving: bool,
+    growth: Guess | None = None,
+    roughly: bool = False,
+) -> _PoseProblem | None:
+    """The least squares of some pieces near a pose; None where a piece is not in the picture."""
     views = [view for piece in pieces if (view := view_print(photo, camera, piece, plane_of(piece, T))) is not None]
-    return views if views and len(views) == len(pieces) else None
-
-
-def _centre(pieces: Sequence[Piece]) -> Array:
-    middle: Array = np.mean([piece.T_board_in_ref[:3, 3] for piece in pieces], axis=0)
-    return middle
+    if not views or len(views) < len(pieces):
+        return None
+    centre: Array = np.mean([piece.T_board_in_ref[:3, 3] for piece in pieces], axis=0)
+    return _PoseProblem(views, camera, centre, moving, growth, roughly)
 
 
 @dataclass(frozen=True)
@@ -176,8 +180,8 @@ class _PoseProblem(PrintProblem[_State]):
         camera: CameraModel,
         centre: Array,
         moving: bool,
-        growth: Guess | None = None,
-        roughly: bool = False,
+        growth: Guess | None,
+        roughly: bool,
     ) -> None:
         super().__init__(roughly)
         self._views = views

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 import numpy as np
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from ....geometry.least_squares import LeastSquares, descend
 from ....geometry.se3 import Array
 from .outline import Outline
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _STEPS = 30  # steps of a pose at most
 _NO_GAIN = 1e-3  # gain of chi squared, over 1 + chi squared, that ends the steps
@@ -83,13 +86,13 @@ class Poses:
     sizes: Array
 
 
-R = TypeVar("R")
+R = TypeVar("R", bound="DataclassInstance")
 
 
 def choose(take: NDArray[np.bool_], one: R, other: R) -> R:
     """One dataclass of arrays (n, ...) where `take` (n,) is true, and another elsewhere."""
-    arrays = zip(vars(one).values(), vars(other).values(), strict=True)
-    return type(one)(*(np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in arrays))
+    arrays = zip(vars(one).items(), vars(other).values(), strict=True)
+    return replace(one, **{name: np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for (name, a), b in arrays})
 
 
 class BoardPoses:

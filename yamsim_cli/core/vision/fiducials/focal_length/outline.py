@@ -1,7 +1,7 @@
 """Where a board's print lies in a photo, without any camera: the homography from the board to the photo.
 
 Any lens without distortion maps a flat print by eight numbers, here four points of the picture. They are fitted as
-poses are: the print is drawn and moved until it agrees with the photo. `perspective` then evaluates which cameras and
+poses are: the print is drawn and moved until it agrees with the photo. `estimate` then evaluates which cameras and
 poses explain the four points.
 """
 

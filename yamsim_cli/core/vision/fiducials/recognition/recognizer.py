@@ -20,12 +20,11 @@ from ....geometry.board import Board
 from ....geometry.camera import CameraModel
 from ....geometry.se3 import Array
 from ...lens import project_points, rays
-from ..advice import advice_on, advice_on_photo, looks_of
 from ..fitting.align import USUAL_SMEAR, Alignment, align
 from ..fitting.fits import EXPLAINED, PoseFit, faces_camera, planar_poses
 from ..fitting.print_view import Piece, PrintView, draw_print, piece_of, plane_of, view_print
 from ..fitting.smear import Smear
-from ..sighting import Limits, Sighting, Status, judge
+from ..sighting import Limits, Sighting, Status, advice_on, advice_on_photo, judge, looks_of
 from .bits import Evidence, evidence
 from .candidates import Candidate, board_quads, candidates, dark_quads, edge_quads, moved_candidates
 
