@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,10 +13,15 @@ from numpy.typing import NDArray
 from yamsim_cli.core.boards.board_image import board_image, marker_cells
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector
+from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.core.vision.lens import project_points, ray_field
 
 Photo = NDArray[np.uint8]
+
+CAMERA = CameraModel.pinhole(640, 480, 600.0)
+_LENGTH = 0.02923077
+ONE = Board("one", 217, 3, 3, "DICT_6X6_250", _LENGTH, _LENGTH / 10)
+TWO = replace(ONE, name="two", first_id=226)
 
 _FINER = 3
 # Gaps of a tenth of a marker are whole pixels at this scale.
@@ -28,6 +34,12 @@ def facing(x: float, y: float, z: float, tilt_x: float = 0.5, tilt_y: float = 0.
     """A pose (4, 4) in the camera's frame of a board at a point, turned away from facing it by two angles."""
     towards_camera = rotation_from_vector([np.pi, 0.0, 0.0])
     return pose((x, y, z), rotation_from_vector([tilt_x, tilt_y, 0.0]) @ towards_camera)
+
+
+def pose_error(T: Array, truth: Array) -> tuple[float, float]:
+    """Distance (m) and angle (rad) of a pose from the truth."""
+    turn = rotation_vector(T[:3, :3] @ truth[:3, :3].T)
+    return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), float(np.linalg.norm(turn))
 
 
 def photograph(

@@ -135,7 +135,7 @@ CONFINED = {
     "reportlab": {"core.boards"},
     "viser": {"core.viewers"},
     "ray": {"core.workers.ray_pool"},
-    "av": {"core.images.video", "core.images.films"},
+    "av": {"core.images.video"},
     "pyarrow": {"core.export", "core.recordings.lerobot_files"},
     "mcap": {"core.recordings.mcap_file"},
     "rerun": {"core.export.rrd"},

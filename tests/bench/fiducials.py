@@ -32,12 +32,12 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
-from yamsim_cli.core.overlay.arm_poses import Lens, find_arms
+from yamsim_cli.core.overlay.arm_poses import find_arms
+from yamsim_cli.core.overlay.lenses import Lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.vision.fiducials.locate import locate
+from yamsim_cli.core.vision.fiducials.locate import locate, locate_together
 from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
-from yamsim_cli.core.vision.fiducials.together import locate_together
 
 # Poses that are off by more than this are wrong.
 WRONG_DEG, WRONG_MM = 3.0, 15.0

@@ -26,8 +26,9 @@ from tests.random_views import Lens, View, random_camera, random_view
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import Array, rotation_vector
-from yamsim_cli.core.overlay import arm_poses
-from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms, unknown_lens
+from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms
+from yamsim_cli.core.overlay.lenses import Lens as PhotoLens
+from yamsim_cli.core.overlay.lenses import unknown_lens
 from yamsim_cli.core.overlay.photos import Photo
 from yamsim_cli.core.resources import Locations
 
@@ -107,7 +108,7 @@ def outcomes(case: Case, rig: RigConfig, seed: int, k: int) -> list[Outcome]:
     if case.given:
         focal = camera.focal * math.exp(rng.normal() * FOCAL_SIGMA)
         K = ((focal, 0.0, camera.K[0][2]), (0.0, focal, camera.K[1][2]), camera.K[2])
-        lens = arm_poses.Lens.known(replace(camera, K=K, focal_sigma=FOCAL_SIGMA), "file")
+        lens = PhotoLens.known(replace(camera, K=K, focal_sigma=FOCAL_SIGMA), "file")
     else:
         lens = unknown_lens((np.dstack([grey] * 3) for grey in photos), photos[0].shape[:2], rig)
     found = []

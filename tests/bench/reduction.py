@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sys
 
-from yamsim_cli.core.gl import choose_backend
+from yamsim_cli.core.gl import find_backend
 
 # What is aimed at, a little better than what the tests ask for (0.5 mm and 0.995).
 FARTHEST_MM = 0.475
@@ -21,7 +21,7 @@ SAMPLES = 20_000
 
 def main() -> None:
     """Search by bisection, for every tolerance of the slivers, and print what was found."""
-    os.environ.setdefault("MUJOCO_GL", choose_backend(os.environ) or "")
+    os.environ.setdefault("MUJOCO_GL", find_backend(os.environ).name or "")
 
     from tests.silhouettes import Silhouettes, overlap
     from yamsim_cli.core.assets import AssetStore, Reduction, load_lock

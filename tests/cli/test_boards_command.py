@@ -67,9 +67,5 @@ def test_a_rig_without_boards_has_nothing_to_print(run, tmp_path):
     assert not (tmp_path / "boards.pdf").exists()
 
 
-def test_help_shows_an_example(run):
-    assert "Example: yamsim boards --rig bimanual" in run("--help").output
-
-
 def test_the_papers_are_those_that_can_be_laid_out():
     assert [str(paper) for paper in PaperSize] == list(PAPERS)

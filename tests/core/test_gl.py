@@ -7,7 +7,7 @@ import pytest
 
 from yamsim_cli.core import gl
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.gl import GlBackend, choose_backend, find_backend
+from yamsim_cli.core.gl import GlBackend, find_backend
 
 
 class Probes:
@@ -46,42 +46,34 @@ GOOD = (0, "")
 BAD = (1, "Traceback\n  File x\nImportError: no libEGL\n")
 
 
-def test_the_gpu_is_tried_first(probing):
-    probes = probing(egl=GOOD)
-    assert choose_backend({}, "linux") == "egl"
-    assert probes.tried == ["egl"]
-
-
-def test_software_rendering_is_the_second_choice(probing):
-    probes = probing(egl=BAD, osmesa=GOOD)
-    assert choose_backend({}, "linux") == "osmesa"
-    assert probes.tried == ["egl", "osmesa"]
-
-
-def test_an_empty_choice_is_none(probing):
-    probes = probing(egl=GOOD)
-    assert choose_backend({"MUJOCO_GL": ""}, "linux") == "egl"
-    assert probes.tried == ["egl"]
-
-
-@pytest.mark.parametrize("platform", ["linux", "darwin"])
-def test_the_users_choice_is_the_only_one_tried(probing, platform):
-    probes = probing(osmesa=GOOD)
-    assert choose_backend({"MUJOCO_GL": "osmesa"}, platform) == "osmesa"
-    assert probes.tried == ["osmesa"]
+@pytest.mark.parametrize(
+    ("answers", "environ", "platform", "tried"),
+    [
+        ({"egl": GOOD}, {}, "linux", ["egl"]),
+        ({"egl": BAD, "osmesa": GOOD}, {}, "linux", ["egl", "osmesa"]),
+        ({"egl": GOOD}, {"MUJOCO_GL": ""}, "linux", ["egl"]),
+        ({"osmesa": GOOD}, {"MUJOCO_GL": "osmesa"}, "linux", ["osmesa"]),
+        ({"osmesa": GOOD}, {"MUJOCO_GL": "osmesa"}, "darwin", ["osmesa"]),
+    ],
+    ids=["GPU first", "software second", "empty choice", "user's choice on Linux", "user's choice elsewhere"],
+)
+def test_the_first_backend_that_works_is_chosen(probing, answers, environ, platform, tried):
+    probes = probing(**answers)
+    assert find_backend(environ, platform) == GlBackend(tried[-1], "llvmpipe (LLVM 15)")
+    assert probes.tried == tried
 
 
 def test_a_bad_choice_of_the_users_is_not_replaced_by_another(probing):
     probes = probing(osmesa=BAD, egl=GOOD)
     with pytest.raises(ResourceError, match=r"osmesa: ImportError: no libEGL.*MUJOCO_GL is set.*unset it"):
-        choose_backend({"MUJOCO_GL": "osmesa"}, "linux")
+        find_backend({"MUJOCO_GL": "osmesa"}, "linux")
     assert probes.tried == ["osmesa"]
 
 
 def test_when_nothing_works_one_line_says_why_and_what_to_install(probing):
     probing(egl=BAD, osmesa=(1, "AttributeError: 'NoneType' object has no attribute 'glGetError'\n\n"))
     with pytest.raises(ResourceError) as caught:
-        choose_backend({}, "linux")
+        find_backend({}, "linux")
     message = str(caught.value)
     assert "egl: ImportError: no libEGL" in message
     assert "osmesa: AttributeError: 'NoneType' object has no attribute 'glGetError'" in message
@@ -93,28 +85,28 @@ def test_when_nothing_works_one_line_says_why_and_what_to_install(probing):
 def test_a_hang_is_a_reason_and_not_the_end(probing):
     hang = subprocess.TimeoutExpired("python", 60)
     probing(egl=hang, osmesa=GOOD)
-    assert choose_backend({}, "linux") == "osmesa"
+    assert find_backend({}, "linux").name == "osmesa"
     probing(egl=hang, osmesa=BAD)
     with pytest.raises(ResourceError, match="egl: hangs"):
-        choose_backend({}, "linux")
+        find_backend({}, "linux")
 
 
 def test_a_crash_without_a_word_gives_its_exit_code(probing):
     probing(egl=(-11, "\n \n"), osmesa=BAD)
     with pytest.raises(ResourceError, match=r"egl: crashes \(exit code -11\)"):
-        choose_backend({}, "linux")
+        find_backend({}, "linux")
 
 
 def test_elsewhere_mujoco_chooses_and_nothing_is_tried(probing):
     probes = probing()
-    assert choose_backend({}, "darwin") is None
+    assert find_backend({}, "darwin").name is None
     assert probes.tried == []
 
 
 def test_a_probe_keeps_the_environment_but_for_pyopengls_own_choice(probing):
     probes = probing(egl=GOOD)
     given = {"PATH": "/bin", "PYOPENGL_PLATFORM": "osmesa"}
-    choose_backend(given, "linux")
+    find_backend(given, "linux")
     assert probes.environments == [{"PATH": "/bin", "MUJOCO_GL": "egl"}]
     assert given == {"PATH": "/bin", "PYOPENGL_PLATFORM": "osmesa"}
 
@@ -132,7 +124,7 @@ def test_a_real_probe_that_hangs_crashes_or_prints_junk_costs_a_message_only(mon
     monkeypatch.setattr(gl, "_PROBE", probe)
     monkeypatch.setattr(gl, "_PROBE_SECONDS", 0.5 if "sleep" in probe else 60.0)
     with pytest.raises(ResourceError, match=f"mine: {reason}"):
-        choose_backend({"MUJOCO_GL": "mine"}, "linux")
+        find_backend({"MUJOCO_GL": "mine"}, "linux")
 
 
 @pytest.mark.parametrize(
@@ -150,12 +142,6 @@ def test_a_real_probe_that_hangs_crashes_or_prints_junk_costs_a_message_only(mon
 )
 def test_software_is_told_by_what_opengl_calls_itself(renderer, software):
     assert GlBackend("egl", renderer).software is software
-
-
-def test_a_probe_tells_what_draws(probing):
-    probing(egl=GOOD)
-    assert find_backend({}, "linux") == GlBackend("egl", "llvmpipe (LLVM 15)")
-    assert find_backend({}, "darwin") == GlBackend(None, "")
 
 
 @pytest.mark.render

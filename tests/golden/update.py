@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 
-from yamsim_cli.core.gl import choose_backend
+from yamsim_cli.core.gl import find_backend
 from yamsim_cli.core.resources import Locations
 
 if __name__ == "__main__":
-    os.environ["MUJOCO_GL"] = choose_backend(os.environ) or ""
+    os.environ["MUJOCO_GL"] = find_backend(os.environ).name or ""
 
     from tests.golden.shots import update
 

@@ -79,7 +79,7 @@ def _file(out: Path, arm: str) -> Path:
 
 def _files(sheets: dict[str, Sheet], out: Path) -> dict[Path, bytes]:
     """File to write -> its bytes."""
-    from yamsim_cli.core.boards.print_files import pdf_bytes, png_bytes
+    from yamsim_cli.core.boards.sheet import pdf_bytes, png_bytes
 
     if out.suffix.lower() == ".pdf":
         return {out: pdf_bytes(list(sheets.values()))}

@@ -1,4 +1,4 @@
-"""`yamsim overlay`: does the simulation stand where the real arm stands?"""
+"""`yamsim overlay`: the simulated arms over photos of the real ones."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def overlay(
         str | None,
         typer.Option(
             metavar="NAME|FILE[:CAMERA]",
-            help="Calibration: yamsim's, or a file of OpenCV, ROS, Kalibr or raiden. Without it, it is estimated.",
+            help="Calibration: yamsim's, or a file of OpenCV, ROS, Kalibr or raiden; else estimated from the boards.",
         ),
     ] = None,
     joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
@@ -39,12 +39,12 @@ def overlay(
         list[Path] | None,
         typer.Option(help="A recorded episode, DATASET/ep_NNNNNN, or a dataset, instead of --img; may be repeated."),
     ] = None,
-    episode_camera: Annotated[str | None, typer.Option(help="Which of its cameras; else the fixed one.")] = None,
-    every: Annotated[int, typer.Option(min=1, help="Only one photo out of so many.")] = 1,
+    episode_camera: Annotated[str | None, typer.Option(help="The episode's camera; else the fixed one.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Use every N-th photo.")] = 1,
     out: Annotated[Path, typer.Option(help="Folder for the pictures and overlay.json.")] = Path("overlays"),
     margin: Margin = None,
     trust_margin: Annotated[
-        bool, typer.Option("--trust-margin", help="The arms stand as the rig says: all boards give one pose.")
+        bool, typer.Option("--trust-margin", help="Trust the rig's margin: all boards together give one pose.")
     ] = False,
     refine: Annotated[bool, typer.Option("--refine", help="Improve each pose by the photo's edges.")] = False,
     mask: Annotated[bool, typer.Option("--mask", help="Also write a mask: 0 where no arm is, else 1 or 2.")] = False,
@@ -80,7 +80,7 @@ def overlay(
     if episode_camera and not episode:
         raise UsageError("--episode-camera goes with --episode")
     if camera and episode:
-        raise UsageError("--camera goes with --img: an episode knows its own")
+        raise UsageError("--camera goes with --img: a recorded episode has its own")
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
     if video is not None:
@@ -99,40 +99,40 @@ def overlay(
     opener.use_gl(where)
 
     from yamsim_cli.core.overlay.joint_files import load_stands
-    from yamsim_cli.core.overlay.overlayer import OverlayOptions
+    from yamsim_cli.core.overlay.overlayer import OverlayRequest, photo_jobs, run_overlays
     from yamsim_cli.core.overlay.photos import Photo, find_photos, recorded_photos
-    from yamsim_cli.core.overlay.series import OverlayRequest, output_files, run_overlays
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import mesh_sets
-    from yamsim_cli.core.vision.fiducials.judge import Limits
+    from yamsim_cli.core.vision.fiducials.sighting import Limits
 
     photos = (
         recorded_photos(episode, episode_camera, settings)
         if episode
         else [Photo(path) for path in find_photos(img or [])]
     )
+    stands = load_stands(joints, settings) if joints else None
     request = OverlayRequest(
-        photos[::every],
-        OverlayOptions(trust_margin, refine, opacity, Limits(math.radians(max_turn), max_shift / 1000)),
-        model,
-        load_stands(joints, settings) if joints else None,
+        photo_jobs(photos[::every], out, stands=stands, write_masks=mask, mask_images=mask_image),
         out,
-        mask,
-        mask_image,
-        video,
-        1 / fps,
-        max_reprojection,
-        min_iou,
-        fail_if_moved,
+        model,
+        trust_margin=trust_margin,
+        refine=refine,
+        opacity=opacity,
+        limits=Limits(math.radians(max_turn), max_shift / 1000),
+        video=video,
+        frame_period=1 / fps,
+        max_reprojection=max_reprojection,
+        min_iou=min_iou,
+        fail_if_moved=fail_if_moved,
     )
-    require_free("--out", output_files(request), overwrite=overwrite)
+    require_free("--out", request.files, overwrite=overwrite)
     where = opener.find_meshes(where, mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
         report = run_overlays(settings, request, scene, quality, where, advance)
     if json:
         print_json(report.plain())
     else:
-        _tell(report)
+        _print(report)
     report.check()
 
 
@@ -157,22 +157,21 @@ def _rig(
     return opener.rig(name or "single", where, margin, revision)
 
 
-def _tell(report: OverlayReport) -> None:
-    from yamsim_cli.core.overlay.overlayer import captions
-    from yamsim_cli.core.overlay.series import told
+def _print(report: OverlayReport) -> None:
+    from yamsim_cli.core.overlay.moves import describe
+    from yamsim_cli.core.overlay.overlay_report import captions
 
     for result in report.results:
         for caption in captions(result):
             print_line(f"{result.path}: {caption}")
-        # Where no arm has a pose, the error that follows says why.
-        refused = [arm for arm in result.arms if result.bases and not arm.located]
-        for arm in refused:
-            if arm.sighting:
+        for arm in result.arms:
+            # For a photo in which no arm has a pose, the error that follows says why.
+            if result.bases and not arm.located and arm.sighting:
                 note(f"{result.path}: {arm.name}: {arm.sighting.explanation}")
         for text in result.notes:
             note(f"{result.path}: {text}")
     for move in report.stillness.moves:
-        print_line(told(move))
+        print_line(describe(move))
     if not report.stillness.unknown and not report.stillness.moves:
         print_line(f"camera and bases stayed where they were in all {len(report.results)} photos")
     print_line(f"{len(report.files)} files, such as {report.files[0]}")

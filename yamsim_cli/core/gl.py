@@ -1,7 +1,7 @@
-"""Which OpenGL backend MuJoCo is to use. It is found before MuJoCo is imported, since MuJoCo reads `MUJOCO_GL` then.
+"""Finds the OpenGL backend for MuJoCo, which reads `MUJOCO_GL` when it is imported.
 
-A backend can be missing, broken or hung, which shows only when it is tried. It is tried in a process of its own, under
-a time limit, so that a driver that hangs or crashes costs a message and nothing else.
+Each backend is tried in a separate process with a time limit, so that a driver that hangs or crashes costs a message
+and nothing else.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ from dataclasses import dataclass
 
 from .errors import ResourceError
 
-# GPU first, then Mesa's software renderer through EGL, then OSMesa, which newer Mesa no longer ships.
-LINUX_BACKENDS = ("egl", "osmesa")
+LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
 _PROBE_SECONDS = 60.0
-# Names of OpenGL implementations that need no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
+# OpenGL implementations that need no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
 # Renders and reads the picture back: some backends open a context and then render nothing.
 _PROBE = """
@@ -43,11 +42,11 @@ INSTALL_GL = (
 
 @dataclass(frozen=True)
 class GlBackend:
-    """A way to OpenGL.
+    """An OpenGL backend.
 
     Attributes:
-        name: the value `MUJOCO_GL` has to have, None where MuJoCo's own choice is right.
-        renderer: what OpenGL calls itself; empty where nothing was tried.
+        name: the value for `MUJOCO_GL`; None where MuJoCo's own choice works.
+        renderer: OpenGL's name for its renderer; empty where nothing was tried.
     """
 
     name: str | None
@@ -55,23 +54,15 @@ class GlBackend:
 
     @property
     def software(self) -> bool:
-        """Whether it renders without a GPU, as far as is known."""
+        """Whether the backend is known to render without a GPU."""
         return _SOFTWARE.search(self.renderer) is not None
-
-
-def choose_backend(environ: Mapping[str, str], platform: str = sys.platform) -> str | None:
-    """The value `MUJOCO_GL` has to have for headless rendering to work, None where MuJoCo's own choice does.
-
-    Args and errors as for `find_backend`.
-    """
-    return find_backend(environ, platform).name
 
 
 def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> GlBackend:
     """The first backend that works for headless rendering.
 
     Args:
-        environ: the process's environment; a `MUJOCO_GL` in it is the user's choice and the only one tried.
+        environ: the process's environment. Its `MUJOCO_GL` is the user's choice, and no other backend is tried.
 
     Raises:
         ResourceError: no backend works; the message says why for each, and what to install.
@@ -93,17 +84,13 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Gl
 
 
 def bind_backend(name: str) -> None:
-    """Make MuJoCo use a backend that is chosen after MuJoCo was imported, as happens in a notebook.
-
-    Args:
-        name: the value that `MUJOCO_GL` has now.
-    """
+    """Make MuJoCo use a backend that is chosen after MuJoCo was imported, as in a notebook."""
     if (mujoco := sys.modules.get("mujoco")) and name in LINUX_BACKENDS:
         mujoco.GLContext = importlib.import_module(f"mujoco.{name}").GLContext  # type: ignore[attr-defined]
 
 
 def probe_backend(name: str, environ: Mapping[str, str]) -> GlBackend | str:
-    """The backend if it works, else why it does not; tried in a process of its own."""
+    """The backend, tried in a separate process; or why the backend does not work."""
     environment = {**environ, "MUJOCO_GL": name}
     # PyOpenGL's own choice has to agree with MuJoCo's, or the import fails.
     environment.pop("PYOPENGL_PLATFORM", None)

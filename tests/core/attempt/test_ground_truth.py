@@ -15,7 +15,7 @@ from yamsim_cli.core.dataset.layout import TRUTH_LABELS, depth_name, segmentatio
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.dataset.truth_files import TruthLabels, array_faults, load_depth, load_truth
-from yamsim_cli.core.images.label_images import decode_labels
+from yamsim_cli.core.images.png import decode_labels
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.types import EpisodeJob, EpisodePayload

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.core.boards.print_files import pdf_bytes, png_bytes
-from yamsim_cli.core.boards.sheet import PAPERS, Bar, Line, PrintedMarker, Text, board_sheet
+from yamsim_cli.core.boards.sheet import PAPERS, Bar, Line, PrintedMarker, Text, board_sheet, pdf_bytes, png_bytes
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.geometry.board import Board
 

@@ -19,8 +19,7 @@ from yamsim_cli.core.dataset.layout import image_name, lowdim_name
 from yamsim_cli.core.dataset.lowdim import dump_frame
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.gap.figures import Gap, gap_of
-from yamsim_cli.core.gap_photos.compare import PhotoRequest, compare_photos
-from yamsim_cli.core.gap_photos.recorded import chosen_photos, stands_at, taken_photos
+from yamsim_cli.core.gap_photos.compare import PhotoRequest, chosen_photos, compare_photos, stands_at, taken_photos
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import inverse
 from yamsim_cli.core.images.jpeg import decode_jpeg
@@ -96,7 +95,6 @@ def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
     episode = tmp_path / "ep_000001"
     for k in TAKEN[:2]:
         image = cv2.imread(str(Path(photographed.name) / image_name(SCENE_CAMERA, k)))
-        assert image is not None
         _write(episode, k, cv2.cvtColor(image, cv2.COLOR_BGR2RGB), {})
     other = replace(photographed, name=str(episode))
     report, _ = _compare(other, locations, PhotoRequest(10, CAMERA))

@@ -14,8 +14,7 @@ import pytest
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.images.image import Image
-from yamsim_cli.core.images.video import VideoWriter
-from yamsim_cli.core.images.yuv import BT601, BT709, Matrix
+from yamsim_cli.core.images.video import BT601, BT709, Matrix, VideoWriter
 
 av = pytest.importorskip("av", reason="yamsim[video] is not installed")
 

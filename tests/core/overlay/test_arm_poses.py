@@ -9,25 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.board_photos import facing, photograph, picture, with_noise
-from yamsim_cli.core.config.loader import load_config
+from tests.board_photos import CAMERA, facing, photograph, picture, with_noise
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.core.overlay.arm_poses import Lens, PhotoResult, find_arms, unknown_lens
+from yamsim_cli.core.overlay.arm_poses import PhotoResult, find_arms
+from yamsim_cli.core.overlay.lenses import Lens, unknown_lens
 from yamsim_cli.core.overlay.photos import Photo
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.lens import project_points
 
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
 # Both boards lie between the arms: the middle of the rig, a little turned.
 T_WORLD_IN_CAM = facing(0.0, 0.0, 0.75, 0.6, 0.15)
 PHOTO = Photo(Path("p.png"))
-
-
-@pytest.fixture(scope="module")
-def russet(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "russet", locations)
 
 
 def boards_of(rig: RigConfig, which: tuple[int, ...] = (0, 1)) -> list:
@@ -35,7 +27,6 @@ def boards_of(rig: RigConfig, which: tuple[int, ...] = (0, 1)) -> list:
     placed = []
     for k in which:
         board = rig.arms[k].board
-        assert board is not None
         placed.append((board.board, T_WORLD_IN_CAM @ rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base))
     return placed
 
@@ -51,7 +42,6 @@ def base(rig: RigConfig, k: int) -> Array:
 
 def shift_mm(result: PhotoResult, rig: RigConfig, k: int) -> float:
     T = result.arms[k].T_base_in_cam
-    assert T is not None
     return float(np.linalg.norm(T[:3, 3] - base(rig, k)[:3, 3])) * 1000
 
 
@@ -74,7 +64,6 @@ def test_each_arm_by_its_own_board(russet: RigConfig, clean: np.ndarray) -> None
 def test_the_margin_is_measured_with_its_uncertainty(russet: RigConfig, clean: np.ndarray) -> None:
     result = found(russet, with_noise(clean))
     assert result.margin == pytest.approx(0.591, abs=0.0005)
-    assert result.T_arm2_in_arm1 is not None
     assert result.T_arm2_in_arm1[:3, 3] == pytest.approx((0, 0.591, 0), abs=0.002)
     # A quarter of a percent of the 24 cm between the boards, for the print's size; the noise is far less.
     assert result.margin_sigma == pytest.approx(0.0006, abs=0.0002)
@@ -101,8 +90,6 @@ def test_together_the_arms_stand_as_the_rig_says(russet: RigConfig, clean: np.nd
     grey = with_noise(clean, noise=6.0)
     alone, joint = found(russet, grey), found(russet, grey, trust=True)
     T_one, T_two = joint.arms[0].T_base_in_cam, joint.arms[1].T_base_in_cam
-    assert T_one is not None
-    assert T_two is not None
     assert inverse(T_one) @ T_two == pytest.approx(inverse(base(russet, 0)) @ base(russet, 1), abs=1e-9)
     # What was measured beforehand stays told.
     assert (joint.margin, joint.margin_sigma) == (alone.margin, alone.margin_sigma)
@@ -143,7 +130,6 @@ def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) 
     result = find_arms(russet, PHOTO, grey, Lens.known(CAMERA, "file"), trust_margin=False, before=before)
     arm = result.arms[0]
     assert arm.status == "ok", arm.sighting
-    assert arm.T_base_in_cam is not None
     assert arm.T_base_in_cam @ russet.arms[0].T_board_in_base == pytest.approx(T, abs=1e-3)
 
 
@@ -181,7 +167,6 @@ def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     assert [arm.status for arm in far_off.arms] == ["uncertain", "ok"]
     assert set(far_off.bases) == {1}
     refused = far_off.arms[0].sighting
-    assert refused is not None
     assert (
         "px off a flat print's: a crease, a bent plate, another lens, or other measures than the rig's"
         in refused.reason
@@ -200,16 +185,8 @@ def test_an_unknown_camera_of_several_photos(russet: RigConfig, clean: np.ndarra
 
     lens = unknown_lens(images(), (480, 640), russet)
     assert (lens.camera.width, lens.camera.height) == (640, 480)
-    assert lens.focal.low is not None and lens.focal.high is not None
     assert lens.focal.low < 600 < lens.focal.high < 1.2 * lens.focal.low
     assert asked == [0, 1, 2]
-
-
-def test_an_unknown_camera_without_any_board_says_that_nothing_is_known(russet: RigConfig) -> None:
-    lens = unknown_lens([np.zeros((480, 640, 3), np.uint8)], (480, 640), russet)
-    assert (lens.focal.low, lens.focal.high) == (None, None)
-    assert lens.focal.reason == "no board tells the focal length"
-    assert lens.camera.focal_sigma == 0.35
 
 
 @pytest.mark.parametrize("scale", [0.97, 1.02])
@@ -222,10 +199,8 @@ def test_a_print_of_another_size_is_told_by_the_other_board(russet: RigConfig, s
         result = found(russet, grey, trust)
         assert result.bases == {}
         for arm in result.arms:
-            assert arm.sighting is not None
             assert arm.status == "poor_fit"
             told = re.search(r"is ([\d.]+) % as large", arm.sighting.reason)
-            assert told is not None
             assert float(told[1]) == pytest.approx(100 * scale, abs=0.15)
             assert "measure both" in arm.sighting.reason
 
@@ -237,11 +212,3 @@ def test_arms_that_stand_elsewhere_have_no_print_of_another_size(russet: RigConf
         T_moved[:3, 3] += T_two[:3, :3] @ shift
         result = found(russet, with_noise(picture(CAMERA, [(one, T_one), (two, T_moved)])))
         assert set(result.bases) == {0, 1}
-
-
-def test_in_a_series_a_board_is_looked_for_where_it_was(russet: RigConfig, clean: np.ndarray) -> None:
-    before = found(russet, with_noise(clean))
-    assert find_arms(russet, PHOTO, with_noise(clean), Lens.known(CAMERA, "file"), False, before).bases.keys() == {0, 1}
-    # Neither board can be read, and dark things lie against one of them.
-    blurred = with_noise(picture(CAMERA, boards_of(russet), blur=2.6))
-    assert find_arms(russet, PHOTO, blurred, Lens.known(CAMERA, "file"), False, before).bases.keys() == {0, 1}

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
-from yamsim_cli.core.overlay.arm_poses import ArmPose, Lens, PhotoResult
+from yamsim_cli.core.overlay.arm_poses import ArmPose, PhotoResult
+from yamsim_cli.core.overlay.lenses import Lens
 from yamsim_cli.core.overlay.moves import Moved, Stillness, find_moves
-from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
 
 LENS = Lens.known(CameraModel.pinhole(640, 480, 600.0), "file")
@@ -56,7 +55,6 @@ class Series:
     def _photo(self, number: int, bases: list[Array], rig: RigConfig, rng: np.random.Generator) -> PhotoResult:
         arms = []
         for k, (arm, T_base_in_cam) in enumerate(zip(rig.arms, bases, strict=True)):
-            assert arm.board is not None
             if (number, k) in self.unseen:
                 gone = Sighting(arm.board.board, (), Status.NOT_FOUND, "nothing there")
                 arms.append(ArmPose(arm.name, arm.board.name, "not_found", gone))
@@ -70,76 +68,71 @@ class Series:
         return PhotoResult(Path(f"{number:03d}.png"), LENS, "file", tuple(arms), (), time=number / 10)
 
 
-@pytest.fixture(scope="module")
-def rig(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "russet", locations)
-
-
 def by(x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) -> Array:
     return pose((x, y, z), rotation_from_vector((0, 0, math.radians(turn_deg))))
 
 
-def test_nothing_moved(rig: RigConfig) -> None:
+def test_nothing_moved(russet: RigConfig) -> None:
     for seed in range(20):
-        stillness = Series().told(rig, seed)
+        stillness = Series().told(russet, seed)
         assert stillness.moves == ()
         assert stillness.unknown == ""
 
 
-def test_a_base_that_moved_is_told_with_its_arm_photo_and_shift(rig: RigConfig) -> None:
-    (move,) = Series(bases={(17, 1): by(y=0.003)}).told(rig).moves
+def test_a_base_that_moved_is_told_with_its_arm_photo_and_shift(russet: RigConfig) -> None:
+    (move,) = Series(bases={(17, 1): by(y=0.003)}).told(russet).moves
     assert (move.photo, move.path, move.time, move.what, move.arm) == (17, Path("017.png"), 1.7, Moved.BASE, "arm2")
     np.testing.assert_allclose(move.shift_in_base, (0, 0.003, 0), atol=4 * move.shift_sigma)
     assert move.shift == pytest.approx(0.003, abs=3e-4)
     assert move.shift_sigma < 3e-4
 
 
-def test_a_turned_base_is_told_by_its_turn(rig: RigConfig) -> None:
-    (move,) = Series(bases={(20, 0): by(turn_deg=0.5)}).told(rig).moves
+def test_a_turned_base_is_told_by_its_turn(russet: RigConfig) -> None:
+    (move,) = Series(bases={(20, 0): by(turn_deg=0.5)}).told(russet).moves
     assert (move.what, move.arm) == (Moved.BASE, "arm1")
     assert math.degrees(move.turn) == pytest.approx(0.5, abs=0.05)
 
 
-def test_a_camera_that_moved_is_told_once_by_its_own_motion(rig: RigConfig) -> None:
-    (move,) = Series(camera={12: by(x=0.004, turn_deg=0.3)}).told(rig).moves
+def test_a_camera_that_moved_is_told_once_by_its_own_motion(russet: RigConfig) -> None:
+    (move,) = Series(camera={12: by(x=0.004, turn_deg=0.3)}).told(russet).moves
     assert (move.photo, move.what) == (12, Moved.CAMERA)
     assert move.shift == pytest.approx(0.004, abs=4 * move.shift_sigma)
     assert math.degrees(move.turn) == pytest.approx(0.3, abs=0.05)
 
 
-def test_camera_and_base_one_after_the_other(rig: RigConfig) -> None:
-    stillness = Series(camera={12: by(x=0.01)}, bases={(28, 1): by(x=-0.005)}).told(rig)
+def test_camera_and_base_one_after_the_other(russet: RigConfig) -> None:
+    stillness = Series(camera={12: by(x=0.01)}, bases={(28, 1): by(x=-0.005)}).told(russet)
     assert [(move.photo, move.what) for move in stillness.moves] == [(12, Moved.CAMERA), (28, Moved.BASE)]
 
 
-def test_both_bases_at_once_are_several_moves(rig: RigConfig) -> None:
-    stillness = Series(bases={(15, 0): by(x=0.01), (15, 1): by(y=0.02)}).told(rig)
+def test_both_bases_at_once_are_several_moves(russet: RigConfig) -> None:
+    stillness = Series(bases={(15, 0): by(x=0.01), (15, 1): by(y=0.02)}).told(russet)
     assert {(move.photo, move.what, move.arm) for move in stillness.moves} == {
         (15, Moved.SEVERAL, "arm1"),
         (15, Moved.SEVERAL, "arm2"),
     }
 
 
-def test_one_board_in_sight_leaves_open_what_moved(rig: RigConfig) -> None:
+def test_one_board_in_sight_leaves_open_what_moved(russet: RigConfig) -> None:
     unseen = frozenset((number, 1) for number in range(40))
-    (move,) = Series(camera={20: by(x=0.005)}, unseen=unseen).told(rig).moves
+    (move,) = Series(camera={20: by(x=0.005)}, unseen=unseen).told(russet).moves
     assert (move.what, move.arm) == (Moved.EITHER, "arm1")
 
 
-def test_wrong_poses_and_photos_without_one_are_no_moves(rig: RigConfig) -> None:
+def test_wrong_poses_and_photos_without_one_are_no_moves(russet: RigConfig) -> None:
     series = Series(wrong=frozenset({(5, 0), (6, 0), (30, 1)}), unseen=frozenset({(10, 0), (11, 0), (20, 1)}))
-    assert series.told(rig).moves == ()
-    moved = Series(bases={(15, 0): by(x=0.003)}, wrong=series.wrong, unseen=series.unseen).told(rig)
+    assert series.told(russet).moves == ()
+    moved = Series(bases={(15, 0): by(x=0.003)}, wrong=series.wrong, unseen=series.unseen).told(russet)
     assert [(move.photo, move.what) for move in moved.moves] == [(15, Moved.BASE)]
 
 
 @pytest.mark.parametrize("photos", [9, 40])
-def test_a_camera_in_a_hand_says_nothing_of_moves(rig: RigConfig, photos: int) -> None:
+def test_a_camera_in_a_hand_says_nothing_of_moves(russet: RigConfig, photos: int) -> None:
     carried = {number: by(x=0.02, turn_deg=1.0) for number in range(photos)}
-    stillness = Series(photos, camera=carried).told(rig)
+    stillness = Series(photos, camera=carried).told(russet)
     assert stillness.moves == ()
     assert "not on a stand" in stillness.unknown
 
 
-def test_few_photos_say_nothing(rig: RigConfig) -> None:
-    assert "fewer than 8 photos" in Series(photos=7, camera={3: by(x=0.1)}).told(rig).unknown
+def test_few_photos_say_nothing(russet: RigConfig) -> None:
+    assert "fewer than 8 photos" in Series(photos=7, camera={3: by(x=0.1)}).told(russet).unknown

@@ -10,13 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.lowdim import dump_frame, frame_data
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z
 from yamsim_cli.core.overlay.photos import episode_photos, find_photos, mask_of
-from yamsim_cli.core.resources import Locations
 
 JOINTS = [0.3, 1.2, 1.0, -0.2, 0.1, 0.4, 0.02]
 K = [[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]]
@@ -107,23 +105,15 @@ def episode(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def single(locations: Locations) -> RigConfig:
-    return load_config(RigConfig, "rigs", "single", locations)
-
-
 def test_an_episode_knows_its_camera_its_pose_and_its_joints(episode: Path, single: RigConfig) -> None:
     photos = episode_photos(episode, None, single)
     assert [photo.path.name for photo in photos] == ["000000.jpg", "000001.jpg", "000002.jpg"]
     assert {photo.path.parent.name for photo in photos} == {"scene_camera"}
     last = photos[2]
-    assert last.camera is not None
     assert (last.camera.width, last.camera.height, last.camera.focal) == (64, 48, 60.0)
-    assert last.stands is not None
     (stand,) = last.stands
     assert [*stand.joints, stand.opening] == pytest.approx(np.array(JOINTS) + 0.02, abs=1e-6)
     assert last.joints_source == "episode"
-    assert last.T_base_in_cam is not None
     assert last.T_base_in_cam == pytest.approx(inverse(T_CAM), abs=1e-6)
     assert photos[0].camera == last.camera
 
@@ -169,7 +159,6 @@ def test_what_is_no_episode(episode: Path, single: RigConfig, tmp_path: Path) ->
         episode_photos(episode, None, single)
 
 
-def test_an_episode_of_one_arm_does_not_show_two(episode: Path, locations: Locations) -> None:
-    russet = load_config(RigConfig, "rigs", "russet", locations)
+def test_an_episode_of_one_arm_does_not_show_two(episode: Path, russet: RigConfig) -> None:
     with pytest.raises(ConfigError, match=r"000000\.pkl: joints have the shape \(7,\); rig 'russet' needs 14"):
         episode_photos(episode, None, russet)

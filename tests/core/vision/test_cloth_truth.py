@@ -18,8 +18,7 @@ from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.dataset.truth_files import TruthLabels, Visibility, array_faults, load_truth
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import triangles
-from yamsim_cli.core.vision.cloth_truth import drawn_sides
-from yamsim_cli.core.vision.frame_truth import FrameTruth, measure_frame
+from yamsim_cli.core.vision.frame_truth import FrameTruth, drawn_sides, measure_frame
 
 pytestmark = pytest.mark.render
 
@@ -36,14 +35,12 @@ class Stage:
 
     def truth(self, qpos: Array | None = None, camera: str = CAMERA) -> FrameTruth:
         simulator = self.simulator
-        assert simulator.labels is not None
         simulator.replica.show(self.start if qpos is None else qpos)
         T = simulator.scene.T_base_in_world
         return measure_frame(simulator.replica.data, camera, simulator.renderer, simulator.labels, T)
 
     def corners(self, truth: FrameTruth) -> dict[str, int]:
         """Corner -> index among the keypoints."""
-        assert self.simulator.labels is not None
         names = [point.name for point in self.simulator.labels.names.keypoints]
         return {side: names.index(f"napkin_{side}") for side in SIDES}
 
@@ -67,14 +64,12 @@ def stage(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureReque
     session = session_of(tmp_path_factory.mktemp("cloth"), FOLD, truth=True, size=request.param)
     with Simulators(session) as simulators:
         simulator, attempt = first_attempt(simulators)
-        assert attempt.start is not None
         simulator.varied(attempt)
         yield Stage(simulator, attempt.start)
 
 
 def test_of_a_flat_napkin_every_point_and_corner_is_seen_from_above(stage: Stage) -> None:
     truth = stage.truth()
-    assert stage.simulator.labels is not None
     names = stage.simulator.labels.names
     assert names.cloths == {"napkin": (9, 9)}
     assert truth.arrays["napkin_visible"].all()
@@ -98,7 +93,6 @@ def test_of_a_flat_napkin_every_point_and_corner_is_seen_from_above(stage: Stage
 
 def test_files_hold_what_their_labels_say(stage: Stage) -> None:
     simulator = stage.simulator
-    assert simulator.labels is not None
     truth = EpisodeTruth(simulator.labels, [CAMERA], simulator.scene.T_base_in_world)
     simulator.replica.show(stage.start)
     for _ in range(2):

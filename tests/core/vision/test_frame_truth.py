@@ -16,7 +16,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.truth_files import KeypointRecord, Visibility
 from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
-from yamsim_cli.core.images.label_images import decode_labels, encode_labels
+from yamsim_cli.core.images.png import decode_labels, encode_labels
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.sim.replica import Replica
@@ -44,7 +44,6 @@ class Stage:
 
     def pose(self, joints: list[float]) -> None:
         qpos, arm = self.start.copy(), self.replica.scene.arm
-        assert arm.fingers is not None
         qpos[arm.joint_qpos] = joints
         qpos[arm.fingers.qpos] = 0.0375 * arm.fingers.sign
         self.replica.show(qpos)
@@ -142,7 +141,6 @@ def test_depth_of_the_board_lies_on_its_plane(stage: Stage) -> None:
     rows, columns = np.nonzero(inside)
     assert len(rows) > 300
     board = stage.config.rig.arms[0].board
-    assert board is not None
     T = stage.config.rig.T_base_in_world(0) @ stage.config.rig.arms[0].T_board_in_base
     points = stage.points_in_world(truth, np.column_stack([columns, rows]))
     in_board = (points - T[:3, 3]) @ T[:3, :3]
@@ -203,7 +201,6 @@ def test_a_point_of_a_surface_is_visible_just_where_a_ray_reaches_it(stage: Stag
         )
         # In parts of the way to the point: 1 where nothing is in front of it.
         gap = (1 - distance) * z
-        assert point.normal is not None
         normal = data.xmat[point.body].reshape(3, 3) @ point.normal
         if (normal @ (start - target)) / np.linalg.norm(start - target) < 0.2:
             continue
@@ -294,7 +291,6 @@ def test_truth_lies_on_the_picture(stage: Stage) -> None:
 def test_label_images_come_back(stage: Stage) -> None:
     labels = stage.truth().labels
     found = decode_labels(encode_labels(labels))
-    assert found is not None
     np.testing.assert_array_equal(found, labels)
     assert decode_labels(encode_labels(labels)[:-1]) is None
     assert decode_labels(b"") is None

@@ -19,7 +19,6 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.camera import project
 from yamsim_cli.core.geometry.se3 import inverse
-from yamsim_cli.core.images.jpeg import decode_jpeg, encode_jpeg
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
@@ -136,30 +135,6 @@ def test_closing_twice_is_harmless(scene: CompiledScene) -> None:
     renderer = SceneRenderer(scene.model, (64, 48))
     renderer.close()
     renderer.close()
-
-
-def test_jpeg_round_trip_keeps_colours_in_order() -> None:
-    image = np.zeros((32, 48, 3), np.uint8)
-    image[..., 0] = 200
-    decoded = decode_jpeg(encode_jpeg(image, 95))
-    assert decoded is not None
-    assert decoded.shape == image.shape
-    assert decoded[..., 0].mean() > 190
-    assert decoded[..., 2].mean() < 10
-
-
-def test_jpeg_reads_as_opencv_reads_it() -> None:
-    image = np.random.default_rng(0).integers(0, 255, (32, 48, 3), np.uint8)
-    data = encode_jpeg(image, 85)
-    expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-    assert (decode_jpeg(data) == expected).all()
-
-
-def test_a_cut_jpeg_is_refused_at_every_length() -> None:
-    data = encode_jpeg(np.full((16, 16, 3), 90, np.uint8), 85)
-    assert decode_jpeg(data) is not None
-    for length in range(len(data)):
-        assert decode_jpeg(data[:length]) is None
 
 
 @pytest.mark.parametrize("size", [(640, 480), (333, 250)])
@@ -281,7 +256,6 @@ def test_the_plate_does_not_speckle_itself(
     """Where its scan casts a shadow, light that grazes it leaves dots on it."""
     config = make_config({("render",): preset})
     (plate,) = config.task.things["target"].of
-    assert plate.mesh is not None
     mesh = plate.mesh.model_copy(update={"castshadow": True})
     target = Role(of=(plate.model_copy(update={"mesh": mesh}),), named="object")
     things = {**config.task.things, "target": target}
@@ -309,3 +283,74 @@ def test_one_that_nobody_closed_ends_without_a_word() -> None:
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert (run.returncode, run.stderr) == (0, "")
+
+
+# An interpreter that has drawn nothing yet; `child` tells what a function does in a process forked from here.
+SCRIPT = """
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+import mujoco
+from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.vision.renderer import SceneRenderer
+
+SCENE = "<mujoco><worldbody><light pos='0 0 3'/><geom size='1'/><camera name='c' pos='0 -5 0' xyaxes='1 0 0 0 0 1'/>"
+model = mujoco.MjModel.from_xml_string(SCENE + "</worldbody></mujoco>")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+
+
+def draw(renderer=None):
+    try:
+        return f"drew {(renderer or SceneRenderer(model, (32, 24))).render(data, 'c').std() > 5}"
+    except ResourceError as error:
+        return f"refused: {error}"
+
+
+def draw_with_the_parents():
+    return draw(mine)
+
+
+def child(function, *arguments):
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as pool:
+        return pool.submit(function, *arguments).result(timeout=30)
+
+
+"""
+
+
+def printed_by(script: str) -> list[str]:
+    """The lines that a script prints after `SCRIPT`."""
+    run = subprocess.run(
+        [sys.executable, "-c", SCRIPT + script], capture_output=True, text=True, timeout=100, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    return run.stdout.splitlines()
+
+
+def test_a_process_forked_from_one_that_drew_is_refused_with_what_to_do() -> None:
+    lines = printed_by(
+        "mine = SceneRenderer(model, (32, 24))\n"
+        "print(draw(mine))\n"
+        "print(child(draw))\n"
+        "print(child(draw_with_the_parents))\n"
+        "print(child(child, draw))\n"
+        "mine.close()\n"
+        "print(child(draw))\n"
+        "print(draw())\n"
+    )
+    # The parent itself goes on drawing.
+    assert (lines[0], lines[-1]) == ("drew True", "drew True")
+    assert len(lines) == 6
+    for line in lines[1:-1]:
+        assert line.startswith("refused: process ")
+        assert 'context="forkserver"' in line and "'spawn'" in line
+
+
+def test_what_mujocos_own_renderer_drew_counts() -> None:
+    lines = printed_by("theirs = mujoco.Renderer(model, 16, 16)\nprint(child(draw))\nprint(draw())\n")
+    assert lines[0].startswith("refused: ")
+    assert lines[1] == "drew True"
+
+
+def test_forks_of_what_has_drawn_nothing_draw() -> None:
+    assert printed_by("print(child(draw))\nprint(child(child, draw))\nprint(draw())\n") == ["drew True"] * 3

@@ -13,7 +13,7 @@ from ..dataset.layout import TRUTH_LABELS, depth_name, segmentation_name, truth_
 from ..dataset.records import to_json
 from ..dataset.truth_files import array_forms, dump_arrays, dump_depth
 from ..geometry.se3 import Array
-from ..images.label_images import encode_labels
+from ..images.png import encode_labels
 from ..vision.frame_truth import measure_frame
 from ..vision.labels import SceneLabels
 from ..vision.renderer import SceneRenderer

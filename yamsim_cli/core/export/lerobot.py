@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dataset.reader import RecordedEpisode, recorded_images
-from ..images.video import VideoWriter, require_encoder
-from ..images.yuv import BT601
+from ..images.video import BT601, VideoWriter, require_encoder
 from ..progress import Progress
 from . import lerobot_schema as schema
 from .lerobot_content import Content, RealContent, SimulatedContent

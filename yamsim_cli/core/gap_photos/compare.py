@@ -1,45 +1,153 @@
-"""Compares the simulated arms with photos of the real ones: outlines with edges, and masks with each other."""
+"""Compares the simulated arms with photos of the real ones: outlines with the photos' edges, and masks with masks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..closing import Closing
 from ..config.pictures import RenderConfig
 from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
-from ..errors import ConfigError, ResourceError
+from ..dataset.layout import image_name, lowdim_name
+from ..dataset.lowdim import load_frame
+from ..errors import DatasetError, ResourceError, UsageError, suggest
 from ..gap.figures import Gap
 from ..geometry.camera import CameraModel
+from ..geometry.se3 import inverse
 from ..images.image import Image
 from ..images.image_files import grey_of, read_image
 from ..images.jpeg import encode_jpeg
-from ..overlay.arm_poses import Lens, find_arms, unknown_lens
-from ..overlay.outline_fit import score_outlines
-from ..overlay.photos import Photo
-from ..overlay.rendered_arms import ArmRenderer
+from ..motion import Motion
+from ..overlay.arm_poses import find_arms
+from ..overlay.joint_files import Stands
+from ..overlay.lenses import PhotoLenses
+from ..overlay.outline_fit import overlap, score_outlines
+from ..overlay.photos import Photo, camera_matrix, chosen_camera, pinhole_camera
+from ..overlay.rendered_arms import ArmRenderers
 from ..progress import Progress
 from ..report.gap_page import Shown
 from ..resources import Locations
+from ..types import Stand
 from ..vision.picture_overlay import blend, write_lines
-from .recorded import Taken, chosen_photos, photo_of, stands_at, taken_photos
 
-# Pictures on a page, how much of the simulated arms is seen there, and the JPEGs' quality.
-_SHOWN, _OPACITY, _QUALITY = 2, 0.4, 85
+
+@dataclass(frozen=True)
+class Taken:
+    """A photo that was taken during a recording.
+
+    Attributes:
+        gap: the recording's gap.
+        frame: number of the measured sample, from 0.
+        sample: row of that sample in the motion.
+    """
+
+    gap: Gap
+    frame: int
+    sample: int
+    path: Path
+
+
+def taken_photos(gaps: Sequence[Gap], camera: str | None) -> tuple[str, list[Taken]]:
+    """The name of one camera, and its photos in the compared parts of recordings.
+
+    Args:
+        camera: name of the camera, see `chosen_camera`.
+
+    Raises:
+        UsageError: no recording has photos, or none by that camera.
+    """
+    folders = {gap.name: Path(gap.name) for gap in gaps if (Path(gap.name) / "rgb").is_dir()}
+    cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
+    if not cameras:
+        raise UsageError("--pictures: no recording has photos; leave it out, or give episodes with rgb/")
+    camera = chosen_camera(cameras, camera)
+    if camera not in cameras:
+        raise UsageError(f"--episode-camera {camera!r}: no recording has it; {suggest(camera, cameras)}")
+    taken = []
+    for gap in gaps:
+        known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in gap.motion.arms])
+        for frame, sample in enumerate(np.flatnonzero(known).tolist()):
+            if gap.name in folders and gap.counted[sample]:
+                path = folders[gap.name] / image_name(camera, frame)
+                if path.is_file():
+                    taken.append(Taken(gap, frame, sample, path))
+    if not taken:
+        raise UsageError(
+            f"--pictures: camera {camera!r} has no photo of what was compared; choose another --from, --to"
+        )
+    return camera, taken
+
+
+def chosen_photos(taken: Sequence[Taken], most: int) -> list[Taken]:
+    """At most `most` of the photos, evenly chosen. The photo with the largest joint error is among them."""
+    if len(taken) <= most:
+        return list(taken)
+    worst = max(range(len(taken)), key=lambda k: _error(taken[k]))
+    even = np.linspace(0, len(taken) - 1, most - 1).round().astype(int).tolist() if most > 1 else []
+    return [taken[k] for k in sorted({worst, *even})]
+
+
+def _error(photo: Taken) -> float:
+    both = zip(photo.gap.motion.arms, photo.gap.simulated.arms, strict=True)
+    return max(float(np.abs(real.joints[photo.sample] - made.joints[photo.sample]).max()) for real, made in both)
+
+
+def stands_at(motion: Motion, sample: int, rig: RigConfig) -> Stands:
+    """How a rig's arms stand at a sample of a motion, in the rig's order."""
+    stands = {}
+    for arm, number in zip(motion.arms, rig.recorded, strict=True):
+        config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
+        dynamics, names = config.dynamics, config.robot.joint_names
+        # An encoder's offset is in the recorded joints.
+        off = [0.0 if dynamics is None else dynamics.joint(name).offset_rad for name in names]
+        stands[number] = Stand(arm.joints[sample] - off, opening)
+    return tuple(stands[number] for number in range(len(rig.arms)))
+
+
+def photo_of(taken: Taken, camera: str, rig: RigConfig, image: Image) -> Photo:
+    """A photo with its recorded camera and that camera's pose, as far as they were recorded.
+
+    Raises:
+        DatasetError: the frame cannot be read, or is damaged.
+    """
+    file = Path(taken.gap.name) / lowdim_name(taken.frame)
+    try:
+        frame = load_frame(file.read_bytes())
+        K, T_cam_in_base = (
+            None if (frame.get(key) or {}).get(camera) is None else camera_matrix(frame, key, camera)
+            for key in ("intrinsics", "extrinsics")
+        )
+    except OSError as error:
+        raise DatasetError(f"{file} cannot be read: {error.strerror or error}") from error
+    except (TypeError, ValueError, DatasetError) as error:
+        raise DatasetError(f"{file}: cannot be used: {error}") from error
+    height, width = image.shape[:2]
+    T_base_in_cam = None
+    if T_cam_in_base is not None:
+        # Extrinsics are recorded in the base of the only arm, or of the left one.
+        T_cam_in_world = rig.T_base_in_world(rig.recorded[0]) @ T_cam_in_base
+        T_base_in_cam = inverse(T_cam_in_world) @ rig.T_base_in_world(0)
+    model = None if K is None else pinhole_camera(K, width, height)
+    return Photo(taken.path, model, stands_at(taken.gap.simulated, taken.sample, rig), "episode", T_base_in_cam)
+
+
+_SHOWN = 2  # pictures on a page
+_OPACITY = 0.4  # of the simulated arms in a picture
+_QUALITY = 85  # of the pictures' JPEGs
 
 
 @dataclass(frozen=True)
 class PhotoRequest:
-    """Which photos, and what is known of them.
+    """Which photos of recordings to compare.
 
     Attributes:
-        most: how many are compared at most.
-        camera: the camera that took them; None for what the recording says, or else the boards.
-        name: of the camera in the recordings; None for the one that stands still.
+        most: largest number of photos.
+        camera: the camera of all photos; None for the recording's, or else an estimate from the boards.
+        name: the camera's name in the recordings; None for the one that stands still.
     """
 
     most: int
@@ -49,13 +157,12 @@ class PhotoRequest:
 
 @dataclass(frozen=True)
 class PhotoGap:
-    """What a photo says of the simulated arms.
+    """The simulated arms compared with a photo.
 
     Attributes:
-        taken: which photo.
         outline: median distance of their outline to the photo's edges, px; None where no arm is in sight.
-        measured_outline: the same of the arms as their joints were measured: what is left where there is no gap.
-        iou: overlap of the two, 0..1.
+        measured_outline: the same of the arms at their measured joints: the distance without a gap.
+        iou: overlap of the simulated and the measured arms, 0..1.
         picture: the simulated arms over the photo.
     """
 
@@ -75,62 +182,41 @@ def compare_photos(
     locations: Locations,
     progress: Progress,
 ) -> tuple[dict[str, Any], list[Shown]]:
-    """What photos of recordings say, as plain data, and the worst of them as pictures.
+    """The comparison with photos of recordings as plain data, and the worst photos as pictures.
 
     Raises:
         UsageError: no recording has photos, or none by that camera.
         DatasetError: a frame is damaged.
-        ConfigError: the camera is of other photos.
-        ResourceError: no photo shows where the camera stood, or nothing can render here.
+        ConfigError: the camera is calibrated for another image size.
+        ResourceError: no photo gives the camera's pose, or no OpenGL context can be made.
     """
     camera, taken = taken_photos(gaps, request.name)
     chosen = chosen_photos(taken, request.most)
     found: list[PhotoGap] = []
     figures: list[PhotoGap] = []
-    with _Renderers(rig, scene, quality, locations) as renderers:
+    lenses = PhotoLenses(rig, [one.path for one in chosen], request.camera)
+    with ArmRenderers(rig, scene, quality, locations) as renderers:
         for k, one in enumerate(chosen):
             progress(k, len(chosen))
-            if compared := _compared(one, camera, chosen, request, rig, renderers):
+            if compared := _compared(one, camera, rig, lenses, renderers):
                 figures.append(compared)
                 found = sorted([*found, compared], key=_badness, reverse=True)[:_SHOWN]
         progress(len(chosen), len(chosen))
     if not figures:
         raise ResourceError(
-            f"no photo of camera {camera!r} shows where it stood, first {chosen[0].path}: its frames say nothing, and "
-            "no board is in sight; give recordings with extrinsics, or leave --pictures out"
+            f"no photo of camera {camera!r} shows where it stood, first {chosen[0].path}: its frames have no "
+            "extrinsics, and no board is in sight; give recordings with extrinsics, or leave --pictures out"
         )
     return _plain(camera, figures, len(chosen) - len(figures)), [_shown(one) for one in found]
 
 
-class _Renderers(Closing):
-    """Renders arms for photos, and keeps the renderer of the last camera."""
-
-    def __init__(self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, locations: Locations) -> None:
-        self._parts = rig, scene, quality, locations
-        self._last: tuple[CameraModel, ArmRenderer] | None = None
-
-    def of(self, camera: CameraModel) -> ArmRenderer:
-        if self._last is None or self._last[0] != camera:
-            self.close()
-            rig, scene, quality, locations = self._parts
-            self._last = camera, ArmRenderer(rig, scene, quality, camera, locations)
-        return self._last[1]
-
-    def close(self) -> None:
-        """Free the renderer."""
-        if self._last is not None:
-            self._last[1].close()
-            self._last = None
-
-
 def _compared(
-    taken: Taken, name: str, chosen: Sequence[Taken], request: PhotoRequest, rig: RigConfig, renderers: _Renderers
+    taken: Taken, camera: str, rig: RigConfig, lenses: PhotoLenses, renderers: ArmRenderers
 ) -> PhotoGap | None:
-    """What one photo says; None where it does not say where its camera stood."""
+    """The comparison of one photo; None where neither its frame nor a board gives the camera's pose."""
     image = read_image(taken.path)
-    photo = photo_of(taken, name, rig, image)
-    lens = _lens(photo, image, chosen, request, rig)
-    grey = grey_of(image)
+    photo = photo_of(taken, camera, rig, image)
+    lens, grey = lenses.of(photo, image), grey_of(image)
     result = find_arms(rig, photo, grey, lens, trust_margin=False)
     if not result.bases:
         return None
@@ -138,37 +224,14 @@ def _compared(
     renderer.pose(result.bases, stands_at(taken.gap.motion, taken.sample, rig))
     measured, measured_mask = score_outlines(result, renderer, grey), renderer.flat_labels() > 0
     renderer.pose(result.bases, stands_at(taken.gap.simulated, taken.sample, rig))
-    simulated, mask = score_outlines(result, renderer, grey), renderer.flat_labels() > 0
+    simulated, iou = score_outlines(result, renderer, grey), overlap(renderer.flat_labels() > 0, measured_mask)
     arms = renderer.render()
     picture = blend(image, arms.colour, arms.labels, _OPACITY)
-    union = int((mask | measured_mask).sum())
-    iou = int((mask & measured_mask).sum()) / union if union else 1.0
     lines = [f"simulated, {taken.gap.motion.times[taken.sample]:.2f} s, frame {taken.frame}"]
     if simulated.edge_residual is not None:
         lines.append(f"outline {simulated.edge_residual:.1f} px, overlap {iou:.3f}")
     write_lines(picture, lines, arms.labels > 0)
     return PhotoGap(taken, simulated.edge_residual, measured.edge_residual, iou, picture)
-
-
-def _lens(photo: Photo, image: Image, chosen: Sequence[Taken], request: PhotoRequest, rig: RigConfig) -> Lens:
-    height, width = image.shape[:2]
-    if (camera := request.camera) is not None and (camera.width, camera.height) != (width, height):
-        raise ConfigError(
-            f"{photo.path} has {width} x {height} pixels, but the camera is calibrated for {camera.width} x "
-            f"{camera.height}: give the camera file of this image size"
-        )
-    if request.camera is not None:
-        return Lens.known(request.camera, "file")
-    if photo.camera is not None:
-        return Lens.known(photo.camera, "episode")
-    return unknown_lens(_same_size(chosen, image), (height, width), rig)
-
-
-def _same_size(chosen: Sequence[Taken], image: Image) -> Iterator[Image]:
-    for one in chosen:
-        other = read_image(one.path)
-        if other.shape[:2] == image.shape[:2]:
-            yield other
 
 
 def _badness(found: PhotoGap) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Pictures made as large as somebody wants them."""
+"""Scales pictures to a given size."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ def fitted(image: Image, size: tuple[int, int], *, pad: bool) -> Image:
 
     Args:
         size: width and height, px.
-        pad: keep its sides' ratio, with black at two of them; otherwise it is stretched.
+        pad: keep the aspect ratio, with black borders; otherwise the picture is stretched.
     """
     height, width = image.shape[:2]
     if (width, height) == size:
         return image
     ratio = min(size[0] / width, size[1] / height)
     inner = (max(1, round(width * ratio)), max(1, round(height * ratio))) if pad else size
-    # Areas are averaged when a picture shrinks, which keeps thin things; there are none to average when it grows.
+    # Averaging areas keeps thin things when a picture shrinks.
     how = cv2.INTER_AREA if inner[0] < width or inner[1] < height else cv2.INTER_LINEAR
     scaled = np.asarray(cv2.resize(image, inner, interpolation=how), dtype=np.uint8)
     if inner == size:

@@ -1,4 +1,4 @@
-"""Images in memory, and what is known of an image before and after it is decoded."""
+"""Images in memory, and measures of an image before and after decoding."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """An image's size and number of channels, as its file's header says."""
+    """An image's size and number of channels, from the file's header."""
 
     width: int
     height: int
@@ -27,7 +27,7 @@ class ImageLook:
     Attributes:
         brightness, contrast: mean and standard deviation of a smaller grey version, 0..255.
         fingerprint: a number that is equal for equal pictures.
-        complaint: what the decoder complained about; "" for a whole image.
+        complaint: the decoder's message; "" for a whole image.
     """
 
     brightness: float

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 
 import cv2
@@ -12,20 +10,18 @@ from numpy.typing import NDArray
 
 from ..errors import ResourceError
 from .image import Image
+from .png import whole_png
 
 Mask = NDArray[np.bool_]
 
-_PNG = b"\x89PNG\r\n\x1a\n"
-
-# Largest file that is read, which is larger than any camera's photo.
-_MAX_BYTES = 200_000_000
+_MAX_BYTES = 200_000_000  # largest file that is read, larger than any camera's photo
 
 
 def read_image(path: Path) -> Image:
     """An image as RGB (height, width, 3), turned upright by its EXIF data.
 
     Raises:
-        ResourceError: it is unreadable, or no whole PNG or JPEG.
+        ResourceError: the file is unreadable, or no whole PNG or JPEG.
     """
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -40,7 +36,7 @@ def read_image(path: Path) -> Image:
 
 
 def decode_image(data: bytes) -> Image | None:
-    """The RGB image (height, width, 3) of a PNG or a JPEG, turned upright by its EXIF data; None if it is not whole."""
+    """The RGB image (height, width, 3) of a PNG or JPEG, turned upright by its EXIF data; None for damaged data."""
     if not _whole(data):
         return None
     try:
@@ -67,27 +63,8 @@ def grey_of(image: Image) -> Image:
 
 
 def _whole(data: bytes) -> bool:
-    """Whether an image's file is complete. Decoders would fill in missing parts with grey."""
+    """Whether an image's file is complete: decoders would fill in missing parts with grey."""
     if data.startswith(b"\xff\xd8"):
         # Cameras append previews and notes after the end marker.
         return data.rfind(b"\xff\xd9") > len(data) // 2
     return whole_png(data)
-
-
-def whole_png(data: bytes) -> bool:
-    """Whether it is a PNG in which every chunk up to the last has its checksum. Source: PNG specification, 5.3.
-
-    The decoder would notice damage, too, but reports it on the process's stderr.
-    """
-    if not data.startswith(_PNG):
-        return False
-    position = len(_PNG)
-    while position + 12 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, position)
-        end = position + 8 + length
-        if data[end : end + 4] != struct.pack(">I", zlib.crc32(data[position + 4 : end])):
-            return False
-        if kind == b"IEND":
-            return True
-        position = end + 4
-    return False

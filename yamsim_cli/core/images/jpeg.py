@@ -13,12 +13,11 @@ import numpy as np
 
 from ..errors import SimulationError
 from .image import Image, ImageHeader, ImageLook
-from .label_images import decode_labels
+from .png import decode_labels
 
-# Brightness and contrast are measured on a smaller image, in which noise is averaged away. It is at most so many times
-# smaller, and its short side keeps so many pixels.
+# Brightness and contrast are measured on a reduced image, in which noise is averaged away.
 _MOST_REDUCTION = 8
-_SMALL_SIDE = 16
+_SMALL_SIDE = 16  # px that the short side keeps
 
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
 # Start-of-frame markers, C0 to CF without those that define tables (C4, CC) and the reserved C8.
@@ -38,10 +37,8 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 
 def decode_jpeg(data: bytes) -> Image | None:
-    """The RGB image (height, width, 3) in a JPEG; None if the data is no whole JPEG.
-
-    Decoders fill in what a cut file lacks with grey, so that the end-of-image marker is checked first.
-    """
+    """The RGB image (height, width, 3) in a JPEG; None if the data is no whole JPEG."""
+    # Decoders would fill in the missing part of a cut file with grey.
     if not data.startswith(_SOI) or not data.endswith(_EOI):
         return None
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
@@ -70,14 +67,14 @@ def jpeg_header(data: bytes) -> ImageHeader | None:
 
 
 class JpegReader:
-    """Measures JPEGs; as a context manager it also hears the decoder's complaints.
+    """Measures JPEGs; as a context manager, the reader also catches the decoder's complaints.
 
-    libjpeg decodes damaged JPEGs, too. It fills in what is missing, and complains only on the process's stderr. So
-    stderr is a file while the context is open, for the whole process: use it in a process of its own.
+    libjpeg decodes damaged JPEGs too, and complains only on the process's stderr. So stderr is a file while the context
+    is open, for the whole process: use the reader in a separate process.
     """
 
     def __init__(self) -> None:
-        self._spoken: IO[bytes] | None = None
+        self._messages: IO[bytes] | None = None
         self._stderr = -1
 
     def header(self, data: bytes) -> ImageHeader | None:
@@ -88,7 +85,7 @@ class JpegReader:
         """Measures of the image; None if it cannot be decoded."""
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-        complaint = self._heard()
+        complaint = self._complaint()
         if grey is None:
             return None
         reduction = max(1, min(_MOST_REDUCTION, min(grey.shape) // _SMALL_SIDE))
@@ -101,20 +98,20 @@ class JpegReader:
         """See `decode_labels`."""
         return decode_labels(data)
 
-    def _heard(self) -> str:
-        # Both descriptors share one position in the file. It has moved if something was written.
-        if self._spoken is None or not self._spoken.tell():
+    def _complaint(self) -> str:
+        # Both descriptors share one position in the file, which has moved if the decoder has written.
+        if self._messages is None or not self._messages.tell():
             return ""
-        self._spoken.seek(0)
-        text = self._spoken.read().decode(errors="replace").strip()
-        self._spoken.seek(0)
-        self._spoken.truncate()
+        self._messages.seek(0)
+        text = self._messages.read().decode(errors="replace").strip()
+        self._messages.seek(0)
+        self._messages.truncate()
         return text.splitlines()[0] if text else ""
 
     def __enter__(self) -> JpegReader:
         self._stderr = os.dup(2)
-        self._spoken = tempfile.TemporaryFile(buffering=0)
-        os.dup2(self._spoken.fileno(), 2)
+        self._messages = tempfile.TemporaryFile(buffering=0)
+        os.dup2(self._messages.fileno(), 2)
         return self
 
     def __exit__(
@@ -122,9 +119,9 @@ class JpegReader:
     ) -> None:
         os.dup2(self._stderr, 2)
         os.close(self._stderr)
-        if self._spoken is not None:
-            self._spoken.close()
-            self._spoken = None
+        if self._messages is not None:
+            self._messages.close()
+            self._messages = None
 
 
 def thumbnail(data: bytes, width: int, quality: int = 80) -> bytes | None:

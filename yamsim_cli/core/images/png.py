@@ -1,4 +1,4 @@
-"""PNG in memory."""
+"""PNG in memory, of colours and of segmentation labels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import zlib
 import cv2
 import numpy as np
 
+from ..errors import SimulationError
 from .image import Image
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def encode_png(image: Image, px_per_metre: float | None = None) -> bytes:
@@ -29,7 +32,7 @@ def encode_png(image: Image, px_per_metre: float | None = None) -> bytes:
 
 
 def decode_png(data: bytes) -> Image | None:
-    """The RGB image (height, width, 3) of a PNG; None if it is none."""
+    """The RGB image (height, width, 3) of a PNG; None for other data."""
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
@@ -37,8 +40,7 @@ def decode_png(data: bytes) -> Image | None:
     return None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-# A PNG begins with its signature (8 bytes) and the chunk IHDR (length 4, name 4, data 13, checksum 4).
-_AFTER_HEADER = 8 + 25
+_AFTER_HEADER = 8 + 25  # bytes of the signature and of the chunk IHDR
 _UNIT_METRE = 1
 
 
@@ -47,3 +49,56 @@ def _with_scale(png: bytes, px_per_metre: int) -> bytes:
     body = b"pHYs" + struct.pack(">IIB", px_per_metre, px_per_metre, _UNIT_METRE)
     chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
     return png[:_AFTER_HEADER] + chunk + png[_AFTER_HEADER:]
+
+
+# Run-length encoding is the fastest for labels, and the second smallest. Source: measured with OpenCV 5.
+_LABEL_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+_MOST_PIXELS = 2**26  # of a label image that is decoded: a header can announce gigabytes
+# Width, height, bits per sample and colour type (0 for grey). Source: PNG specification, 11.2.2.
+_HEADER = struct.Struct(">IIBB")
+_HEADER_OFFSET = 16  # bytes
+
+
+def encode_labels(labels: Image) -> bytes:
+    """A segmentation image (height, width) as a PNG of one channel.
+
+    Raises:
+        SimulationError: the encoder refused the image.
+    """
+    done, data = cv2.imencode(".png", labels, _LABEL_OPTIONS)
+    if not done:
+        raise SimulationError(f"a segmentation image of shape {labels.shape} could not be encoded as PNG")
+    return data.tobytes()
+
+
+def decode_labels(data: bytes) -> Image | None:
+    """A segmentation image (height, width) of uint8 from its PNG; None for other or damaged data."""
+    if not whole_png(data) or len(data) < _HEADER_OFFSET + _HEADER.size:
+        return None
+    width, height, bits, colour = _HEADER.unpack_from(data, _HEADER_OFFSET)
+    if not 0 < width * height <= _MOST_PIXELS or (bits, colour) != (8, 0):
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image, np.uint8)
+
+
+def whole_png(data: bytes) -> bool:
+    """Whether the data is a PNG whose chunks all have the right checksum. Source: PNG specification, 5.3.
+
+    The decoder reports damage on the process's stderr only.
+    """
+    if not data.startswith(_SIGNATURE):
+        return False
+    position = len(_SIGNATURE)
+    while position + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, position)
+        end = position + 8 + length
+        if data[end : end + 4] != struct.pack(">I", zlib.crc32(data[position + 4 : end])):
+            return False
+        if kind == b"IEND":
+            return True
+        position = end + 4
+    return False

@@ -1,39 +1,157 @@
-"""H.264 in MP4 for any player and browser, with exact times. A file appears whole or not at all."""
+"""Writes H.264 in MP4 for any player and browser, with exact times, and reads the pictures of films.
+
+A written file appears whole or not at all.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import uuid
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from ..errors import ResourceError, SimulationError, UsageError
+from ..errors import DatasetError, ResourceError, SimulationError, UsageError
 from ..files import move_aside, publish_file
 from .image import Image
-from .yuv import BT709, Matrix, yuv420
 
 if TYPE_CHECKING:
     from av.container import OutputContainer
     from av.video.stream import VideoStream
 
-# The encoder's settings. They gave 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With
-# mbtree the same images gave different bytes now and then (3 of 60 encodings at 224 x 224, and 20 of 100 at 24 x 16);
-# without it they never did.
+
+@dataclass(frozen=True)
+class Matrix:
+    """A conversion of RGB to luma and two colour differences, in limited range.
+
+    Attributes:
+        red, blue: their shares of luma; green has the rest.
+        tag: the matrix's number in a stream. Source: ITU-T H.273, table 4.
+    """
+
+    red: float
+    blue: float
+    tag: int
+
+
+# The matrix that players assume for an untagged H.264 stream. Source: ITU-R BT.709, 3.2.
+BT709 = Matrix(0.2126, 0.0722, 1)
+# The matrix that decoders for training assume if they ignore the tag. Source: ITU-R BT.601, 2.5.1.
+BT601 = Matrix(0.299, 0.114, 6)
+
+# Y, Cb and Cr of black, and the ranges of luma and colours. Source: ITU-R BT.709, 3.4 and 3.5; BT.601 has the same.
+_OFFSET = np.array([16.0, 128.0, 128.0])
+_LUMA_RANGE, _COLOUR_RANGE = 219, 224
+
+
+def yuv420(image: Image, matrix: Matrix) -> NDArray[np.uint8]:
+    """The planes Y, Cb and Cr of an RGB image, (3 / 2 height, width); an odd side gets its last row or column twice.
+
+    FFmpeg's own conversion is not used: its result depends on how the memory happens to be aligned.
+    """
+    height, width = image.shape[:2]
+    # Colours have half the resolution, so both sides have to be even.
+    even = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    full = cv2.transform(even.astype(np.float32), np.column_stack([_rows(matrix) / 255, _OFFSET]))
+    half = cv2.resize(full, (even.shape[1] // 2, even.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    planes = [full[..., 0].ravel(), half[..., 1].ravel(), half[..., 2].ravel()]
+    rounded: NDArray[np.uint8] = np.round(np.concatenate(planes)).astype(np.uint8).reshape(-1, even.shape[1])
+    return rounded
+
+
+def _rows(matrix: Matrix) -> NDArray[np.float64]:
+    """The matrix (3, 3) from RGB in 0..1 to Y, Cb and Cr."""
+    luma = np.array([matrix.red, 1 - matrix.red - matrix.blue, matrix.blue])
+    return np.array(
+        [
+            _LUMA_RANGE * luma,
+            _COLOUR_RANGE / 2 * (np.array([0, 0, 1]) - luma) / (1 - matrix.blue),
+            _COLOUR_RANGE / 2 * (np.array([1, 0, 0]) - luma) / (1 - matrix.red),
+        ]
+    )
+
+
+_CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc"}
+
+
+def _av() -> Any:
+    try:
+        import av
+    except ModuleNotFoundError as error:
+        if error.name != "av":
+            raise
+        raise ResourceError("a video needs PyAV, which is not here: pip install 'yamsim[video]'") from error
+    return av
+
+
+def film_frames(file: Path, begin: float, count: int, tolerance: float) -> Iterator[Image]:
+    """The pictures (height, width, 3) of a film from a time on, as RGB.
+
+    Args:
+        begin: time of the first picture, s.
+        count: largest number of pictures.
+        tolerance: how much earlier than `begin` the first picture may be, s.
+
+    Raises:
+        DatasetError: the film cannot be read.
+        ResourceError: PyAV is not installed.
+    """
+    av = _av()
+    try:
+        with av.open(str(file)) as container:
+            stream = container.streams.video[0]
+            if begin > 0:
+                container.seek(int(begin / stream.time_base), stream=stream, backward=True)
+            for frame in container.decode(stream):
+                if frame.time is None or frame.time < begin - tolerance:
+                    continue
+                if count <= 0:
+                    return
+                count -= 1
+                yield frame.to_ndarray(format="rgb24")
+    except (OSError, av.FFmpegError, IndexError) as error:
+        raise DatasetError(f"{file} cannot be read as a film: {error}") from error
+
+
+def packet_frames(packets: Iterable[bytes], codec: str, source: str) -> Iterator[Image]:
+    """The pictures (height, width, 3) of a stream of packets with one picture each, as RGB.
+
+    Raises:
+        DatasetError: the packets cannot be decoded, or the codec is not H.264 or H.265.
+        ResourceError: PyAV is not installed.
+    """
+    av = _av()
+    name = _CODECS.get(codec.lower())
+    if name is None:
+        raise DatasetError(f"{source}: its pictures are {codec!r}; valid: {', '.join(_CODECS)}")
+    try:
+        decoder = av.CodecContext.create(name, "r")
+        for packet in packets:
+            for frame in decoder.decode(av.Packet(packet)):
+                yield frame.to_ndarray(format="rgb24")
+        for frame in decoder.decode(None):
+            yield frame.to_ndarray(format="rgb24")
+    except av.FFmpegError as error:
+        raise DatasetError(f"{source}: its pictures cannot be decoded: {error}") from error
+
+
+# 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With mbtree the same images sometimes
+# give different bytes (3 of 60 encodings at 224 x 224, and 20 of 100 at 24 x 16); without mbtree never.
 ENCODER = {"preset": "veryfast", "crf": "21", "bf": "0", "mbtree": "0"}
 
 # sRGB pictures have BT.709's primaries and nearly its transfer curve. Source: ITU-T H.273, tables 2 and 3.
 _BT709 = 1
 _LIMITED = 1
 
-# Players can jump only to key frames.
-_SECONDS_BETWEEN_KEY_FRAMES = 1
-
-# Largest denominator of a period, s. A period such as 1/30 s is not exact as a float, and is taken as such a fraction.
-_FINEST_PERIOD = 1_000_000
+_SECONDS_BETWEEN_KEY_FRAMES = 1  # players can jump only to key frames
+_FINEST_PERIOD = 1_000_000  # largest denominator of a period, s: 1/30 s is not exact as a float
 
 
 class VideoWriter:
@@ -45,14 +163,14 @@ class VideoWriter:
     Attributes:
         path: the file.
         frames: how many images were written.
-        moved_aside: the new place of an older file of that name; None if there was none, or the new one is not there.
+        moved_aside: the new place of an older file of that name; None without one, or if no new file was written.
 
     Args:
         path: ends in `.mp4`; its directory has to exist.
         frame_period: time from one image to the next, s.
         overwrite: move an existing file aside instead of refusing to start.
-        key_frame_interval: frames from one key frame to the next; those of one second unless given.
-        matrix: how colours are stored; the stream is tagged with it.
+        key_frame_interval: frames from one key frame to the next; by default those of one second.
+        matrix: how colours are stored; the stream has the matrix's tag.
 
     Raises:
         ResourceError: PyAV is not installed or has no H.264 encoder, or the file cannot be written.
@@ -143,7 +261,7 @@ class VideoWriter:
 
     def _discard(self) -> None:
         if self._container is not None:
-            # On a full disk closing fails as writing did. The file is removed all the same.
+            # On a full disk closing fails too, and the file is removed.
             with contextlib.suppress(OSError):
                 self._container.close()
         self._part.unlink(missing_ok=True)
@@ -160,7 +278,7 @@ class VideoWriter:
         return ResourceError(f"{self.path} cannot be written: {error.strerror or error}; mend it, or write elsewhere")
 
     def __enter__(self) -> VideoWriter:
-        # The encoder writes nothing for its first frames. This shows now whether the directory can be written.
+        # The encoder writes nothing for its first frames. This shows whether the directory can be written.
         try:
             self._part.touch(exist_ok=False)
         except OSError as error:
@@ -178,18 +296,12 @@ class VideoWriter:
 
 
 def require_encoder() -> None:
-    """Make sure that videos can be written here, before any work is done for one.
+    """Refuse, before any work, to write videos without an encoder.
 
     Raises:
         ResourceError: PyAV is not installed, or has no H.264 encoder.
     """
-    try:
-        from av import codecs_available
-    except ModuleNotFoundError as error:
-        if error.name != "av":
-            raise
-        raise ResourceError("a video needs PyAV, which is not here: pip install 'yamsim[video]'") from error
-    if "libx264" not in codecs_available:
+    if "libx264" not in _av().codecs_available:
         raise ResourceError(
             "this PyAV was built without an H.264 encoder (libx264): install its wheel by pip install 'yamsim[video]'"
         )

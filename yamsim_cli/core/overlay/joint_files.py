@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..config.rig import ArmConfig, RigConfig
+from ..config.rig import RigConfig
 from ..dataset.lowdim import load_frame
 from ..documents.document import load_yaml
 from ..errors import ConfigError, DatasetError
@@ -15,10 +15,8 @@ from ..geometry.se3 import Array
 from ..robots.stops import beyond_stops
 from ..types import Stand
 
-# How far outside its range a joint may be, rad: encoders and calibrations are slightly off.
-_SLACK = math.radians(3.0)
-# A number above this share of the full opening, which no finger reaches, means that a file gives shares and not metres.
-_MOST_OPENING = 1.1
+_SLACK = math.radians(3.0)  # rad, how far beyond its stop a joint may be: encoders and calibrations are slightly off
+_MOST_OPENING = 1.1  # of the full opening, which no finger exceeds: a file with larger numbers gives shares, not m
 
 _KINDS = (".npy", ".yaml", ".yml", ".pkl")
 
@@ -32,12 +30,12 @@ def home_stands(rig: RigConfig) -> Stands:
 
 
 def load_stands(path: Path, rig: RigConfig) -> list[Stands]:
-    """How every arm stands; one row, or one per photo.
+    """How every arm stands, in one row, or in a row for each photo.
 
     An `.npy` holds an array of one row, or of a row for each photo. A `.pkl` is a recorded frame's lowdim. YAML holds
-    either `joints: [...]` or a list under each arm's name. A row has each arm's joints in rad and, where it has
-    fingers, the opening of one in m, the left arm's first. For a rig of one arm a row may leave the opening out, or be
-    of two such arms. If any opening is more than a tenth above the full one, all are shares of it.
+    either `joints: [...]` or a list under each arm's name. A row has each arm's joints in rad and, for an arm with
+    fingers, the opening of one finger in m; the left arm comes first. For a rig of one arm a row may leave out the
+    opening, or hold two such arms. If any opening is more than a tenth above the full one, all are shares of it.
 
     Raises:
         ConfigError: the file is unreadable, of another shape, not finite, or outside the joints' ranges.
@@ -58,30 +56,26 @@ def load_stands(path: Path, rig: RigConfig) -> list[Stands]:
 
 
 def recorded_stands(joints: Array, rig: RigConfig, source: Path) -> Stands:
-    """How every arm stands by what a recorded frame holds. Raises as `load_stands`."""
+    """How every arm stands in a recorded frame. Raises as `load_stands`."""
     return _stands(_by_arm(joints, rig, source), rig)[0]
 
 
 def _stands(values: list[Array], rig: RigConfig) -> list[Stands]:
-    """The rows of every arm, [joints, opening] with the opening where it has fingers, row by row."""
-
-    def stand(arm: ArmConfig, row: Array) -> Stand:
-        dof = arm.robot.dof
-        return Stand(row[:dof], float(row[dof]) if len(row) > dof else 0.0)
-
+    """How every arm stands, row by row, from each arm's rows of joints and, with fingers, opening."""
+    dofs = [arm.robot.dof for arm in rig.arms]
     return [
-        tuple(stand(arm, row) for arm, row in zip(rig.arms, rows, strict=True)) for rows in zip(*values, strict=True)
+        tuple(Stand(row[:dof], float(row[dof]) if len(row) > dof else 0.0) for dof, row in zip(dofs, rows, strict=True))
+        for rows in zip(*values, strict=True)
     ]
 
 
 def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
-    """The rows of every arm with openings in m, from metres or shares."""
     fingers = [(arm.robot.fingers.full_opening, k) for k, arm in enumerate(rig.arms) if arm.robot.fingers]
     are_shares = any((values[k][:, -1] > _MOST_OPENING * full).any() for full, k in fingers)
     for full, k in fingers:
         given = values[k][:, -1]
         shares = given if are_shares else given / full
-        # Drives report a little beyond both ends, and some grippers close beyond 0 to squeeze.
+        # Drives report values slightly beyond both ends, and some grippers close beyond 0 to squeeze.
         if shares.min() < -0.15 or shares.max() > _MOST_OPENING:
             worst = given[np.abs(shares - 0.5).argmax()]
             raise ConfigError(
@@ -148,14 +142,13 @@ def _by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
     if alone and count in (dof, each):
         return [_padded(rows, each)]
     if count == 2 * each:
-        # A lone arm's file may be of a station with two such arms, as the real recorder writes it.
+        # A file for one arm may hold two such arms, as the recorder of a real station writes them.
         return [rows[:, :each].copy() if arm.side == "left" else rows[:, each:].copy() for arm in rig.arms]
     valid = " or ".join(map(str, dict.fromkeys((dof, each, 2 * each)))) if alone else _listed(rig)
     raise ConfigError(f"{path}: joints have the shape {values.shape}; rig {rig.name!r} needs {valid} numbers a row")
 
 
 def _padded(rows: Array, width: int) -> Array:
-    """Rows with their grippers closed, if they say nothing of them."""
     padded = np.zeros((len(rows), width))
     padded[:, : rows.shape[1]] = rows
     return padded
@@ -164,9 +157,7 @@ def _padded(rows: Array, width: int) -> Array:
 def _listed(rig: RigConfig) -> str:
     """Such as "14 (left 6, left gripper, right 6, right gripper)"."""
     arms = [rig.arms[k] for k in rig.recorded]
-    parts = [
-        part
-        for arm in arms
-        for part in (f"{arm.side} {arm.robot.dof}", *([f"{arm.side} gripper"] if arm.robot.fingers else []))
-    ]
+    parts = []
+    for arm in arms:
+        parts += [f"{arm.side} {arm.robot.dof}"] + [f"{arm.side} gripper"] * bool(arm.robot.fingers)
     return f"{len(arms) * rig.drives} ({', '.join(parts)})"

@@ -1,31 +1,40 @@
-"""When a camera or an arm's base was moved, from a series of photos by one camera."""
+"""When a camera or an arm's base was moved, from a series of photos by one camera.
+
+Each board's pose in the camera's frame is a series of vectors (6,). Where the level of a series steps, something moved.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from ..vision.fiducials.sighting import Status
 from .arm_poses import ArmPose, PhotoResult
-from .steps import FEWEST, Step, find_steps, noise_of, step_at
 
-# What moves less is not told, m and rad: the arm, in front of its board, shifts the board's pose by some of that.
-_LEAST_SHIFT = 5e-4
-_LEAST_TURN = math.radians(0.1)
-# Noise is at least this, m and rad: photos that are alike to the last grey level would have none.
-_NOISE_SHIFT = 5e-5
-_NOISE_TURN = math.radians(0.01)
-# Steps of two boards so few photos apart are one event.
-_TOGETHER = 3
-# Poses that differ from photo to photo by so many times what the photos' noise does are of a camera in a hand.
-_IN_A_HAND = 8.0
-# So are several steps in fewer photos each.
-_PHOTOS_A_STEP = 12
+# Smallest reported move. An arm in front of its board shifts the board's pose by some of that.
+_LEAST_SHIFT = 5e-4  # m
+_LEAST_TURN = math.radians(0.1)  # rad
+# Smallest standard deviation of a pose. Photos that are equal to the last grey level would have none.
+_NOISE_SHIFT = 5e-5  # m
+_NOISE_TURN = math.radians(0.01)  # rad
+_TOGETHER = 3  # photos, largest distance between steps of two boards that are one event
+_IN_A_HAND = 8.0  # ratio of the poses' noise to that of the photos, above which a person holds the camera
+_PHOTOS_A_STEP = 12  # photos for each of several steps, below which a person holds the camera
+
+_FEWEST = 4  # samples of a level: with fewer, one outlier is half of the level
+# Squared distance of two levels, in standard deviations, above which a step counts. By chance six independent axes
+# exceed the limit once in 20 million (chi-squared, 6 degrees of freedom): no false step in a series of thousands.
+_SURE = 45.0
+_CLIP = 6.0  # standard deviations that a sample counts for at most, so that one wrong pose is no step
+_FROM_MEDIAN = 1.4826  # from a median absolute deviation to a standard deviation, of normal noise
+_MEDIAN_SPREAD = np.pi / 2  # variance of a median of n normal samples, over the variance of their mean
 
 
 class Moved(StrEnum):
@@ -33,26 +42,23 @@ class Moved(StrEnum):
 
     CAMERA = "camera"
     BASE = "base"
-    # One board alone is in sight: its base and the camera look alike.
-    EITHER = "camera or base"
-    # More than one thing moved at once.
+    EITHER = "camera or base"  # with one board in sight, a move of the base and one of the camera look alike
     SEVERAL = "several"
 
 
 @dataclass(frozen=True)
 class Move:
-    """Something that was moved between two photos.
+    """A move between two photos.
 
     Attributes:
-        photo: number of the first photo after it, among all.
+        photo: number of the first photo after the move, among all.
         path: that photo.
-        time: of that photo, s; None where photos have no times.
-        what: what was moved.
-        arm: whose base it is, or whose board it is seen by.
-        shift: how far, m: of a base its own origin's, of a camera the camera's.
-        turn: by which angle, rad.
+        time: when that photo was taken, s; None if not known.
+        arm: the arm whose base was moved, or whose board shows the move.
+        shift: distance that the base's origin or the camera was moved, m.
+        turn: angle, rad.
         shift_sigma, turn_sigma: their standard deviations.
-        shift_in_base: (3,) the shift along the axes of the arm's base before it, m.
+        shift_in_base: (3,) the shift along the axes of the arm's base before the move, m.
     """
 
     photo: int
@@ -73,30 +79,62 @@ class Stillness:
 
     Attributes:
         moves: in order.
-        unknown: why nothing can be said; empty otherwise.
+        unknown: why nothing is known; empty otherwise.
     """
 
     moves: tuple[Move, ...] = ()
     unknown: str = ""
 
 
-def find_moves(results: Sequence[PhotoResult]) -> Stillness:
-    """What was moved while a series of photos was taken by a camera on a stand.
+def describe(move: Move) -> str:
+    """A line on a move: the photo, what was moved, and by how much."""
+    by = (
+        f"{move.shift * 1000:.1f} mm (sigma {move.shift_sigma * 1000:.2f}) and "
+        f"{math.degrees(move.turn):.2f} degrees (sigma {math.degrees(move.turn_sigma):.3f})"
+    )
+    what = {
+        Moved.CAMERA: "the camera was moved",
+        Moved.BASE: f"the base of {move.arm} was moved",
+        Moved.EITHER: f"the camera or the base of {move.arm} was moved (one board alone does not tell which)",
+        Moved.SEVERAL: f"the base of {move.arm} was moved against the camera, and the others otherwise",
+    }[move.what]
+    when = f", {move.time:.2f} s" if move.time is not None else ""
+    return f"{move.path} (number {move.photo}{when}): before it {what} by {by}"
 
-    Each board's pose in the camera is looked at over time. A level that steps is a move: of the camera, where all
-    boards moved by the same motion, and of a base, where its board moved and another did not.
+
+def find_moves(results: Sequence[PhotoResult]) -> Stillness:
+    """The moves in a series of photos by a camera on a stand.
+
+    The camera moved where all boards moved by the same motion. A base moved where its board did and another did not.
     """
     arms = range(len(results[0].arms)) if results else range(0)
-    series = [track for k in arms if (track := _track(results, k)) is not None]
-    if not series:
-        return Stillness(unknown=f"fewer than {2 * FEWEST} photos have a pose from a board")
-    found = [(track, step) for track in series for step in track.steps()]
-    if any(track.restless for track in series):
+    tracks = [track for k in arms if (track := _track(results, k)) is not None]
+    if not tracks:
+        return Stillness(unknown=f"fewer than {2 * _FEWEST} photos have a pose from a board")
+    if any(track.restless for track in tracks):
         return Stillness(unknown="the camera is not on a stand: it moves all along")
     moves: list[Move] = []
-    for together in _events(found):
-        moves += _judge(results, series, together)
+    for event in _events([(track, step) for track in tracks for step in track.steps]):
+        moves += _moves_of(results, tracks, event)
     return Stillness(tuple(sorted(moves, key=lambda move: move.photo)))
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of a series.
+
+    Attributes:
+        at: the first sample after the step.
+        before, after: the levels (d,) on both sides, up to the neighbouring steps.
+        sigma: standard deviation (d,) of the difference between the levels.
+        strength: the squared difference in standard deviations, all axes together.
+    """
+
+    at: int
+    before: Array
+    after: Array
+    sigma: Array
+    strength: float
 
 
 class _Track:
@@ -105,76 +143,70 @@ class _Track:
     Attributes:
         arm: number of the arm.
         photos: numbers (n,) of the photos that have the pose.
-        small: the motions (n, 6): turns, rad, and shifts, m, along the camera's axes.
+        motions: (n, 6): turns, rad, and shifts, m, along the camera's axes.
     """
 
     def __init__(self, arm: int, photos: list[int], boards: list[Array], bases: list[Array], least: Array) -> None:
         self.arm = arm
         self.photos = np.array(photos)
         self._board, self._T_base_in_board = boards[len(boards) // 2], inverse(boards[0]) @ bases[0]
-        self.small = np.array([_small(T, self._board) for T in boards])
+        self.motions = np.array([_motion(T, self._board) for T in boards])
         self._least = least
-        self._steps: list[Step] | None = None
 
-    def steps(self) -> list[Step]:
-        """Where the board's pose steps by enough to be told."""
-        if self._steps is None:
-            self._steps = [step for step in find_steps(self.small, self._least) if _matters(step)]
-        return self._steps
+    @cached_property
+    def steps(self) -> list[_Step]:
+        """Where the board's pose steps by enough to be reported."""
+        return [step for step in _find_steps(self.motions, self._least) if _matters(step)]
 
-    def at(self, photo: int) -> Step | None:
-        """What a step before a photo would be, between its neighbouring steps; None with too few photos on a side."""
+    def step_before(self, photo: int) -> _Step | None:
+        """The difference between the levels on both sides of a photo, up to the neighbouring steps; None if too few."""
         cut = int(np.searchsorted(self.photos, photo))
-        edges = [0, *(step.at for step in self.steps() if abs(step.at - cut) > _TOGETHER), len(self.photos)]
+        edges = [0, *(step.at for step in self.steps if abs(step.at - cut) > _TOGETHER), len(self.photos)]
         low = max(edge for edge in edges if edge <= cut)
         high = min(edge for edge in edges if edge >= cut)
-        if cut - low < FEWEST or high - cut < FEWEST:
+        if cut - low < _FEWEST or high - cut < _FEWEST:
             return None
-        return step_at(self.small[low:high], cut - low, noise_of(self.small, self._least))
+        return _step_at(self.motions[low:high], cut - low, _noise_of(self.motions, self._least))
 
     @property
     def restless(self) -> bool:
         """Whether the camera hardly rests."""
-        steps = len(self.steps())
-        shaken = float(np.median(noise_of(self.small, self._least) / self._least))
+        shaken = float(np.median(_noise_of(self.motions, self._least) / self._least))
+        steps = len(self.steps)
         return shaken > _IN_A_HAND or (steps > 1 and steps * _PHOTOS_A_STEP > len(self.photos))
 
-    @property
-    def lever(self) -> float:
-        """How far the base's origin is from the board's, m."""
-        return float(np.linalg.norm(self._T_base_in_board[:3, 3]))
+    def base(self, motion: Array) -> Array:
+        """The base's pose (4, 4) in the camera's frame where the board is moved (6,) from the middle photo's pose."""
+        turn = rotation_from_vector(motion[:3]) @ self._board[:3, :3]
+        return pose(self._board[:3, 3] + motion[3:], turn) @ self._T_base_in_board
 
-    def base(self, small: Array) -> Array:
-        """The base's pose (4, 4) in the camera where the board's is `small` (6,) from the middle one."""
-        return _moved(self._board, small) @ self._T_base_in_board
+    def sigma(self, step: _Step) -> tuple[float, float]:
+        """Standard deviations of the base's shift (m) and turn (rad) in a step, all axes together."""
+        turn = float(np.linalg.norm(step.sigma[:3]))
+        lever = float(np.linalg.norm(self._T_base_in_board[:3, 3]))
+        return math.hypot(float(np.linalg.norm(step.sigma[3:])), lever * turn), turn
 
 
 def _track(results: Sequence[PhotoResult], k: int) -> _Track | None:
-    """Of the k-th arm; None with too few photos."""
     photos, boards, bases, noise = [], [], [], []
     for number, result in enumerate(results):
         arm = result.arms[k]
-        seen = arm.sighting
-        if seen is None or seen.T_board_in_cam is None or arm.T_base_in_cam is None or not _own(arm):
+        board = arm.sighting.T_board_in_cam if arm.sighting else None
+        if board is None or arm.T_base_in_cam is None or arm.status != Status.OK:
             continue
         photos.append(number)
-        boards.append(seen.T_board_in_cam)
+        boards.append(board)
         bases.append(arm.T_base_in_cam)
-        noise.append(_own_noise(arm))
-    if len(photos) < 2 * FEWEST:
+        noise.append(_photo_noise(arm))
+    if len(photos) < 2 * _FEWEST:
         return None
     return _Track(k, photos, boards, bases, np.median(noise, axis=0))
 
 
-def _own(arm: ArmPose) -> bool:
-    """Whether a pose is its own board's, as it was seen."""
-    return arm.status == "ok"
+def _photo_noise(arm: ArmPose) -> Array:
+    """Standard deviations (6,) of a board's pose, rad and m, by the photo's own noise.
 
-
-def _own_noise(arm: ArmPose) -> Array:
-    """Standard deviations (6,) of what a photo says of a board by the photo's own noise, rad and m.
-
-    What the lens and the print's scale are known to is the same in all photos of a series.
+    The errors of the lens and of the print's scale are the same in all photos of a series.
     """
     seen = arm.sighting
     least = np.array([_NOISE_TURN] * 3 + [_NOISE_SHIFT] * 3)
@@ -185,23 +217,22 @@ def _own_noise(arm: ArmPose) -> Array:
     return noise
 
 
-def _small(T: Array, of: Array) -> Array:
-    """The motion (6,) from a pose to another: a turn about its origin, rad, and a shift, m, along the axes outside."""
-    return np.concatenate([rotation_vector(T[:3, :3] @ of[:3, :3].T), T[:3, 3] - of[:3, 3]])
+def _motion(T: Array, start: Array) -> Array:
+    """The motion (6,) from a start pose: a turn about its origin, rad, and a shift, m, along the axes outside."""
+    return np.concatenate([rotation_vector(T[:3, :3] @ start[:3, :3].T), T[:3, 3] - start[:3, 3]])
 
 
-def _moved(T: Array, small: Array) -> Array:
-    return pose(T[:3, 3] + small[3:], rotation_from_vector(small[:3]) @ T[:3, :3])
-
-
-def _matters(step: Step) -> bool:
+def _matters(step: _Step) -> bool:
     turn, shift = np.linalg.norm((step.after - step.before).reshape(2, 3), axis=1)
     return bool(turn >= _LEAST_TURN or shift >= _LEAST_SHIFT)
 
 
-def _events(found: list[tuple[_Track, Step]]) -> list[list[tuple[_Track, Step]]]:
-    """Steps of several boards at about the same photo, together."""
-    events: list[list[tuple[_Track, Step]]] = []
+_TrackStep = tuple[_Track, _Step]
+
+
+def _events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
+    """Steps, grouped where several boards step at about the same photo."""
+    events: list[list[_TrackStep]] = []
     for track, step in sorted(found, key=lambda one: one[0].photos[one[1].at]):
         last = events[-1] if events else []
         near = last and track.photos[step.at] - last[0][0].photos[last[0][1].at] <= _TOGETHER
@@ -212,53 +243,43 @@ def _events(found: list[tuple[_Track, Step]]) -> list[list[tuple[_Track, Step]]]
     return events
 
 
-def _judge(results: Sequence[PhotoResult], series: list[_Track], event: list[tuple[_Track, Step]]) -> list[Move]:
+def _moves_of(results: Sequence[PhotoResult], tracks: list[_Track], event: list[_TrackStep]) -> list[Move]:
     """What was moved in an event, from the boards that stepped and those that did not."""
     track, step = max(event, key=lambda one: one[1].strength)
     photo = int(track.photos[step.at])
-    others = [(other, beside) for other in series if other is not track and (beside := other.at(photo)) is not None]
+    others = [(other, its) for other in tracks if other is not track and (its := other.step_before(photo)) is not None]
     if not others:
         return [_move(results, track, step, photo, Moved.EITHER)]
-    other, beside = others[0]
-    stepped = {one.arm for one, _ in event}
-    if other.arm not in stepped:
+    other, its = others[0]
+    if other.arm not in {one.arm for one, _ in event}:
         return [_move(results, track, step, photo, Moved.BASE)]
-    if _alike((track, step), (other, beside)):
+    if _moved_alike((track, step), (other, its)):
         return [_move(results, track, step, photo, Moved.CAMERA)]
-    return [_move(results, *one, photo, Moved.SEVERAL) for one in ((track, step), (other, beside))]
+    return [_move(results, *one, photo, Moved.SEVERAL) for one in ((track, step), (other, its))]
 
 
-def _alike(one: tuple[_Track, Step], other: tuple[_Track, Step]) -> bool:
-    """Whether two bases stand to each other after an event as before it."""
-    (track, step), (beside, its) = one, other
-    apart = [
-        inverse(track.base(step.before)) @ beside.base(its.before),
-        inverse(track.base(step.after)) @ beside.base(its.after),
-    ]
-    small = _small(apart[1], apart[0])
-    sigma = [_sigma(*each) for each in (one, other)]
-    turn, shift = math.hypot(sigma[0][1], sigma[1][1]), math.hypot(sigma[0][0], sigma[1][0])
-    reach = float(np.linalg.norm(apart[0][:3, 3]))
+def _moved_alike(one: _TrackStep, other: _TrackStep) -> bool:
+    """Whether the pose of two bases to each other is the same before and after an event."""
+    (track_one, step_one), (track_two, step_two) = one, other
+    before = inverse(track_one.base(step_one.before)) @ track_two.base(step_two.before)
+    after = inverse(track_one.base(step_one.after)) @ track_two.base(step_two.after)
+    motion = _motion(after, before)
+    (shift_one, turn_one), (shift_two, turn_two) = track_one.sigma(step_one), track_two.sigma(step_two)
+    turn, shift = math.hypot(turn_one, turn_two), math.hypot(shift_one, shift_two)
+    reach = float(np.linalg.norm(before[:3, 3]))
     return bool(
-        np.linalg.norm(small[:3]) <= max(4 * turn, _LEAST_TURN)
-        and np.linalg.norm(small[3:]) <= max(4 * (shift + reach * turn), _LEAST_SHIFT + reach * _LEAST_TURN)
+        np.linalg.norm(motion[:3]) <= max(4 * turn, _LEAST_TURN)
+        and np.linalg.norm(motion[3:]) <= max(4 * (shift + reach * turn), _LEAST_SHIFT + reach * _LEAST_TURN)
     )
 
 
-def _sigma(track: _Track, step: Step) -> tuple[float, float]:
-    """Standard deviations of a base's shift (m) and turn (rad), all axes together."""
-    turn = float(np.linalg.norm(step.sigma[:3]))
-    return math.hypot(float(np.linalg.norm(step.sigma[3:])), track.lever * turn), turn
-
-
-def _move(results: Sequence[PhotoResult], track: _Track, step: Step, photo: int, what: Moved) -> Move:
+def _move(results: Sequence[PhotoResult], track: _Track, step: _Step, photo: int, what: Moved) -> Move:
     before, after = track.base(step.before), track.base(step.after)
-    shift_sigma, turn_sigma = _sigma(track, step)
+    shift_sigma, turn_sigma = track.sigma(step)
     if what is Moved.CAMERA:
         change = inverse(after)[:3, 3] - inverse(before)[:3, 3]
     else:
         change = before[:3, :3].T @ (after[:3, 3] - before[:3, 3])
-    turn = float(np.linalg.norm(rotation_vector(after[:3, :3] @ before[:3, :3].T)))
     result = results[photo]
     return Move(
         photo,
@@ -266,9 +287,60 @@ def _move(results: Sequence[PhotoResult], track: _Track, step: Step, photo: int,
         result.time,
         what,
         result.arms[track.arm].name,
-        float(np.linalg.norm(change)),
-        turn,
-        shift_sigma,
-        turn_sigma,
-        change,
+        shift=float(np.linalg.norm(change)),
+        turn=float(np.linalg.norm(rotation_vector(after[:3, :3] @ before[:3, :3].T))),
+        shift_sigma=shift_sigma,
+        turn_sigma=turn_sigma,
+        shift_in_base=change,
     )
+
+
+def _noise_of(series: Array, least: Array) -> Array:
+    """Standard deviations (d,) of a series (n, d) from one sample to the next, at least `least` (d,).
+
+    A few steps do not change them.
+    """
+    jumps = np.abs(np.diff(series, axis=0))
+    sigma: Array = np.maximum(_FROM_MEDIAN * np.median(jumps, axis=0) / np.sqrt(2), least)
+    return sigma
+
+
+def _find_steps(series: Array, least: Array) -> list[_Step]:
+    """The steps of a series (n, d), in order.
+
+    Between two steps the series stays at a level, the median of at least four samples. A single outlier is no step.
+
+    Args:
+        least: standard deviations (d,) that the noise has at least.
+    """
+    sigma = _noise_of(series, least)
+    edges = [0, *sorted(_split(series / sigma, 0)), len(series)]
+    steps = []
+    for low, at, high in zip(edges, edges[1:], edges[2:], strict=False):
+        step = _step_at(series[low:high], at - low, sigma)
+        if step.strength > _SURE:
+            steps.append(replace(step, at=at))
+    return steps
+
+
+def _step_at(series: Array, at: int, sigma: Array) -> _Step:
+    """The step before sample `at` of a series (n, d) whose noise has standard deviations `sigma` (d,)."""
+    before, after = np.median(series[:at], axis=0), np.median(series[at:], axis=0)
+    spread = sigma * np.sqrt(_MEDIAN_SPREAD * (1 / at + 1 / (len(series) - at)))
+    return _Step(at, before, after, spread, float(np.sum(((after - before) / spread) ** 2)))
+
+
+def _split(series: Array, start: int) -> list[int]:
+    """The samples before which a whitened series steps, found by splitting the series where two levels fit best."""
+    n = len(series)
+    if n < 2 * _FEWEST:
+        return []
+    costs = [_cost(series[:k]) + _cost(series[k:]) for k in range(_FEWEST, n - _FEWEST + 1)]
+    at = _FEWEST + int(np.argmin(costs))
+    if _step_at(series, at, np.ones(series.shape[1])).strength <= _SURE:
+        return []
+    return [*_split(series[:at], start), start + at, *_split(series[at:], start + at)]
+
+
+def _cost(series: Array) -> float:
+    return float(np.minimum(np.abs(series - np.median(series, axis=0)), _CLIP).sum())

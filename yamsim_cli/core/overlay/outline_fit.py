@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ConfigError
 from ..geometry.camera import CameraModel
 from ..geometry.se3 import Array, inverse
 from ..vision.fiducials.locate import at_pose
@@ -19,12 +17,11 @@ from .arm_poses import ArmPose, PhotoResult
 from .joint_files import Stands
 from .rendered_arms import ArmRenderer, FlatArms
 
-# Fewest points of an outline that is used to improve a pose.
-_LEAST_POINTS = 20
+_LEAST_POINTS = 20  # fewest points of an outline that moves a pose
 
 
 def score_outlines(result: PhotoResult, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> PhotoResult:
-    """The result with its residuals: outlines as posed in `renderer` against the edges of the photo (height, width)."""
+    """The result with its edge residuals: outlines as posed in `renderer` against the photo (height, width)."""
     flat_grey = renderer.flattened(grey)
     labels = renderer.flat_labels()
     offsets = {k: edge_offsets(flat_grey, outline(labels == k + 1, _other(labels, k))) for k in result.bases}
@@ -82,7 +79,6 @@ def _pull(flat: FlatArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, r
 
 
 def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:
-    """An arm with a better pose, and with its board's markers compared with that pose."""
     seen = arm.sighting
     if seen is not None and seen.T_board_in_cam is not None:
         assert arm.T_base_in_cam is not None
@@ -92,28 +88,18 @@ def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: 
 
 
 def _prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
-    """How well a pose is known before edges are used: a point (3,) and the inverse covariance (6, 6) about it."""
+    """A point (3,) and the inverse covariance (6, 6) of the arms' pose about that point, before edges are used."""
     for arm in arms:
         seen = arm.sighting
         if seen is not None and seen.covariance is not None and seen.T_board_in_cam is not None:
             information: Array = np.linalg.inv(seen.covariance).astype(np.float64)
             return seen.T_board_in_cam[:3, 3], information
-    # A recorded pose has no uncertainty: one degree and one centimetre are assumed.
+    # Recordings hold no uncertainty of a pose. One degree and one centimetre are assumed.
     assert arms[0].T_base_in_cam is not None
     return arms[0].T_base_in_cam[:3, 3], np.diag([math.radians(1) ** -2] * 3 + [0.01**-2] * 3)
 
 
-def overlap(labels: NDArray[np.uint8], mask: NDArray[np.bool_], path: Path) -> float:
-    """Intersection over union of rendered arms (height, width) and a user's mask (height, width).
-
-    Raises:
-        ConfigError: the mask has another size than the photo at `path`.
-    """
-    if mask.shape != labels.shape:
-        raise ConfigError(
-            f"the mask for {path} has {mask.shape[1]} x {mask.shape[0]} pixels, the photo {labels.shape[1]} x "
-            f"{labels.shape[0]}"
-        )
-    arms = labels > 0
-    union = int((arms | mask).sum())
-    return int((arms & mask).sum()) / union if union else 1.0
+def overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    """Intersection over union of two masks (height, width); 1 if both are empty."""
+    union = int((one | other).sum())
+    return int((one & other).sum()) / union if union else 1.0

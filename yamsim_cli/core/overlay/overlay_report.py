@@ -1,4 +1,4 @@
-"""The report on photos that a rig was laid over: results as plain data, and whether they pass."""
+"""The report on photos that a rig was laid over: captions, results as plain data, and whether they pass."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from ..documents.json_text import json_text
 from ..errors import PartialJobError, ResourceError
 from ..files import write_output
 from ..geometry.se3 import Array, inverse
-from .arm_poses import ArmPose, PhotoResult
+from .arm_poses import INFERRED, RECORDED, ArmPose, PhotoResult
 from .moves import Move, Stillness
 
 REPORT_NAME = "overlay.json"
-_NOT_LOOKED = Stillness(unknown="no photo was looked at")
 
 
 @dataclass
@@ -24,12 +23,10 @@ class OverlayReport:
     """The results of all photos.
 
     Attributes:
-        rig: the rig that was laid over them.
         results: a result for each photo that could be read.
         files: the files that were written.
-        failures: a message for each result that misses what was asked for.
+        failures: a message for each limit that a photo does not keep.
         unreadable: a message for each photo that could not be read.
-        stillness: whether camera and bases stayed where they were.
     """
 
     rig: RigConfig
@@ -37,7 +34,7 @@ class OverlayReport:
     files: list[Path] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    stillness: Stillness = _NOT_LOOKED
+    stillness: Stillness = field(default_factory=Stillness)
 
     def plain(self) -> dict[str, Any]:
         """The report as plain data, for JSON: lengths in m, angles in rad, poses (4, 4) row by row."""
@@ -46,23 +43,21 @@ class OverlayReport:
             "files": [str(path) for path in self.files],
             "failures": list(self.failures),
             "unreadable": list(self.unreadable),
-            **_plain_stillness(self.stillness),
+            "still": None if self.stillness.unknown else not self.stillness.moves,
+            "still_unknown": self.stillness.unknown,
+            "moved": [_plain_move(move) for move in self.stillness.moves],
         }
 
     def write(self, out: Path) -> None:
-        """Write the report into a folder as JSON.
-
-        Raises:
-            ResourceError: it cannot be written.
-        """
+        """Write the report into a folder as JSON."""
         self.files.append(out / REPORT_NAME)
         write_output(out / REPORT_NAME, json_text(self.plain()).encode())
 
     def check(self) -> None:
-        """Raise an error if poses are missing, or results do not pass.
+        """Refuse photos without a pose and results that do not pass.
 
         Raises:
-            ResourceError: no photo gives a pose, or one misses what was asked for.
+            ResourceError: no photo gives a pose, or a photo does not keep a limit.
             PartialJobError: some photos give a pose, and others give none or cannot be read.
         """
         without = [result for result in self.results if not result.bases]
@@ -79,13 +74,38 @@ class OverlayReport:
             )
 
 
+def captions(result: PhotoResult) -> list[str]:
+    """The lines that are written into a photo's picture: one for each arm, and some for the photo."""
+    lines = []
+    for arm in result.arms:
+        text = f"{arm.name}: {arm.status}"
+        if arm.sighting and (arm.sighting.markers or arm.status not in (INFERRED, RECORDED)):
+            text += f", {len(arm.sighting.markers)}/{len(arm.sighting.board.ids)} markers"
+            if arm.sighting.reprojection_rms is not None:
+                text += f", {arm.sighting.reprojection_rms:.2f} px"
+        if arm.edge_residual is not None:
+            text += f", outline {arm.edge_residual:.1f} px"
+        lines.append(text)
+    if result.joints_source == "home" and result.bases:
+        lines.append("joints not given: shown at home")
+    focal = result.lens.focal
+    if result.lens.source == "estimated" and not focal.reason:
+        within = f"within {focal.low:.0f} to {focal.high:.0f} px"
+        lines.append(f"focal length estimated: {focal.camera.focal:.0f} px, {within}")
+    elif result.lens.source == "estimated" and any(arm.sighting and arm.sighting.markers for arm in result.arms):
+        lines.append(f"no pose: {focal.reason}")
+    if result.margin is not None:
+        lines.append(f"margin measured: {result.margin:.4f} m")
+    return lines
+
+
 def _first_of(messages: Sequence[str]) -> str:
     more = f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""
     return f"{messages[0]}{more}"
 
 
 def _nothing_found(results: Sequence[PhotoResult], rig: RigConfig) -> str:
-    """A message on photos without a pose: the ids that were searched, and those that were seen."""
+    """A message on photos without a pose: the marker ids that were searched and those that were read."""
     first = results[0]
     boards = [arm.board for arm in rig.arms if arm.board]
     wanted = ", ".join(f"{board.board.ids[0]}-{board.board.ids[-1]} ({board.dictionary})" for board in boards)
@@ -96,14 +116,6 @@ def _nothing_found(results: Sequence[PhotoResult], rig: RigConfig) -> str:
     why = f"; {focal if focal else '; '.join(refused)}" if refused else ""
     more = f" (and {len(results) - 1} more photos)" if len(results) > 1 else ""
     return f"{first.path}{more}: no board gives a pose: looked for ids {wanted or 'none'}, saw {seen}{why}"
-
-
-def _plain_stillness(stillness: Stillness) -> dict[str, Any]:
-    return {
-        "still": None if stillness.unknown else not stillness.moves,
-        "still_unknown": stillness.unknown,
-        "moved": [_plain_move(move) for move in stillness.moves],
-    }
 
 
 def _plain_move(move: Move) -> dict[str, Any]:

@@ -28,12 +28,9 @@ from ..vision.lens import LensWarp
 from ..vision.renderer import SceneRenderer
 
 _CAMERA = "photo"
-_HIDDEN_GROUP = 5
-
-# Arms for photos up to this size (px) are rendered twice as fine and averaged, which gives smooth edges in any OpenGL.
-_SMOOTHED = 1400
-# Largest side of a picture that is rendered, px.
-_MAX_PX = 8192
+_HIDDEN_GROUP = 5  # geom group that is not rendered
+_SMOOTHED = 1400  # px, largest photo side whose arms are rendered twice as fine, for smooth edges in any OpenGL
+_MAX_PX = 8192  # px, largest side of a rendered picture
 
 
 @dataclass(frozen=True)
@@ -51,12 +48,11 @@ class ArmPicture:
 
 @dataclass(frozen=True)
 class FlatArms:
-    """Rendered arms in an ideal pinhole picture, in which geometry is done.
+    """Rendered arms in an ideal pinhole picture, for geometry.
 
     Attributes:
         labels: (height, width): 0 where no arm is, k for the rig's k-th arm.
         depth: z (height, width) of the surface, m.
-        intrinsics: the picture's intrinsics.
     """
 
     labels: NDArray[np.uint8]
@@ -65,27 +61,19 @@ class FlatArms:
 
 
 class ArmRenderer(Closing):
-    """Renders arms for photos of one camera. Close it, or use it as a context manager.
+    """Renders arms for photos of one camera. Close the renderer, or use it as a context manager.
 
-    The world of its scene is the camera's frame, and the arms' bases are moved in it.
-
-    Args:
-        camera: the camera that took the photos.
+    The world of the rendered scene is the camera's frame, and the arms' bases are moved in that frame.
 
     Raises:
         ConfigError: the camera's pictures are too large or too wide to render.
-        ResourceError: nothing can render here.
+        ResourceError: no OpenGL context can be made.
     """
 
     def __init__(
-        self,
-        rig: RigConfig,
-        scene: SceneConfig,
-        quality: RenderConfig,
-        camera: CameraModel,
-        locations: Locations,
+        self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, camera: CameraModel, locations: Locations
     ) -> None:
-        self.rig = rig
+        self._rig = rig
         self._warp = LensWarp(camera, 2 if max(camera.width, camera.height) <= _SMOOTHED else 1)
         size = (self._warp.ideal.width, self._warp.ideal.height)
         if max(size) > _MAX_PX:
@@ -97,7 +85,7 @@ class ArmRenderer(Closing):
         spec = compose(blueprint, locations)
         for light in list(spec.lights):
             spec.delete(light)
-        # Light comes from the camera: the photo's own light is not known, and no shadow is better than a false one.
+        # The photo's light is unknown. Light from the camera casts no shadow that could be a false one.
         spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
         spec.visual.headlight.diffuse = (0.6, 0.6, 0.6)
         self._model = compile_spec(spec)
@@ -114,11 +102,11 @@ class ArmRenderer(Closing):
         """Move the arms.
 
         Args:
-            T_base_in_cam: arm's index -> pose (4, 4); arms that are left out are hidden.
+            T_base_in_cam: arm's index -> pose (4, 4). Arms that are left out are hidden.
             stands: how every arm stands.
         """
         model, data = self._model, self._data
-        for k, (arm, root) in enumerate(zip(self.rig.arms, self._roots, strict=True)):
+        for k, (arm, root) in enumerate(zip(self._rig.arms, self._roots, strict=True)):
             own = self._arm_of_geom[:-1] == k + 1
             model.geom_group[own] = self._group[own] if k in T_base_in_cam else _HIDDEN_GROUP
             if k in T_base_in_cam:
@@ -150,7 +138,6 @@ class ArmRenderer(Closing):
         return FlatArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
 
     def _ideal_labels(self) -> NDArray[np.uint8]:
-        """Labels in the ideal picture, rendered once for each pose."""
         if self._labels is None:
             self._labels = self._arm_of_geom[self._renderer.segment(self._data, _CAMERA)]
         return self._labels
@@ -162,3 +149,25 @@ class ArmRenderer(Closing):
     def close(self) -> None:
         """Free the OpenGL context."""
         self._renderer.close()
+
+
+class ArmRenderers(Closing):
+    """Makes the `ArmRenderer` of each camera, and keeps the last one."""
+
+    def __init__(self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, locations: Locations) -> None:
+        self._parts = rig, scene, quality, locations
+        self._last: tuple[CameraModel, ArmRenderer] | None = None
+
+    def of(self, camera: CameraModel) -> ArmRenderer:
+        """The renderer of a camera."""
+        if self._last is None or self._last[0] != camera:
+            self.close()
+            rig, scene, quality, locations = self._parts
+            self._last = camera, ArmRenderer(rig, scene, quality, camera, locations)
+        return self._last[1]
+
+    def close(self) -> None:
+        """Free the last renderer."""
+        if self._last is not None:
+            self._last[1].close()
+            self._last = None

@@ -20,9 +20,9 @@ from ..config.real import GripperUnit
 from ..config.rig import RigConfig
 from ..errors import DatasetError, ResourceError
 from ..geometry.se3 import Array
-from ..images.films import film_frames
 from ..images.image_files import decode_image
 from ..images.jpeg import encode_jpeg
+from ..images.video import film_frames
 from ..motion import Motion
 from ..resources import Locations
 from .lerobot_films import Films

@@ -15,8 +15,8 @@ from ..config.real import ArmTopics, RecordingNames
 from ..config.rig import RigConfig
 from ..errors import ConfigError, DatasetError, ResourceError
 from ..geometry.se3 import Array
-from ..images.films import packet_frames
 from ..images.jpeg import encode_jpeg
+from ..images.video import packet_frames
 from ..motion import ArmMotion, Motion
 from ..resources import Locations
 from .columns import sides

@@ -1,4 +1,4 @@
-"""Changes pictures as a camera and its cable would: brightness and contrast, Gaussian noise, salt and pepper."""
+"""Image augmentation: brightness and contrast, Gaussian noise, salt and pepper."""
 
 from __future__ import annotations
 
@@ -11,16 +11,15 @@ from ..tasks.randomness import Stream, generator
 from ..types import EpisodeJob
 from ..variation import Variation
 
-_GREY = 127.5
-# The stock of noise is longer than a picture by this fraction of the picture: each picture starts at its own place.
-_MORE = 4
+_GREY = 127.5  # grey level that contrast leaves unchanged
+_MORE = 4  # the stock of noise is longer than a picture by a fourth, so that each picture starts at another place
 
 
 class PictureAugmenter:
-    """Changes the pictures of one attempt, each by random numbers that follow from its frame and camera alone.
+    """Changes the pictures of one attempt, each by random numbers that depend on its frame and camera alone.
 
-    Sampling a million normal numbers takes a third of the time that rendering the picture does. So a stock of them is
-    sampled once, and each picture takes a part of it that begins at its own place.
+    Normal numbers are sampled once for all pictures, and each picture takes a part of them: sampling them for each
+    picture would take a third of the time of rendering.
     """
 
     def __init__(self, ranges: PictureRanges, variation: Variation, job: EpisodeJob, size: tuple[int, int]) -> None:

@@ -14,14 +14,14 @@ from ..dataset.truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility, visi
 from ..geometry.camera import opencv_from_mujoco, project
 from ..geometry.se3 import Array, inverse, pose
 from ..images.image import Image
-from .cloth_truth import NEAREST, see_cloth
-from .labels import Keypoint, SceneLabels
+from ..scene.cloth import triangles
+from .labels import Keypoint, LabelledCloth, SceneLabels
 from .renderer import SceneRenderer
 
 Depth = NDArray[np.uint16]
 
-# Largest distance that a uint16 of millimetres holds; what is farther counts as nothing.
-_FARTHEST_MM = 65535
+_FARTHEST_MM = 65535  # largest distance of a uint16 of millimetres; anything farther counts as nothing
+_NEAREST = 0.01  # m from the camera's plane, below which a point has no useful place in the image
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class FrameTruth:
     Attributes:
         depth_mm: distance z along the camera's axis (height, width), mm; 0 for nothing, or beyond 65 m.
         labels: the label seen at each pixel (height, width), see `SceneLabels`.
-        arrays: everything else by key, see `dataset.truth_files.array_forms`, without the axis of frames.
+        arrays: all other arrays by key, see `dataset.truth_files.array_forms`, without the axis of frames.
     """
 
     depth_mm: Depth
@@ -72,14 +72,12 @@ def measure_frame(
 
 
 def whole_mm(distance: NDArray[np.float32]) -> Depth:
-    """A renderer's distances z (height, width) in m as whole mm; 0 for nothing, or beyond 65 m."""
-    # The distance of the sky is 0 already.
+    """Distances z (height, width) of a renderer, m, as whole mm; 0 for nothing, or beyond 65 m."""
     millimetres = np.rint(distance * 1000.0)
     return np.where(millimetres <= _FARTHEST_MM, millimetres, 0).astype(np.uint16)
 
 
 def _poses(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array) -> Array:
-    """Poses (n, 4, 4) of bodies in the camera."""
     T = np.tile(np.eye(4), (len(bodies), 1, 1))
     T[:, :3, :3] = data.xmat[bodies].reshape(-1, 3, 3)
     T[:, :3, 3] = data.xpos[bodies]
@@ -91,8 +89,7 @@ def instance_boxes(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """The smallest box (n, 4) around the visible pixels of each instance, and the number (n,) of these pixels.
 
-    A box is `[x0, y0, x1, y1]`. Column x1 and row y1 lie outside, so that x1 - x0 is its width. It is all zeros if
-    nothing of the instance is visible.
+    A box is `[x0, y0, x1, y1]`, and x1 - x0 is its width. The box of an invisible instance is all zeros.
     """
     counts = np.bincount(labels.ravel(), minlength=len(instance_of))[: len(instance_of)]
     boxes, pixels = np.zeros((instances, 4), np.int32), np.zeros(instances, np.int32)
@@ -117,7 +114,7 @@ def _keypoints(
     for k, point in enumerate(points):
         T = T_world_in_cam @ pose(data.xpos[point.body], data.xmat[point.body].reshape(3, 3))
         p = T[:3, :3] @ point.position + T[:3, 3]
-        if p[2] < NEAREST:
+        if p[2] < _NEAREST:
             continue
         places[k], depths[k] = project(K, p)[0], p[2]
         u, v = np.rint(places[k])
@@ -153,3 +150,89 @@ def is_seen(
             if abs(facing / float(normal @ ray) - depth_mm[v, u] / 1000.0) <= DEPTH_TOLERANCE:
                 return True
     return False
+
+
+_AROUND = tuple((u, v) for v in (-1, 0, 1) for u in (-1, 0, 1))
+
+
+@dataclass(frozen=True)
+class ClothSeen:
+    """A cloth in a picture.
+
+    Attributes:
+        visible: whether each point (n,) is seen.
+        places: pixels of the corners (4, 2), zeros behind the camera.
+        depths: distances z of the corners (4,), m; 0 behind the camera.
+        visibility: `Visibility` of the corners (4,).
+    """
+
+    visible: NDArray[np.bool_]
+    places: Array
+    depths: Array
+    visibility: NDArray[np.uint8]
+
+
+def see_cloth(
+    cloth: LabelledCloth, qpos: Array, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
+) -> ClothSeen:
+    """The cloth in a picture with labels and distances (height, width), at MuJoCo's positions `qpos` (nq,)."""
+    points = cloth.scene.points(qpos) @ T_world_in_cam[:3, :3].T + T_world_in_cam[:3, 3]
+    visible = _seen(points, cloth, K, labels, depth_mm)
+    numbers = np.array(list(cloth.corners.values()))
+    corners = points[numbers]
+    before = corners[:, 2] >= _NEAREST
+    places, depths = np.zeros((len(corners), 2)), np.zeros(len(corners))
+    places[before], depths[before] = project(K, corners[before]), corners[before, 2]
+    height, width = labels.shape
+    inside = before & (np.rint(places) >= 0).all(axis=1) & (np.rint(places) < (width, height)).all(axis=1)
+    shown = np.where(visible[numbers], Visibility.VISIBLE, Visibility.HIDDEN)
+    return ClothSeen(visible, places, depths, np.where(inside, shown, Visibility.OUTSIDE).astype(np.uint8))
+
+
+def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
+    """The points (n, 3) of the two sides of a sheet as MuJoCo draws them.
+
+    Each point is moved by half the thickness along the mean of the unit normals of its triangles (m, 3).
+    """
+    a, b, c = (points[corners[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    normals = np.zeros_like(points)
+    np.add.at(normals, corners.ravel(), np.repeat(across, 3, axis=0))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return points + radius * normals, points - radius * normals
+
+
+def _seen(
+    points: Array, cloth: LabelledCloth, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
+) -> NDArray[np.bool_]:
+    """Which points (n, 3), in the camera's frame, are visible.
+
+    The pixel of a visible point shows the cloth at the depth of a triangle that has the point and faces the camera. At
+    the rim, where half the pixels show the background, a neighbouring pixel counts too.
+    """
+    (columns, rows), corners = cloth.scene.grid, triangles(*cloth.scene.grid)
+    number = np.arange(len(points))
+    rim = np.isin(number % columns, (0, columns - 1)) | np.isin(number // columns, (0, rows - 1))
+    visible = np.zeros(len(points), bool)
+    for side, facing in zip(drawn_sides(points, corners, cloth.scene.radius), (1.0, -1.0), strict=True):
+        a, b, c = (side[corners[:, k]] for k in range(3))
+        normals = facing * np.cross(b - a, c - a)
+        # How far each plane is from the camera, against its normal: below 0 where it faces the camera.
+        offsets = np.einsum("ij,ij->i", normals, a)
+        faces, ends = np.repeat(np.flatnonzero(offsets < 0), 3), corners[offsets < 0].ravel()
+        before = side[ends, 2] >= _NEAREST
+        faces, ends = faces[before], ends[before]
+        at = np.rint(project(K, side[ends])).astype(np.int64)
+        for beside in _AROUND:
+            u, v = (at + beside).T
+            counts = (u >= 0) & (v >= 0) & (u < labels.shape[1]) & (v < labels.shape[0])
+            if any(beside):
+                counts &= rim[ends]
+            u, v, face = u[counts], v[counts], faces[counts]
+            rays = np.column_stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(len(u))])
+            slant = np.einsum("ij,ij->i", normals[face], rays)
+            apart = np.abs(offsets[face] - depth_mm[v, u] / 1000.0 * slant)
+            shown = (labels[v, u] == cloth.label) & (apart <= DEPTH_TOLERANCE * np.abs(slant))
+            visible[ends[counts][shown]] = True
+    return visible

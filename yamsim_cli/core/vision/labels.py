@@ -14,17 +14,12 @@ from ..dataset.truth_files import BACKGROUND, KeypointRecord, LabelRecord, Truth
 from ..geometry.se3 import Array
 from ..scene.compiled import SceneCloth
 from ..scene.fiducials import BOARD_BODY, MOUNT_BODY
-from .cloth_truth import LabelledCloth
 
 TABLE, POSTS = "table", "posts"
 
-# To find where a joint's axis leaves the arm, a ray is sent back along the axis from this far away, m. No link is as
-# wide.
-_OUTSIDE = 0.3
-# Geoms of groups below this are visible, see `scene.things.looks`.
-_SEEN_GROUPS = 3
-# Labels are rendered as one byte of a colour, in which 0 stands for nothing.
-_MOST_LABELS = 254
+_OUTSIDE = 0.3  # m from a joint, start of the ray back along its axis to the arm's surface; no link is as wide
+_SEEN_GROUPS = 3  # geoms of lower groups are visible, see `scene.things.looks`
+_MOST_LABELS = 254  # labels are rendered as one byte of a colour, in which 0 stands for nothing
 
 
 @dataclass(frozen=True)
@@ -32,11 +27,9 @@ class Keypoint:
     """A point of a body.
 
     Attributes:
-        record: its name and kind.
-        body: id of the body.
         position: in the body's frame (3,), m.
         normal: the surface's outward normal there, in the body's frame (3,); None for a point inside.
-        labels: if nothing hides the point, its pixel shows one of these labels.
+        labels: the labels that the point's pixel may show if nothing hides the point.
     """
 
     record: KeypointRecord
@@ -47,16 +40,44 @@ class Keypoint:
 
 
 @dataclass(frozen=True)
+class LabelledCloth:
+    """A cloth of a scene, and how segmentation images show it.
+
+    Attributes:
+        label: the cloth's number in segmentation images.
+        row: the cloth's index among the objects that have poses.
+        scene: where the cloth's points are.
+    """
+
+    name: str
+    label: int
+    row: int
+    scene: SceneCloth
+
+    @property
+    def corners(self) -> dict[str, int]:
+        """Corner -> number of the point there. Corners are named with the x axis of the flat cloth to the right."""
+        columns, rows = self.scene.grid
+        last = columns * rows - 1
+        return {"top_left": last + 1 - columns, "top_right": last, "bottom_right": columns - 1, "bottom_left": 0}
+
+    @property
+    def keypoints(self) -> Iterator[KeypointRecord]:
+        """The records of the corners."""
+        for side in self.corners:
+            yield KeypointRecord(name=f"{self.name}_{side}", body=self.name, kind="cloth")
+
+
+@dataclass(frozen=True)
 class SceneLabels:
     """The labels and keypoints of a compiled scene.
 
     Attributes:
-        names: the names of everything below.
-        of_geom, of_flex: geom (ngeom,) and number of a cloth in MuJoCo (nflex,) -> its label in segmentation images.
+        of_geom, of_flex: label in segmentation images of each geom (ngeom,) and flex (nflex,).
         instance_of: label -> index of its instance, -1 for the background.
         links, objects: ids of the bodies whose poses are recorded.
-        keypoints: those that are fixed to a body; the corners of cloths come after them.
-        cloths: they are bodies that never move, see `scene.cloth.add_cloth`; their points do.
+        keypoints: the keypoints that are fixed to a body. In `names`, the corners of cloths follow.
+        cloths: the cloths. Their bodies never move, see `scene.cloth.add_cloth`.
     """
 
     names: TruthLabels
@@ -98,7 +119,7 @@ def scene_labels(
     for geom in range(model.ngeom):
         name, body = model.geom(geom).name, int(model.geom_bodyid[geom])
         if body not in number:
-            # What moves on a thing is part of it.
+            # A moving part belongs to its thing.
             body = int(model.body_rootid[body])
         of_geom[geom] = number.get(body, {"table": 1}.get(name, 2 if name.startswith("post_") else BACKGROUND))
     sheets = [
@@ -187,7 +208,6 @@ def _first_hit(
 
 
 def _corners(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[Keypoint]:
-    """The four corners of each board's print."""
     for arm in rig.arms:
         if arm.board is None:
             continue

@@ -12,15 +12,11 @@ from ..errors import ConfigError
 from ..geometry.camera import CameraModel, Intrinsics
 from ..geometry.se3 import Array
 
-# Up to 50 iterations for undoing distortion: OpenCV's default of 5 is off by tenths of a pixel with strong lenses.
+# OpenCV's default of 5 iterations for undoing distortion is off by tenths of a pixel with strong lenses.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
 
-# Distance of grid points (px) at which viewing rays are computed. Distortion is smooth, so that rays interpolated
-# between them are exact to 5e-4 px.
-_RAY_GRID = 8
-
-# Largest angle from the axis. A wider pinhole picture would be mostly border.
-_MAX_HALF_ANGLE = math.radians(75.0)
+_RAY_GRID = 8  # px between exact viewing rays; rays interpolated between them are exact to 5e-4 px
+_MAX_HALF_ANGLE = math.radians(75.0)  # rad from the axis; a wider pinhole picture would be mostly border
 
 
 def project_points(camera: CameraModel, points_in_cam: ArrayLike) -> Array:
@@ -86,12 +82,8 @@ class LensWarp:
     """Turns a picture of an ideal, centred pinhole camera into the one that a real camera takes from the same place.
 
     Attributes:
-        ideal: the pinhole camera to render with; it sees everything that the real one does.
+        ideal: the pinhole camera to render with, which sees everything that the real camera does.
         supersample: ideal pixels to a pixel of the real camera, in each direction, at the image's centre.
-
-    Args:
-        camera: the real camera.
-        supersample: see above.
 
     Raises:
         ConfigError: the lens is too wide for a pinhole picture.

@@ -1,4 +1,4 @@
-"""Lays rendered arms over a photo, so that a person sees at a glance where the two differ."""
+"""Draws rendered arms, boards and lines of text over a photo."""
 
 from __future__ import annotations
 
@@ -16,14 +16,12 @@ from .lens import project_points
 
 Labels = NDArray[np.uint8]
 
-# A colour (RGB) for each arm, which people with red-green blindness can tell apart; and the axes' usual colours.
+# RGB of each arm, distinct with red-green blindness, and of the axes.
 ARM_COLOURS = ((255, 176, 0), (0, 170, 255))
 _AXIS_COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-# Smallest scale of letters: smaller ones cannot be read.
-_LEAST_SCALE = 0.2
-# Lines are drawn to a sixteenth of a pixel.
-_SHIFT = 4
+_LEAST_SCALE = 0.2  # of letters: smaller ones are unreadable
+_SHIFT = 4  # fractional bits of OpenCV's coordinates
 
 
 def blend(photo: Image, rendered: Image, labels: Labels, opacity: float) -> Image:

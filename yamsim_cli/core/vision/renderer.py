@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import atexit
 import math
+import os
+import sys
 import weakref
 from typing import Any
 
@@ -16,29 +18,66 @@ from ..closing import Closing
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
 from ..images.image import Image
-from .gl_owner import enter_opengl
+
+# The process in which OpenGL was first used. A forked process inherits the number, a spawned one starts with None.
+_opengl_pid: int | None = None
+
+
+def _note_opengl() -> None:
+    global _opengl_pid
+    if _opengl_pid is None:
+        _opengl_pid = os.getpid()
+
+
+def _note_mujoco_renderer() -> None:
+    """Before a fork, note OpenGL that MuJoCo's own renderer has used, which its open display shows."""
+    if getattr(sys.modules.get("mujoco.egl"), "EGL_DISPLAY", None) is not None:
+        _note_opengl()
+
+
+os.register_at_fork(before=_note_mujoco_renderer)
+
+
+def _enter_opengl() -> None:
+    """Note that this process is about to use OpenGL.
+
+    OpenGL's drivers keep threads and locks. A fork does not copy the threads, and rendering there would hang.
+
+    Raises:
+        ResourceError: a process from which this one was forked has used OpenGL before.
+    """
+    if _opengl_pid not in (None, os.getpid()):
+        raise ResourceError(
+            f"process {os.getpid()} cannot render: it was forked, and process {_opengl_pid} had used OpenGL before, so "
+            "OpenGL would hang here; start the processes that render with multiprocessing's 'forkserver' or 'spawn', "
+            "as in "
+            'AsyncVectorEnv(..., context="forkserver") or '
+            'gymnasium.make_vec(..., vectorization_mode="async", vector_kwargs={"context": "forkserver"}), '
+            "or render nothing before they are forked"
+        )
+    _note_opengl()
+
 
 GeomIds = NDArray[np.int32]
 
-# Most geoms that can be rendered, more than any scene has.
-_MAX_GEOMS = 10_000
+_MAX_GEOMS = 10_000  # geoms that can be rendered, more than any scene has
 _FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
-# As plain numbers, since numpy takes no enum for an index.
+# Plain numbers, since numpy takes no enum for an index.
 _GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
 _BY_NUMBER = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 
 
 def _opengl_name() -> str:
     """Name of the OpenGL implementation behind the current context, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
-    # Imported only now, when a context exists: PyOpenGL then binds itself to the platform that MuJoCo has chosen.
+    # PyOpenGL binds itself to the platform of the context that exists when it is imported.
     from OpenGL import GL
 
     name = GL.glGetString(GL.GL_RENDERER)
     return name.decode() if name else "unknown"
 
 
-class _Held:
-    """The contexts to be freed. OpenGL's has to be current then, or MuJoCo would free objects of another one."""
+class _Contexts:
+    """The contexts to free. OpenGL's has to be current then, or MuJoCo would free objects of another one."""
 
     def __init__(self) -> None:
         self.gl: Any = None
@@ -55,27 +94,26 @@ class _Held:
 
 
 class SceneRenderer(Closing):
-    """Renders images of a scene's cameras. Close it, or use it as a context manager: teardown at exit is noisy.
+    """Renders images of a scene's cameras. Close the renderer, or use it as a context manager.
 
-    All memory is taken once. Rendering a frame takes none except for the image that it returns, and not even that if
-    an image is given.
+    All memory but that of returned images is allocated once.
 
     Attributes:
         description: name of the OpenGL implementation that renders.
 
     Args:
-        model: the scene; its offscreen buffer has to be large enough, see `scene.quality.apply_quality`.
+        model: the scene, with a large enough offscreen buffer, see `scene.quality.apply_quality`.
         size: width and height of images, px.
         fine: size in which colour images are rendered before they are averaged to `size`; `size` unless given.
 
     Raises:
-        ResourceError: no OpenGL context could be made. Rendering, too, raises it if this process was forked from one
-            that has used OpenGL.
+        ResourceError: no OpenGL context can be made, or this process was forked from one that had used OpenGL.
+            Rendering raises the latter too.
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
-        enter_opengl()
-        self._held = _Held()
+        _enter_opengl()
+        self._held = _Contexts()
         self._free = weakref.finalize(self, self._held.free)
         self._free.atexit = False
         self._model = model
@@ -83,7 +121,7 @@ class SceneRenderer(Closing):
         fine = fine or size
         try:
             self._open(fine)
-        # PyOpenGL and MuJoCo raise different errors, depending on the backend, the driver and what is missing.
+        # The errors of PyOpenGL and MuJoCo depend on the backend, the driver and what is missing.
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
             self.close()
             raise ResourceError(
@@ -100,7 +138,7 @@ class SceneRenderer(Closing):
 
     def _open(self, size: tuple[int, int]) -> None:
         self._held.gl = mujoco.GLContext(*size)
-        # Registered after MuJoCo has registered that the display is closed, and so run before that.
+        # MuJoCo has registered the closing of its display before, and functions run in reverse order.
         atexit.register(self._held.free)
         self._held.gl.make_current()
         context = self._held.context = mujoco.MjrContext(self._model, _FONT)
@@ -115,7 +153,7 @@ class SceneRenderer(Closing):
         return Intrinsics.from_fovy(self._width, self._height, fovy)
 
     def upload_texture(self, texture: int) -> None:
-        """Take a texture's pixels from the model again after they have changed there."""
+        """Upload a texture whose pixels have changed in the model."""
         mujoco.mjr_uploadTexture(self._model, self._current(), texture)
 
     def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
@@ -184,7 +222,7 @@ class SceneRenderer(Closing):
         self._camera.fixedcamid = self._model.cam(camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, everything, self._scene)
-        # The fine picture's size is rounded. This keeps it from showing more or less of the scene.
+        # The fine picture's size is rounded, which must not change its field of view.
         for view in self._scene.camera:
             view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
 
@@ -214,7 +252,7 @@ class SceneRenderer(Closing):
 
     def _current(self) -> mujoco.MjrContext:
         assert self._held.context is not None, "closed"
-        enter_opengl()
+        _enter_opengl()
         self._held.gl.make_current()
         return self._held.context
 

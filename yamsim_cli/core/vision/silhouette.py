@@ -14,29 +14,18 @@ from ..geometry.se3 import Array, pose, rotation_from_vector
 Grey = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-# Lengths here are in grains. A grain is one pixel, or several in a photo with more than this many pixels across, whose
-# details are several pixels wide.
+# Lengths are in grains. A grain is one pixel, or several in a large photo, whose details are several pixels wide.
 _GRAINS_ACROSS = 1000
-# How far from the outline an edge of the photo is searched, grains.
-REACH = 12.0
-# Points to a grain on the line along which an edge is searched, and grains between outline points.
-_FINE = 2
-_SPACING = 3
-# Brightness changes at an edge by at least this much, grey levels to a grain.
-_LEAST_SLOPE = 4.0
-# Its change is also at least this share of the largest one on the same line.
-_LEAST_SHARE = 0.4
-# A point's residual of more than this many times the typical one does not count. Source: Tukey's biweight, with 95 %
-# efficiency for normal residuals.
-_TUKEY = 4.685
-# So many of an outline's points are taken to be independent.
-_INDEPENDENT = 60.0
-# Outlines closer to the picture's border than this are left out, grains.
-_BORDER = 3
-
-# Rounds of a refinement, and the factor by which each searches less far than the one before: what is found near the
-# outline at last is mostly the arm's own edges.
-_ROUNDS, _NARROWER = 6, 0.62
+REACH = 12.0  # grains from the outline, within which an edge of the photo is searched
+_FINE = 2  # points to a grain on the line along which an edge is searched
+_SPACING = 3  # grains between outline points
+_LEAST_SLOPE = 4.0  # grey levels to a grain, least change of brightness at an edge
+_LEAST_SHARE = 0.4  # of the largest change on the same line, least change at an edge
+_TUKEY = 4.685  # typical residuals, above which a residual does not count (Tukey's biweight, 95 % efficiency)
+_INDEPENDENT = 60.0  # outline points that count as independent
+_BORDER = 3  # grains from the picture's border, within which outlines are left out
+_ROUNDS = 6  # of a refinement
+_NARROWER = 0.62  # ratio of a round's reach to the one before, so that the arm's own edges remain at last
 
 
 @dataclass(frozen=True)

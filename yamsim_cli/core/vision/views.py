@@ -14,19 +14,18 @@ from ..geometry.camera import Intrinsics, project
 from ..geometry.se3 import Array, inverse, pose
 from ..images.image import Image
 
-# Margin of a view around the rig, as a share of the picture.
-_FRAME = 0.12
+_FRAME = 0.12  # of the picture, margin of a view around the rig
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 @dataclass(frozen=True)
 class View:
-    """A way to look at a rig.
+    """A direction from which to look at a rig.
 
     Attributes:
         azimuth, elevation: the direction in which the camera looks, degrees, by MuJoCo's convention.
-        fovy_deg: vertical field of view. A narrow one looks from afar, so that the arms hide little.
-        low: whether it looks at boards and bases from close by, instead of at everything.
+        fovy_deg: vertical field of view. A narrow view is from afar, so that the arms hide little.
+        low: whether the view is of boards and bases from close by, instead of everything.
     """
 
     name: str

@@ -23,7 +23,7 @@ from yamsim_cli.core.dataset.truth_files import (
     dump_depth,
     load_truth,
 )
-from yamsim_cli.core.images.label_images import encode_labels
+from yamsim_cli.core.images.png import encode_labels
 
 LABELS = TruthLabels(
     labels=[LabelRecord(id=k, name=name, instance=name) for k, name in enumerate(("background", "table", "banana"))],

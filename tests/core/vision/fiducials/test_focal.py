@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.board_photos import facing, photograph
+from tests.bench.intervals import CASES, coverage, farthest, outcomes
+from tests.board_photos import ONE, TWO, facing, photograph
 from tests.random_views import Lens, random_camera, random_view
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
@@ -25,9 +26,6 @@ from yamsim_cli.core.vision.fiducials.focal_length.estimate import (
 from yamsim_cli.core.vision.fiducials.focal_length.outline import Outline
 from yamsim_cli.core.vision.lens import project_points
 
-LENGTH = 0.02923077
-ONE = Board("one", 217, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
-TWO = Board("two", 226, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
 SIZE = (640, 480)
 ADVICE = "photograph the board from a slant, or give --camera"
 
@@ -58,7 +56,6 @@ def test_two_boards_from_a_slant() -> None:
     photo = photograph(true, [(ONE, facing(0.02, 0.01, 0.4, 0.8, 0.2)), (TWO, facing(-0.14, 0, 0.5, -0.6, 0.3))])
     found = estimate_focal(outlines_in(photo, [ONE, TWO]), SIZE)
     assert found.reason == ""
-    assert found.low is not None and found.high is not None
     assert found.low < 740 < found.high < 1.1 * found.low
     assert found.low < found.camera.focal < found.high
     # The interval is that of the sigma, as far as a lopsided one can be.
@@ -158,3 +155,24 @@ def test_intervals_hold_the_truth(locations: Locations, photos: int) -> None:
     assert held >= 0.87 * good
     assert worst < 4.0
     assert np.mean(refused_held or [True]) > 0.6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(CASES[0], id="ideal lens"),
+        pytest.param(CASES[1], id="real lens"),
+        pytest.param(CASES[4], id="camera given"),
+    ],
+)
+def test_stated_intervals_hold_the_truth(locations: Locations, case) -> None:
+    rig = load_config(RigConfig, "rigs", "russet", locations)
+    found = [one for k in range(8) for one in outcomes(case, rig, seed=99, k=k)]
+    good = [one for one in found if one.status == "ok"]
+    assert len(good) >= 0.5 * len(found)
+    assert farthest(found) < 4.0
+    held = np.concatenate([np.array(offs) <= 1 for offs in coverage(found).values()])
+    assert held.mean() > 0.85
+    for one in found:
+        assert one.status == "ok" or one.reason

@@ -10,28 +10,23 @@ import numpy as np
 import pytest
 
 from tests.bench.print_shape import photo_of
-from tests.board_photos import facing, photograph, picture, with_noise
+from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, pose_error, with_noise
 from tests.damaged_photos import creased, enlarged_print
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from yamsim_cli.core.vision.fiducials import markers
 from yamsim_cli.core.vision.fiducials.fitting.align import align
 from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
-from yamsim_cli.core.vision.fiducials.judge import Limits
-from yamsim_cli.core.vision.fiducials.locate import at_pose, locate
-from yamsim_cli.core.vision.fiducials.markers import seen_ids
-from yamsim_cli.core.vision.fiducials.sighting import Sighting, Status
-from yamsim_cli.core.vision.fiducials.together import locate_together
+from yamsim_cli.core.vision.fiducials.locate import at_pose, locate, locate_together
+from yamsim_cli.core.vision.fiducials.markers import find_markers, seen_ids
+from yamsim_cli.core.vision.fiducials.sighting import Limits, Sighting, Status
 
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
 WEBCAM = replace(
     CAMERA, K=((600.0, 0, 330.0), (0, 598.0, 231.0), (0, 0, 1.0)), distortion=(-0.28, 0.09, 1e-3, -1e-3, 0)
 )
-LENGTH = 0.02923077
-ONE = Board("one", 217, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
-TWO = replace(ONE, name="two", first_id=226)
 LEFT, RIGHT = facing(-0.12, 0.0, 0.6), facing(0.12, 0.0, 0.6)
 
 
@@ -41,11 +36,8 @@ def seen(photo: np.ndarray, board: Board = ONE, camera: CameraModel = CAMERA) ->
 
 def errors(sighting: Sighting, truth: Array) -> tuple[float, float]:
     """Of the centre, m, and of the orientation, rad."""
-    T = sighting.T_board_in_cam
-    assert T is not None, sighting.reason
-    return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), float(
-        np.linalg.norm(rotation_vector(T[:3, :3] @ truth[:3, :3].T))
-    )
+    assert sighting.T_board_in_cam is not None, sighting.reason
+    return pose_error(sighting.T_board_in_cam, truth)
 
 
 def assert_exact(sighting: Sighting, truth: Array) -> None:
@@ -61,7 +53,6 @@ def test_a_board_is_where_it_is(camera: CameraModel, where: tuple[float, ...]) -
     assert sighting.status is Status.OK
     assert sighting.markers == ONE.ids
     assert_exact(sighting, facing(*where))
-    assert sighting.reprojection_rms is not None
     assert sighting.reprojection_rms < 0.05
 
 
@@ -70,7 +61,6 @@ def test_a_board_is_where_it_is(camera: CameraModel, where: tuple[float, ...]) -
 def test_blur_is_told_in_the_photos_pixels(distance: float, blur: float) -> None:
     """Near boards are looked at in larger pixels, which must not show."""
     sighting = seen(photograph(CAMERA, [(ONE, facing(0, 0, distance))], blur=blur))
-    assert sighting.smear is not None
     assert sighting.smear.blur == pytest.approx(blur, abs=0.3)
     assert_exact(sighting, facing(0, 0, distance))
 
@@ -106,8 +96,6 @@ def test_other_prints_in_the_photo_change_nothing(other: Board) -> None:
     alone = seen(photograph(CAMERA, [(ONE, LEFT)]))
     beside = seen(photograph(CAMERA, [(ONE, LEFT), (other, RIGHT)]))
     assert beside.status is Status.OK
-    assert alone.T_board_in_cam is not None
-    assert beside.T_board_in_cam is not None
     assert np.abs(alone.T_board_in_cam - beside.T_board_in_cam).max() < 1e-9
     assert_exact(beside, LEFT)
 
@@ -142,11 +130,8 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
         assert hidden == 8
         return
     assert part.markers == ONE.ids[: 9 - hidden]
-    assert part.rotation_sigma is not None
-    assert whole.rotation_sigma is not None
     assert part.rotation_sigma > whole.rotation_sigma * 1.2
     shift, turn = errors(part, T)
-    assert part.position_sigma is not None
     assert shift < 3 * part.position_sigma
     assert turn < 3 * part.rotation_sigma
 
@@ -173,12 +158,9 @@ def test_reprojection_shows_a_print_or_a_lens_that_is_not_as_said() -> None:
     where = facing(0.12, 0.08, 0.4)
     photo = photograph(WEBCAM, [(ONE, where)])
     fits, misses = seen(photo, camera=WEBCAM), seen(photo, camera=replace(WEBCAM, distortion=()))
-    assert fits.reprojection_rms is not None
-    assert misses.reprojection_rms is not None
     assert fits.reprojection_rms < 0.05
     assert misses.reprojection_rms > 0.4
     wide_gaps = seen(photograph(CAMERA, [(replace(ONE, gap=2 * ONE.gap), facing(0, 0, 0.6))]))
-    assert wide_gaps.reprojection_rms is not None
     assert wide_gaps.reprojection_rms > 0.5
 
 
@@ -188,9 +170,6 @@ def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
     photo = photograph(CAMERA, [(ONE, truth)])
     right = seen(photo, camera=replace(CAMERA, focal_sigma=0.01))
     longer = seen(photo, camera=CameraModel.pinhole(640, 480, 600 * math.exp(0.01)))
-    assert right.T_board_in_cam is not None
-    assert longer.T_board_in_cam is not None
-    assert right.shared is not None
     shift = longer.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
     turn = rotation_vector(longer.T_board_in_cam[:3, :3] @ right.T_board_in_cam[:3, :3].T)
     assert np.abs(shift - right.shared[3:, 0]).max() < 1e-4
@@ -200,7 +179,6 @@ def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
     assert np.abs(shift[:2]).max() < 3e-4
 
     larger = seen(photo, board=replace(ONE, marker_length=ONE.marker_length * 1.0025, gap=ONE.gap * 1.0025))
-    assert larger.T_board_in_cam is not None
     shift = larger.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
     assert np.abs(shift - right.shared[3:, 1]).max() < 2e-5
     assert right.shared[3:, 1] == pytest.approx(0.0025 * truth[:3, 3], rel=1e-2)
@@ -216,8 +194,6 @@ def test_the_uncertainty_is_that_of_many_photos() -> None:
     shifts = np.array([one.T_board_in_cam[:3, 3] - truth[:3, 3] for one in found if one.T_board_in_cam is not None])
     assert len(shifts) == 24
     first = found[0]
-    assert first.covariance is not None
-    assert first.shared is not None
     own = (first.covariance - first.shared @ first.shared.T)[3:, 3:]
     spread = np.sqrt(np.diag(np.cov(shifts.T)))
     # It is inflated, for what noise and rounding alone do not explain.
@@ -231,11 +207,8 @@ def test_boards_that_lie_so_together_pin_each_other() -> None:
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], noise=4.0)
     alone, _ = locate(photo, CAMERA, [ONE, TWO])
     joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
-    assert joint is not None
     assert_exact(joint[0], truth)
     T_one, T_two = joint[0].T_board_in_cam, joint[1].T_board_in_cam
-    assert T_one is not None
-    assert T_two is not None
     assert inverse(T_one) @ T_two == pytest.approx(apart, abs=1e-12)
     assert joint[0].rotation_sigma is not None
     assert alone[0].rotation_sigma is not None
@@ -248,12 +221,11 @@ def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -
     """Fixed, so small an error would tilt both boards by tenths of a degree: the known distance would pull at them."""
     apart = pose((0.25, 0.0, 0.0))
     truth = facing(-0.12, 0.0, 0.8)
-    printed = [replace(board, marker_length=LENGTH * larger, gap=LENGTH / 10 * larger) for board in (ONE, TWO)]
+    printed = [replace(board, marker_length=ONE.marker_length * larger, gap=ONE.gap * larger) for board in (ONE, TWO)]
     photo = photograph(CAMERA, [(printed[0], truth), (printed[1], truth @ apart)])
     alone, _ = locate(photo, CAMERA, [ONE, TWO])
     assert errors(alone[0], truth)[0] > 1.5e-3
     joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
-    assert joint is not None
     assert_exact(joint[0], truth)
 
 
@@ -303,7 +275,6 @@ def test_a_creased_print_is_uncertain_and_its_interval_holds_the_pose(seed: int)
     found = seen(photo)
     assert found.status is Status.UNCERTAIN
     assert "a crease" in found.reason
-    assert found.T_board_in_cam is not None and found.covariance is not None
     off = rotation_vector(found.T_board_in_cam[:3, :3] @ truth[:3, :3].T)
     assert off @ np.linalg.solve(found.covariance[:3, :3], off) < 7.815, "95 % of three degrees of freedom"
     wide = Limits(turn=math.radians(10.0), shift=1.0)
@@ -325,6 +296,45 @@ def test_what_lies_beside_a_blurred_print_does_not_pull_it() -> None:
     truth = facing(0.0, 0.0, 0.8, 0.9, 0.3)
     whole = Piece(ONE, np.eye(4), tuple(range(9)))
     fit = align(picture(CAMERA, [(ONE, truth)], 4.0), CAMERA, [whole], truth, Smear(3.5))
-    assert fit is not None
     assert fit.smear.blur == pytest.approx(4.0, abs=0.02)
     assert np.linalg.norm(fit.T_ref_in_cam[:3, 3] - truth[:3, 3]) < 2e-3
+
+
+LARGE = CameraModel.pinhole(7200, 5400, 6500.0)
+# The first board's markers, 60 px, are about the smallest that the detector reads in a photo of this size.
+LARGE_PLACED = ((ONE, facing(-0.4, 0.3, 3.0, 0.3, 0.2)), (TWO, facing(0.2, 0.0, 1.2, 0.6, -0.2)))
+
+
+@pytest.fixture(scope="module")
+def large_photo() -> np.ndarray:
+    return photograph(LARGE, LARGE_PLACED, blur=2.0)
+
+
+@pytest.mark.slow
+def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
+    large_photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes = []
+    stretched = markers._stretched
+
+    def spy(grey: np.ndarray) -> np.ndarray:
+        sizes.append(grey.shape)
+        return stretched(grey)
+
+    monkeypatch.setattr(markers, "_stretched", spy)
+    found = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
+    monkeypatch.setattr(markers, "_SHRINK_TO", 10**6)
+    whole = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
+    assert sizes == [(3072, 4096), (5400, 7200)]
+    assert set(found) >= set(whole) >= set(TWO.ids)
+    assert set(found) & set(ONE.ids)
+    # Only where the search starts from; a pixel there is 1.8 px here.
+    assert max(np.abs(found[number] - whole[number]).max() for number in whole) < 4.0
+
+
+@pytest.mark.slow
+def test_a_board_in_a_photo_is_where_it_is(large_photo: np.ndarray) -> None:
+    for sighting, (_, truth) in zip(locate(large_photo, LARGE, [ONE, TWO])[0], LARGE_PLACED, strict=True):
+        T = sighting.T_board_in_cam
+        assert T is not None, sighting.reason
+        assert np.linalg.norm(T[:3, 3] - truth[:3, 3]) < 5e-4 * truth[2, 3]

@@ -8,42 +8,33 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.board_photos import facing, photograph, picture, with_noise
+from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, pose_error, with_noise
 from tests.strangers import KINDS, stranger
 from yamsim_cli.core.geometry.board import Board
-from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
 from yamsim_cli.core.vision.fiducials.fitting.print_view import Piece, plane_of, view_print
 from yamsim_cli.core.vision.fiducials.fitting.smear import Smear
 from yamsim_cli.core.vision.fiducials.locate import locate
 from yamsim_cli.core.vision.fiducials.recognition.bits import bits_of, evidence, least_chance
-from yamsim_cli.core.vision.fiducials.recognition.lattice import board_quads
-from yamsim_cli.core.vision.fiducials.recognition.quads import dark_quads, restless_quads
-from yamsim_cli.core.vision.fiducials.recognition.suspects import moved_suspects, suspects
+from yamsim_cli.core.vision.fiducials.recognition.candidates import (
+    board_quads,
+    candidates,
+    dark_quads,
+    edge_quads,
+    moved_candidates,
+)
 from yamsim_cli.core.vision.fiducials.sighting import Status
 from yamsim_cli.core.vision.lens import project_points
-
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
-LENGTH = 0.02923077
-ONE = Board("one", 217, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
-TWO = Board("two", 226, 3, 3, "DICT_6X6_250", LENGTH, LENGTH / 10)
 
 
 def corners_of(board: Board, T: Array) -> Array:
     return project_points(CAMERA, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
 
 
-def off(T: Array, truth: Array) -> tuple[float, float]:
-    return float(np.linalg.norm(T[:3, 3] - truth[:3, 3])), float(
-        np.linalg.norm(rotation_vector(T[:3, :3].T @ truth[:3, :3]))
-    )
-
-
 def chance(photo: np.ndarray, board: Board, T: Array) -> float:
     piece = Piece(board, np.eye(4), tuple(range(9)))
     plane = plane_of(piece, T)
     view = view_print(photo.astype(np.float32), CAMERA, piece, plane)
-    assert view is not None
     return evidence(view, plane, Smear(0.6), 2.0).log_chance
 
 
@@ -76,7 +67,7 @@ def test_chance_is_bounded_as_it_says() -> None:
 def test_a_dark_patch_on_a_light_table_is_a_suspect(where: tuple[float, ...]) -> None:
     truth = facing(*where)
     photo = photograph(CAMERA, [(ONE, truth)])
-    found = suspects(photo, ONE, dark_quads(photo, whole=True))
+    found = candidates(photo, ONE, dark_quads(photo, whole=True))
     cell = np.sqrt(cv2.contourArea(corners_of(ONE, truth).astype(np.float32))) / 26
     assert np.abs(found[0].corners - corners_of(ONE, truth)).max() < 2 * cell
     assert found[0].agreement > 6
@@ -90,12 +81,11 @@ def test_on_a_dark_table_the_grid_of_markers_is_one() -> None:
     corners = corners_of(ONE, truth)
     cv2.circle(dark, tuple(np.round(corners[0]).astype(int).tolist()), 16, 90, -1)
     grids = board_quads(dark_quads(dark, whole=False), ONE)
-    found = suspects(dark, ONE, grids)
+    found = candidates(dark, ONE, grids)
     assert found[0].agreement > 6
     assert np.abs(found[0].corners - corners).max() < 4
     (seen,), _ = locate(dark, CAMERA, [ONE])
-    assert seen.T_board_in_cam is not None
-    assert off(seen.T_board_in_cam, truth)[1] < math.radians(1)
+    assert pose_error(seen.T_board_in_cam, truth)[1] < math.radians(1)
 
 
 def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edges() -> None:
@@ -107,13 +97,12 @@ def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edge
     # Other things give the photo its range.
     clean[:, :60], clean[:60] = 20, 230
     photo = with_noise(clean)
-    assert not suspects(photo, ONE, dark_quads(photo, whole=True))
-    assert not suspects(photo, ONE, board_quads(dark_quads(photo, whole=False), ONE))
-    (found, *_) = moved_suspects(photo, ONE, restless_quads(photo))
+    assert not candidates(photo, ONE, dark_quads(photo, whole=True))
+    assert not candidates(photo, ONE, board_quads(dark_quads(photo, whole=False), ONE))
+    (found, *_) = moved_candidates(photo, ONE, edge_quads(photo))
     assert np.abs(found.corners - corners).max() < 1
     (seen,), _ = locate(photo, CAMERA, [ONE])
-    assert seen.T_board_in_cam is not None
-    assert off(seen.T_board_in_cam, truth)[1] < math.radians(0.2)
+    assert pose_error(seen.T_board_in_cam, truth)[1] < math.radians(0.2)
 
 
 def test_another_board_tells_two_poses_apart() -> None:
@@ -123,8 +112,7 @@ def test_another_board_tells_two_poses_apart() -> None:
     alone, _ = locate(photo, CAMERA, [ONE, TWO])
     assert alone[0].status is Status.AMBIGUOUS and alone[1].status is Status.OK
     told, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), apart])
-    assert told[0].T_board_in_cam is not None
-    assert off(told[0].T_board_in_cam, truth)[1] < math.radians(3)
+    assert pose_error(told[0].T_board_in_cam, truth)[1] < math.radians(3)
     tilted = apart @ pose((0, 0, 0), rotation_from_vector([math.radians(-13), 0, 0]))
     untold, _ = locate(photo, CAMERA, [ONE, TWO], [np.eye(4), tilted])
     assert untold[0].status is Status.AMBIGUOUS
@@ -147,7 +135,7 @@ def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
     before, _ = locate(photo, CAMERA, [ONE, TWO], before=[None, truth @ apart @ near])
     for seen in (beside[1], before[1]):
         assert seen.T_board_in_cam is not None, seen.explanation
-        shift, turn = off(seen.T_board_in_cam, truth @ apart)
+        shift, turn = pose_error(seen.T_board_in_cam, truth @ apart)
         assert shift < 0.015 and turn < math.radians(3)
 
 
@@ -175,7 +163,7 @@ def test_what_would_help_is_said(spoil: dict[str, float], part: str) -> None:
     boards = (
         [(ONE, facing(0, 0, 0.35))]
         if spoil
-        else [(Board("other", 100, 3, 3, "DICT_4X4_250", LENGTH, LENGTH / 10), facing(0, 0, 0.5))]
+        else [(Board("other", 100, 3, 3, "DICT_4X4_250", ONE.marker_length, ONE.gap), facing(0, 0, 0.5))]
     )
     photo = photograph(CAMERA, boards, blur=spoil.get("blur", 0.6), noise=4.0)
     photo = (photo * spoil.get("light", 1.0)).astype(np.uint8)

@@ -17,26 +17,21 @@ from ..lens import rays
 
 Grey = NDArray[np.uint8]
 
-# The detector's thresholds are made for markers of some 30 px and more: smaller photos are enlarged to this width.
-_ENLARGE_TO = 1920
+# The detector's thresholds suit markers of 30 px and more.
+_ENLARGE_TO = 1920  # px, longer side to which smaller photos are enlarged
 _MAX_ENLARGEMENT = 3
-
-# Larger photos are made so large: the detector leaves out markers whose edge is less than 0.0075 of the photo's longer
-# side (its `minMarkerPerimeterRate`), so those that it would read there have 30 px here.
+# px, longer side to which larger photos are reduced. The detector leaves out markers with an edge below 0.0075 of the
+# longer side (`minMarkerPerimeterRate`), so those that remain have 30 px after the reduction.
 _SHRINK_TO = 4096
-
-# The detector's thresholds are made for grey levels that use their range: darker photos are stretched to it, but for
-# their darkest and brightest thousandth.
-_ENDS = (0.1, 99.9)
-_WIDEST = 128.0
-
-# Markers belong to one board when the board's middle that each predicts lies within this many marker edges.
-_SAME_BOARD = 0.8
+# The detector's thresholds suit photos that use all grey levels.
+_ENDS = (0.1, 99.9)  # percentiles that are stretched to the whole range
+_WIDEST = 128.0  # grey levels between these, from which a photo is not stretched
+_SAME_BOARD = 0.8  # marker edges, distance of the board centres that two markers of one board predict
 
 
 @dataclass(frozen=True)
 class DetectedMarker:
-    """One detected marker: its id, and its corners (4, 2) in pixels, clockwise from its own top left."""
+    """A marker's id, and its corners (4, 2) in pixels, clockwise from the marker's own top left."""
 
     id: int
     corners: Array
@@ -44,7 +39,7 @@ class DetectedMarker:
 
 @dataclass(frozen=True)
 class Group:
-    """Markers that lie as on one board: places in `board.ids`, and their corners (k, 4, 2) in pixels."""
+    """Markers that lie as on one board: indices into `board.ids`, and corners (k, 4, 2) in pixels."""
 
     places: tuple[int, ...]
     corners: Array
@@ -58,13 +53,13 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
     """
     sized, factor = _sized(grey)
     parameters = cv2.aruco.DetectorParameters()
-    # Corners are only where the pose starts from; refining them one by one costs six times as much as finding them.
+    # Poses only start from the corners. Refining corners takes six times as long as finding them.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     found = {}
     for name in dictionaries:
         detector = cv2.aruco.ArucoDetector(dictionary_of(name), parameters)
         corners, ids, _ = detector.detectMarkers(sized)
-        # Without any, OpenCV 4 gives None, which its type hints do not know of.
+        # OpenCV 4 returns None for no markers.
         numbers = np.asarray(() if not corners else ids, dtype=int).ravel().tolist()
         found[name] = [
             DetectedMarker(number, (quad.reshape(4, 2).astype(np.float64) + 0.5) / factor - 0.5)
@@ -74,7 +69,7 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
 
 
 def _sized(grey: Grey) -> tuple[Grey, Array]:
-    """The photo as large as the detector likes it, and how many times as wide and as high (2,) as it was."""
+    """The photo in a size that suits the detector, and the factors (2,) of its width and height."""
     longer = max(grey.shape)
     if longer > _SHRINK_TO:
         size = tuple(round(side * _SHRINK_TO / longer) for side in grey.shape[::-1])
@@ -96,9 +91,9 @@ def _stretched(grey: Grey) -> Grey:
 
 
 def groups(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel) -> list[Group]:
-    """Markers of a board, put together by where each says the board's middle is; the largest group first.
+    """Markers of a board, grouped by the board centre that each predicts; the largest group first.
 
-    A second print of the same board, or a reading that is wrong, ends up in a group of its own.
+    A second print of the same board, or a marker that was misread, is in another group.
     """
     place = {number: k for k, number in enumerate(board.ids)}
     ours = [marker for marker in markers if marker.id in place]
@@ -122,9 +117,9 @@ def groups(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel)
 
 
 def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
-    """Where (as a viewing ray) a marker alone says the board's middle is, and its edge in the same measure."""
+    """The viewing ray of the board's centre that a marker predicts, and the marker's edge in the same unit."""
     seen = rays(camera, marker.corners)
-    # The perspective of one small marker is mostly noise; far from it, an affine map errs less.
+    # The perspective of one small marker is mostly noise: far from the marker, an affine map errs less.
     known = np.column_stack([corners[:, :2], np.ones(4)])
     affine, *_ = np.linalg.lstsq(known, seen, rcond=None)
     edge = float(np.linalg.norm(np.diff(seen, axis=0), axis=1).max())
@@ -132,5 +127,5 @@ def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tupl
 
 
 def seen_ids(markers: Mapping[str, Sequence[DetectedMarker]]) -> list[int]:
-    """Ids of all markers found, once each, in order: for a person who wonders why a board was not."""
+    """The ids of all markers, sorted, each once."""
     return sorted({marker.id for found in markers.values() for marker in found})

@@ -1,9 +1,9 @@
 """Refine a pose by the boards' whole picture rather than by a few corners.
 
-The boards' print is known to the last cell. So it is drawn as the camera would see it from a supposed pose, blurred as
-the lens blurs it, and the pose (and the blur) is moved until drawing and photo agree best: least squares over all
-pixels, brightness and contrast free for each marker, outlying pixels weighted down. Corners found one by one lie on
-blurred black-to-white edges and are pushed about by their neighbours; here neighbours and blur are part of the model.
+The boards' print is drawn as the camera would see it from a supposed pose, with the lens's blur. Pose and blur are
+moved until drawing and photo agree best: robust least squares over all pixels, with free brightness and contrast for
+each marker. Corners that are found one by one lie on blurred edges and are displaced by neighbouring cells; here
+neighbours and blur are part of the model.
 """
 
 from __future__ import annotations
@@ -17,51 +17,44 @@ from numpy.typing import NDArray
 
 from ....geometry.camera import CameraModel
 from ....geometry.se3 import Array, pose, rotation_from_vector
-from .descent import PrintProblem, System, weighed
-from .linearize import Pixels, Tile, linearized
+from .normal_equations import Pixels, PrintProblem, System, Tile, linearized, weighed
 from .print_shape import CREASED_SHARE, marginalized, mode_count, placement_modes, shape_modes
 from .print_view import Piece, PrintView, plane_of, view_print
 from .smear import Smear
 
 Grey = NDArray[np.float32]
 
-# Blur (sigma, pixels of a `PrintView`) that is believed: less cannot be told from none, more is no picture of a marker.
-BLUR_RANGE = (0.25, 5.0)
-# The longest motion that is believed, px of a `PrintView`.
-_MOST_MOTION = 20.0
+BLUR_RANGE = (0.25, 5.0)  # px of a `PrintView`, sigmas: less blur does not show, and more hides a marker
+_MOST_MOTION = 20.0  # px of a `PrintView`, longest motion
+USUAL_SMEAR = Smear(0.9)  # start of a fit where the smear is not known
 
-# Where nothing is known of it yet.
-USUAL_SMEAR = Smear(0.9)
-
-# The photo's noise is not all there is: standard deviations once the print's shape and placement are marginalized, over
-# what noise alone explains. At 1.3, 95 % intervals hold at least 95 % of the poses in each of six sets of 40 to 120
-# (`python -m tests.bench.print_shape`, seeds below 200, and `tests.bench.filament`); 1.4 leaves a margin.
+# Standard deviations with the print's shape and placement marginalized, over those from noise alone. At 1.3, 95 %
+# intervals hold at least 95 % of the poses in each of six sets of 40 to 120 (`python -m tests.bench.print_shape`, seeds
+# below 200, and `tests.bench.filament`); 1.4 leaves a margin.
 INFLATION = 1.4
 
-# How far (px) growing by one moves the print once the distance has made up for most of it.
-_GROWTH_PX = 4.0
+_GROWTH_PX = 4.0  # px, shift of the print for a log of its size of 1, after the distance has compensated most of it
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a print and its picture agree.
+    """A fitted pose, and the agreement of print and photo there.
 
     Attributes:
         T_ref_in_cam: pose (4, 4).
         covariance: (6, 6) of a small rotation (rad, about the camera's axes) about `centre` and of the shift of
             `centre` (m, along them), from the photo's noise and, of `with_shape`, from what the print's shape leaves
             open.
-        by_lens: (6, k) how the pose moves, in the same measure, with what `CameraModel.mistakes` are about.
-        by_print: (6,) how it moves with the natural logarithm of the print's size; 0 for what was found too, since the
-            covariance then holds it.
-        centre: the point (3,) of the reference frame that these are about: the middle of the pieces.
+        by_lens: (6, k) derivatives of the pose, in the same units, by the lens parameters of `CameraModel.mistakes`.
+        by_print: (6,) derivative by the natural logarithm of the print's size; 0 if the size was fitted too, since the
+            covariance then includes it.
+        centre: the point (3,) of the reference frame that these are about: the mean of the pieces' origins.
         smear: blur and motion, px.
         noise: standard deviation of the residuals, grey levels.
         cost: weighted sum of squared residuals over `pixels` pixels.
-        pixels: how many were compared.
-        tiles: for each piece, marker -> how drawing and photo agree there.
-        growth: natural logarithm of how much larger the print is than its board says; 0 where it was not asked for.
-        flat: probability that the print is flat, as on a rigid plate; 1 where it was not asked for.
+        tiles: for each piece, marker -> agreement of drawing and photo.
+        growth: natural logarithm of the print's size over the board's; 0 if not fitted.
+        flat: probability that the print is flat, as on a rigid plate; 1 if not estimated.
     """
 
     T_ref_in_cam: Array
@@ -80,7 +73,7 @@ class Alignment:
 
 @dataclass(frozen=True)
 class Guess:
-    """What is known beforehand of the natural logarithm of a scale that is to be found too, and where to start."""
+    """The prior of the natural logarithm of a scale that is fitted too, and where to start."""
 
     mean: float
     sigma: float
@@ -100,19 +93,17 @@ def align(
 
     Args:
         photo: grey levels (height, width).
-        pieces: what to compare.
         T_ref_in_cam: where to start, right to about a marker's cell.
-        smear: where to start; motion is found too where there is some.
-        growth: find the print's size too; without, the boards' is taken as it is.
-        roughly: stop sooner: how well the print agrees is told as well by then, where it is less so.
+        smear: where to start; motion is fitted only if the start has some.
+        growth: prior of the print's size, to fit it too; None for the boards' size.
+        roughly: stop sooner, when the cost is known but the pose is less exact.
 
     Returns:
-        None where nothing of the pieces lies in the picture, or the fit breaks down.
+        None where a piece is not in the picture, or the fit breaks down.
     """
-    views = _views(photo, camera, pieces, T_ref_in_cam)
-    if views is None:
+    fit = _problem(photo, camera, pieces, T_ref_in_cam, smear.length > 0, growth, roughly)
+    if fit is None:
         return None
-    fit = _PoseProblem(views, camera, _centre(pieces), moving=smear.length > 0, growth=growth, roughly=roughly)
     found = fit.solve(_State(T_ref_in_cam, smear, growth.start if growth else 0.0))
     return None if found is None else fit.alignment(*found)
 
@@ -120,11 +111,10 @@ def align(
 def agreement(
     photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T_ref_in_cam: Array, smear: Smear, noise: float
 ) -> Alignment | None:
-    """How well the print agrees with the photo at a given pose, which is not moved; residuals weighted for `noise`."""
-    views = _views(photo, camera, pieces, T_ref_in_cam)
-    if views is None:
+    """The agreement of print and photo at a given pose, which is not moved; residuals are weighted for `noise`."""
+    fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _State(T_ref_in_cam, smear)
+    if fit is None:
         return None
-    fit, state = _PoseProblem(views, camera, _centre(pieces), moving=False), _State(T_ref_in_cam, smear)
     system = fit.system(state, noise)
     return None if system is None else fit.alignment(state, system)
 
@@ -137,41 +127,44 @@ def with_shape(
     growth: Guess | None = None,
     creased: float = CREASED_SHARE,
 ) -> Alignment:
-    """Return an alignment with the print's bow, twist and crease marginalized: its pose and a wider covariance.
+    """An alignment with the print's bow, twist and crease marginalized: another pose and a wider covariance.
 
     Args:
         photo: grey levels (height, width).
-        pieces: what `found` compared.
-        growth: as `found` was given it.
+        pieces, growth: those of `found`.
         creased: prior probability of a creased print.
     """
-    views = _views(photo, camera, pieces, found.T_ref_in_cam)
-    if views is None:
+    fit = _problem(photo, camera, pieces, found.T_ref_in_cam, found.smear.length > 0, growth)
+    if fit is None:
         return found
-    fit = _PoseProblem(views, camera, _centre(pieces), moving=found.smear.length > 0, growth=growth)
     return fit.shaped(_State(found.T_ref_in_cam, found.smear, found.growth), found, creased)
 
 
-def _views(photo: Grey, camera: CameraModel, pieces: Sequence[Piece], T: Array) -> list[PrintView] | None:
+def _problem(
+    photo: Grey,
+    camera: CameraModel,
+    pieces: Sequence[Piece],
+    T: Array,
+    moving: bool,
+    growth: Guess | None = None,
+    roughly: bool = False,
+) -> _PoseProblem | None:
+    """The least squares of some pieces near a pose; None where a piece is not in the picture."""
     views = [view for piece in pieces if (view := view_print(photo, camera, piece, plane_of(piece, T))) is not None]
-    return views if views and len(views) == len(pieces) else None
-
-
-def _centre(pieces: Sequence[Piece]) -> Array:
-    middle: Array = np.mean([piece.T_board_in_ref[:3, 3] for piece in pieces], axis=0)
-    return middle
+    if not views or len(views) < len(pieces):
+        return None
+    centre: Array = np.mean([piece.T_board_in_ref[:3, 3] for piece in pieces], axis=0)
+    return _PoseProblem(views, camera, centre, moving, growth, roughly)
 
 
 @dataclass(frozen=True)
 class _State:
-    """What is varied: the pose (4, 4), the smear, and the logarithm of the print's growth."""
-
     T: Array
     smear: Smear
     growth: float = 0.0
 
 
-# Places among all parameters: blur, motion, a turn and a shift, the print's growth, and what the lens is doubted for.
+# Indices of the parameters: blur, motion, turn and shift, the print's growth, and the uncertain lens parameters.
 _BLUR, _MOTION, _POSE, _GROWTH, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
 
 
@@ -179,7 +172,7 @@ _Columns = Callable[[Pixels, Piece, Array, float], Array]
 
 
 class _PoseProblem(PrintProblem[_State]):
-    """Least squares over the pose's six parameters, the blur, and motion and the print's size if they are sought."""
+    """Least squares over the pose's six parameters, the blur, and, if wanted, motion and the print's size."""
 
     def __init__(
         self,
@@ -187,8 +180,8 @@ class _PoseProblem(PrintProblem[_State]):
         camera: CameraModel,
         centre: Array,
         moving: bool,
-        growth: Guess | None = None,
-        roughly: bool = False,
+        growth: Guess | None,
+        roughly: bool,
     ) -> None:
         super().__init__(roughly)
         self._views = views
@@ -229,7 +222,7 @@ class _PoseProblem(PrintProblem[_State]):
         return replace(system, every_normal=normal, every_gradient=gradient, misfit=misfit)
 
     def _columns(self, pixels: Pixels, piece: Piece, T: Array, larger: float) -> Array:
-        """Derivatives (n, 7 + k) of the drawn print: by turn, shift, size, and what the lens is doubted for."""
+        """Derivatives (n, 7 + k) of the drawn print: by turn, shift, size, and the uncertain lens parameters."""
         R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.at
         on_board = at @ (R @ T_board[:3, :2]).T
         from_centre = on_board + R @ (T_board[:3, 3] - self._centre)
@@ -238,15 +231,15 @@ class _PoseProblem(PrintProblem[_State]):
         by_ray = pixels.by_ray
         by_shift = np.column_stack([by_ray, -(by_ray * point[:, :2]).sum(axis=1) / depth]) / depth[:, None]
         along = (by_ray * pixels.rays).sum(axis=1)
-        # A longer lens farther away: the part of it that the distance makes up for is left out, and put back in
-        # `alignment`, since the rest is small beside it.
+        # A longer lens mostly changes the distance. That part is left out here and added in `alignment`, since the
+        # rest is small beside it.
         by_focal = along + by_shift[:, 2] * self._depth(T)
         by_lens = [by_focal]
         if self._camera.doubt:
             by_lens += [*(pixels.by_shift * self._camera.focal).T, along * (pixels.rays**2).sum(axis=1)]
         by_size = (by_shift * on_board).sum(axis=1)
         (x, y, z), (a, b, c) = from_centre.T, by_shift.T
-        # Their cross product; numpy's own takes several times as long.
+        # The cross product, several times faster than numpy's.
         turns = (y * c - z * b, z * a - x * c, x * b - y * a)
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
 
@@ -262,14 +255,13 @@ class _PoseProblem(PrintProblem[_State]):
         return np.column_stack([columns, *of_pieces])
 
     def shaped(self, state: _State, found: Alignment, creased: float) -> Alignment:
-        """What was found at a state, with the print's shape marginalized; as it was where that breaks down."""
+        """`found` with the print's shape marginalized; unchanged where that breaks down."""
         system = self._system(state, found.noise, self._shape_columns)
         if system is None:
             return found
         free, boards = list(system.free), [view.piece.board for view in self._views]
         known = len(system.every_gradient) - sum(mode_count(board) for board in boards)
         held = [k for k in range(known) if k not in free]
-        # The photo's noise is not all there is, so it counts for more.
         variance = (INFLATION * found.noise) ** 2
         try:
             pose_of = marginalized(system.every_normal, system.every_gradient, variance, free, held, boards, creased)
@@ -278,7 +270,7 @@ class _PoseProblem(PrintProblem[_State]):
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
         by_lens = pose_of.moves[turns][:, [n for n, k in enumerate(held) if k >= _LENS.start]]
         by_lens[5, 0] += self._depth(state.T)
-        # What a fold moves of the print, it moves by its distance from the crease.
+        # A fold moves the print by the distance from the crease.
         lever = max(max(view.piece.board.width, view.piece.board.height) for view in self._views) / 2
         neglected = pose_of.neglected * np.diag([1.0] * 3 + [lever**2] * 3)
         growth = held.index(_GROWTH) if _GROWTH in held else None
@@ -306,20 +298,20 @@ class _PoseProblem(PrintProblem[_State]):
         return _State(pose(at - R @ self._centre, R), smear, state.growth + float(every[_GROWTH]))
 
     def _every(self, step: Array) -> Array:
-        """A step of all parameters up to the lens', 0 for what is not varied."""
+        """A step of all parameters before the lens's, 0 for those that are not fitted."""
         every = np.zeros(_LENS.start)
         every[list(self._free)] = step
         return every
 
     def moved_px(self, state: _State, step: Array) -> float:
-        """By the shift, by the turn of something 0.1 m large, and by growing."""
+        """By the shift, by the turn of a print of 0.1 m, and by the size."""
         every = self._every(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
         metres = float(np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
         return metres * self._camera.focal / max(self._depth(state.T), 1e-3) + _GROWTH_PX * abs(float(every[_GROWTH]))
 
     def alignment(self, state: _State, system: System) -> Alignment | None:
-        """What was found, with its uncertainty; None where the pixels do not determine it."""
+        """The alignment at a state; None where the pixels do not determine the pose."""
         normal, free = system.normal, list(system.free)
         held = [k for k in range(len(system.every_gradient)) if k not in free]
         moves = np.zeros((len(free), len(system.every_gradient)))

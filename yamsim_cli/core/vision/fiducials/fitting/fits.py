@@ -1,4 +1,4 @@
-"""Poses that a board's print allows: where to start, what fits, and which other pose explains the photo as well."""
+"""Poses that a board's print allows: starts from corners, fits to the print, and rivals that fit as well."""
 
 from __future__ import annotations
 
@@ -16,33 +16,26 @@ from ....geometry.se3 import Array, pose, rotation_vector
 from ...lens import project_points, rays
 from ..markers import Group
 from .align import Alignment, agreement, align
-from .linearize import Tile
-from .print_view import Piece
+from .normal_equations import Tile
+from .print_view import piece_of
 
-# A marker whose print and photo correlate less than this is hidden, moved or something else.
-SAME_PRINT = 0.75
-# A fit whose markers correlate more than this with the photo (the median) needs no other smear and no other start.
-EXPLAINED = 0.96
-# A marker of which so many times as much stays unexplained as of most others is covered in part, say, if it correlates
-# less than this. Source: photos of whole boards have at most 2.5, creased ones 4, half covered ones 40 and more.
-_STRANGE, _SPOILT = 5.0, 0.9
-# So often, at most, it is asked again which markers are strange: one that is pulls the pose off the others.
-_MOST_ROUNDS = 3
-# How much more likely the photo has to be under the pose than under its rival (difference of log-likelihoods), with
-# neighbouring pixels counted as `_CORRELATED` times fewer independent ones.
-_MIN_EVIDENCE = 12.0
-_CORRELATED = 4.0
-# Poses closer than this are the same one.
-_SAME_POSE = math.radians(4.0)
-# Another board beside it tells two poses apart if it has the likelier one within this share of the turn between them.
-_TOLD = 0.25
-# A rival this much worse before it is fitted (mean squared residual) cannot win.
-_HOPELESS = 4.0
+SAME_PRINT = 0.75  # correlation of print and photo, below which a marker is hidden, moved or something else
+EXPLAINED = 0.96  # median correlation of the markers, above which a fit needs no other smear and no other start
+# An outlier is a marker of which more stays unexplained than of most others, and that correlates badly. Source: photos
+# of whole boards have at most 2.5 times as much unexplained, creased ones 4, half covered ones 40 and more.
+_OUTLIER_RATIO = 5.0  # of the median of what stays unexplained
+_OUTLIER_CORRELATION = 0.9  # correlation above which no marker is an outlier
+_MOST_ROUNDS = 3  # an outlier pulls the pose off the other markers, so outliers are searched again without it
+_MIN_EVIDENCE = 12.0  # difference of log-likelihoods, above which a pose excludes its rival
+_CORRELATED = 4.0  # neighbouring pixels to one independent pixel
+_SAME_POSE = math.radians(4.0)  # rad, turn between poses below which they are the same
+_BESIDE_TURN = 0.25  # of the turn between two poses, within which the pose by another board decides for one of them
+_WORST_RIVAL = 4.0  # ratio of mean squared residuals before fitting, above which a rival cannot win
 
 
 @dataclass(frozen=True)
 class PoseFit:
-    """A pose fitted to a board's print: the markers that agree with it, and how many seen ones do not."""
+    """A pose fitted to a board's print: the markers that agree with the pose, and how many seen ones do not."""
 
     alignment: Alignment
     agreeing: tuple[int, ...]
@@ -55,20 +48,26 @@ class PoseFit:
 
     @property
     def explains_well(self) -> bool:
-        """Whether drawing and photo agree nearly everywhere, of the markers that agree at all."""
+        """Whether drawing and photo agree at most of the agreeing markers."""
         return float(np.median([tile.correlation for tile in self.alignment.tiles[0].values()])) > EXPLAINED
 
     @property
     def mean_square(self) -> float:
-        """Of the residuals, grey levels squared."""
+        """Mean squared residual, grey levels squared."""
         return self.alignment.cost / self.alignment.pixels
+
+
+def planar_poses(points: Array, seen: Array) -> list[Array]:
+    """Poses (4, 4) at which points (n, 3) of a plane are seen along viewing rays (n, 2), by OpenCV's IPPE."""
+    count, turns, shifts, _ = cv2.solvePnPGeneric(points, seen, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
+    return [pose(shifts[k].ravel(), cv2.Rodrigues(turns[k])[0]) for k in range(count)]
 
 
 def starts(group: Group, board: Board, camera: CameraModel) -> list[Array]:
     """Poses (4, 4) that a planar board's corners allow, the likelier one first. Unlikely ones are left out."""
     points = board.corners()[list(group.places)].reshape(-1, 3)
     pixels = group.corners.reshape(-1, 2)
-    # IPPE knows no distortion, so it is given viewing rays.
+    # IPPE has no distortion model and takes viewing rays.
     count, turns, shifts, _ = cv2.solvePnPGeneric(
         points, rays(camera, pixels), np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
     )
@@ -103,13 +102,12 @@ def fit_pose(
     Returns:
         None where nothing fits, or only a pose that is `known`.
     """
-    first = align(photo, camera, [Piece(board, np.eye(4), tuple(places))], T)
+    first = align(photo, camera, [piece_of(board, places)], T)
     if first is None or not faces_camera(first.T_ref_in_cam):
         return None
     if any(angle_between(first.T_ref_in_cam, fit.T) < _SAME_POSE for fit in known):
         return None
-    everything = Piece(board, np.eye(4), tuple(range(len(board.ids))))
-    check = agreement(photo, camera, [everything], first.T_ref_in_cam, first.smear, first.noise)
+    check = agreement(photo, camera, [piece_of(board)], first.T_ref_in_cam, first.smear, first.noise)
     if check is None:
         return None
     tiles = check.tiles[0]
@@ -117,24 +115,23 @@ def fit_pose(
     if not agreeing:
         return None
     if set(agreeing) != set(places):
-        piece = Piece(board, np.eye(4), agreeing)
-        again = align(photo, camera, [piece], first.T_ref_in_cam, first.smear)
+        again = align(photo, camera, [piece_of(board, agreeing)], first.T_ref_in_cam, first.smear)
         if again is None or not faces_camera(again.T_ref_in_cam):
             return None
         first = again
     return PoseFit(first, agreeing, len(tiles) - len(agreeing))
 
 
-def without_strange(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> PoseFit:
-    """A fit without markers that the print explains far worse than the others: those covered in part pull the pose."""
-    candidates = Piece(board, np.eye(4), fit.agreeing)
+def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> PoseFit:
+    """The fit without outliers, such as markers that are covered in part and pull the pose."""
+    candidates = piece_of(board, fit.agreeing)
     tiles = fit.alignment.tiles[0]
     for _ in range(_MOST_ROUNDS):
-        kept = tuple(k for k in candidates.markers if k in tiles and k not in _strange(tiles))
+        kept = tuple(k for k in candidates.markers if k in tiles and k not in _outliers(tiles))
         if kept == fit.agreeing:
             break
         smear, noise = fit.alignment.smear, fit.alignment.noise
-        again = align(photo, camera, [Piece(board, np.eye(4), kept)], fit.T, smear)
+        again = align(photo, camera, [piece_of(board, kept)], fit.T, smear)
         if again is None or not faces_camera(again.T_ref_in_cam):
             break
         fit = PoseFit(again, kept, fit.contradicting + len(fit.agreeing) - len(kept))
@@ -145,11 +142,11 @@ def without_strange(photo: NDArray[np.float32], camera: CameraModel, board: Boar
     return fit
 
 
-def _strange(tiles: Mapping[int, Tile]) -> set[int]:
-    """Markers of which neither the drawing nor a shift of it explains nearly as much as of most."""
+def _outliers(tiles: Mapping[int, Tile]) -> set[int]:
+    """Markers of which the drawing, even shifted, explains far less than of most."""
     left = np.array([tile.unexplained for tile in tiles.values()])
-    least = _STRANGE * max(float(np.median(left)), 1e-9)
-    return {k for k, tile in tiles.items() if tile.unexplained > least and tile.correlation < _SPOILT}
+    least = _OUTLIER_RATIO * max(float(np.median(left)), 1e-9)
+    return {k for k, tile in tiles.items() if tile.unexplained > least and tile.correlation < _OUTLIER_CORRELATION}
 
 
 def rival_of(
@@ -163,22 +160,18 @@ def rival_of(
     """Another pose that explains the same markers nearly as well; None where there is none.
 
     Args:
-        beside: about the board's pose (4, 4) as each other board says.
+        beside: the board's approximate poses (4, 4), one by each other board.
     """
-    piece = Piece(board, np.eye(4), fit.agreeing)
+    piece = piece_of(board, fit.agreeing)
     corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
     exact = corners @ fit.T[:3, :3].T + fit.T[:3, 3]
-    count, turns, shifts, _ = cv2.solvePnPGeneric(
-        corners, exact[:, :2] / exact[:, 2:], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-    )
-    others = [pose(shifts[k].ravel(), cv2.Rodrigues(turns[k])[0]) for k in range(count)]
-    others += [other.T for other in fits]
+    others = [*planar_poses(corners, exact[:, :2] / exact[:, 2:]), *(other.T for other in fits)]
     for T in others:
         if angle_between(T, fit.T) < _SAME_POSE or not faces_camera(T):
             continue
         alignment = fit.alignment
         before = agreement(photo, camera, [piece], T, alignment.smear, alignment.noise)
-        if before is None or before.cost / before.pixels > _HOPELESS * fit.mean_square:
+        if before is None or before.cost / before.pixels > _WORST_RIVAL * fit.mean_square:
             continue
         after = align(photo, camera, [piece], T, alignment.smear, roughly=True)
         if (
@@ -188,19 +181,19 @@ def rival_of(
         ):
             continue
         rival = PoseFit(after, fit.agreeing, 0)
-        if not clearly_better(fit, rival) and not _told_apart(fit, rival, beside):
+        if not clearly_better(fit, rival) and not _decided_beside(fit, rival, beside):
             return rival
     return None
 
 
-def _told_apart(fit: PoseFit, rival: PoseFit, beside: Sequence[Array]) -> bool:
-    """Whether other boards say so too that a fit is likelier than its rival."""
-    near = _TOLD * angle_between(fit.T, rival.T)
+def _decided_beside(fit: PoseFit, rival: PoseFit, beside: Sequence[Array]) -> bool:
+    """Whether all other boards agree that a fit is likelier than its rival."""
+    near = _BESIDE_TURN * angle_between(fit.T, rival.T)
     return bool(beside) and fit.mean_square < rival.mean_square and all(angle_between(fit.T, T) < near for T in beside)
 
 
 def clearly_better(fit: PoseFit, rival: PoseFit) -> bool:
-    """Whether the photo is so much likelier under one pose than under another that the other cannot be."""
+    """Whether the photo is so much likelier under one pose that the rival is excluded."""
     evidence = 0.5 * fit.alignment.pixels / _CORRELATED * math.log(rival.mean_square / fit.mean_square)
     return evidence >= _MIN_EVIDENCE
 

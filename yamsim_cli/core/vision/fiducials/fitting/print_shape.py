@@ -1,4 +1,4 @@
-"""How far a print may lie out of its plane, how its markers are misplaced, and what that leaves open of its pose.
+"""The uncertainty of a pose from a print that is not flat and whose markers are misplaced.
 
 The print's shape is linearized in the same least squares as the pose: bow along x and y, twist, and a crease. Each
 shape hypothesis has a Gaussian prior on its modes, and a mixture of hypotheses makes the prior's tail broad. Their
@@ -21,7 +21,7 @@ from ....geometry.se3 import Array
 _BOW_MODES = 3  # bow along x, bow along y, twist
 _PLATE_SAG = 1e-4  # m, sigma of a bow or twist at the print's edge: paper glued to a rigid plate
 _BENT_SAG = 1e-3  # m, sigma of the same where the plate is bent or the paper lies loose
-_FOLD = math.radians(4.0)  # rad, sigma of a crease's fold angle: paper folded more is seen to be
+_FOLD = math.radians(4.0)  # rad, sigma of a crease's fold angle: larger folds are obvious to users
 _BENT_SHARE = 0.02  # prior probability of a bent print
 CREASED_SHARE = 0.08  # prior probability of a creased print
 _NEGLECTED = 0.15  # of the fold angle, sigma of what linear modes neglect: 180 creased photos stay in their intervals
@@ -64,7 +64,7 @@ def shape_modes(board: Board, at: Array) -> Array:
 
 
 def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
-    """Return how far points (n, 2) on a board move along x (n, m) and along y (n, m) with each mode, per metre.
+    """How far points (n, 2) on a board move along x (n, m) and along y (n, m) with each mode, per metre.
 
     A printer or a drawing program rounds alike the places of all markers of a column, those of a row, and the half edge
     of all markers. Without the latter, the markers' size would decide the print's scale, which places show better.
@@ -82,12 +82,12 @@ def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
 
 
 def mode_count(board: Board) -> int:
-    """Return how many modes a print has: of its height, then of its markers' placement."""
+    """The number of a print's modes: of its height, then of its markers' placement."""
     return _HEIGHT_MODES + board.columns + board.rows + 1
 
 
 def _hypotheses(boards: Sequence[Board], parameters: int, creased: float) -> list[tuple[list[int], list[float], float]]:
-    """Return of each hypothesis its modes' places among all parameters, their sigmas, and its prior probability."""
+    """For each hypothesis, its modes' indices among all parameters, their sigmas, and its prior probability."""
     counts = [mode_count(board) for board in boards]
     firsts = [parameters - sum(counts[piece:]) for piece in range(len(boards))]
     bows = [first + k for first in firsts for k in range(_BOW_MODES)]
@@ -112,8 +112,8 @@ def marginalized(
 
     Args:
         normal, gradient: (k, k) and (k,), of residuals that are not yet divided by their `variance`.
-        free: places of the parameters that are sought.
-        held: places of those that are not.
+        free: indices of the parameters that are fitted.
+        held: indices of the others.
         boards: of the prints, each with all modes.
         creased: prior probability of a creased print.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -18,18 +19,11 @@ from .smear import Smear
 
 Grey = NDArray[np.float32]
 
-# Points along a pixel's edge at which the print is drawn before averaging.
-_FINE = 3
-
-# Finer than this (px a cell), pixels only cost time.
-_ENOUGH_PX_A_CELL = 2.7
-
-# With less smear (its reach, px), nothing from beside the print gets as far as what is compared.
-_SHARP_REACH = 0.9
-
-# Pixels around the board that a pose may move it by.
-_MARGIN_PX = 3
-_LEAST_PX = 8
+_FINE = 3  # points along a pixel's edge at which the print is drawn before averaging
+_ENOUGH_PX_A_CELL = 2.7  # px a cell: a finer picture only costs time
+_SHARP_REACH = 0.9  # px, reach of a smear below which nothing beside the print affects the compared pixels
+_MARGIN_PX = 3  # px around the board, by which a fit may move the print
+_LEAST_PX = 8  # px, smallest side of a view
 
 
 @dataclass(frozen=True)
@@ -38,7 +32,7 @@ class Piece:
 
     Attributes:
         T_board_in_ref: pose (4, 4).
-        markers: places (k,) in `board.ids` of the markers to compare.
+        markers: indices (k,) into `board.ids` of the markers to compare.
     """
 
     board: Board
@@ -46,14 +40,19 @@ class Piece:
     markers: tuple[int, ...]
 
 
+def piece_of(board: Board, markers: Sequence[int] | None = None) -> Piece:
+    """A board alone, in its own frame, with some or all of its markers."""
+    return Piece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
+
+
 @dataclass(frozen=True)
 class PrintView:
-    """The part of the photo that shows a piece, and all that stays the same while the pose moves.
+    """The part of the photo that shows a piece, and what stays the same while the pose moves.
 
     Attributes:
-        photo: grey levels (rows, columns) of the part, `coarser` of the photo's pixels to one of its own.
-        centre_rays: viewing rays (n, 2) of its pixels, row by row.
-        px_per_ray: derivative (n, 2, 2) of its pixels by the rays.
+        photo: grey levels (rows, columns) of the part, reduced by the factor `coarser`.
+        centre_rays: viewing rays (n, 2) of the part's pixels, row by row.
+        px_per_ray: derivative (n, 2, 2) of the pixels by the rays.
         pattern, px_per_metre: the board's print, 0 black to 1 white, and its scale.
         field: rays (rows, columns, 2) of the points at which the print is drawn, `_FINE` x `_FINE` a pixel.
     """
@@ -75,12 +74,12 @@ class Drawing:
     Attributes:
         sharp: (rows, columns), 0 black to 1 white.
         grey: the same, smeared.
-        outside: (rows, columns, 2), how much of each pixel lies beside the print: left or right, and above or below;
-            None where too little of that is smeared into what is compared. What lies there is not known, and drawn as
-            if the outer markers' black went on.
-        beside: the same, smeared.
-        at: where on the board (n, 2) each pixel lies, in m of the board's own measures.
-        marker: which marker's surroundings (n,) the pixel shows and nothing else; -1 for none.
+        outside: (rows, columns, 2), share of each pixel that lies beside the print: left or right, and above or below;
+            None if too little is smeared into the compared pixels. The unknown surroundings are drawn as a continuation
+            of the outer markers' black.
+        beside: `outside`, smeared.
+        at: each pixel's place on the board (n, 2), m.
+        marker: the marker (n,) that the pixel shows, with half the gap around the marker; -1 for none.
     """
 
     sharp: Grey
@@ -156,7 +155,7 @@ def _inverse_2x2(matrices: Array) -> Array:
 
 
 def _pattern(board: Board, points_a_cell: float) -> tuple[Grey, float]:
-    """The print and its scale in px a metre, about as fine as the points it is sampled at."""
+    """The print and its scale in px a metre, about as fine as the points at which the print is sampled."""
     fine, px_per_metre = _fine_pattern(board)
     coarser = 4 if points_a_cell <= 5 else 2 if points_a_cell <= 10 else 1
     return _reduced(board, coarser) if coarser > 1 else fine, px_per_metre / coarser
@@ -164,7 +163,7 @@ def _pattern(board: Board, points_a_cell: float) -> tuple[Grey, float]:
 
 @functools.lru_cache(maxsize=32)
 def _fine_pattern(board: Board) -> tuple[Grey, float]:
-    """The print; markers are whole pixels, so gaps are not quite: in the scale whose rounding moves them least."""
+    """The print and its scale in px a metre. Markers are whole pixels, and gaps are rounded as little as possible."""
     step = (board.marker_length + board.gap) / board.marker_length
 
     def rounding(cell_px: int) -> float:
@@ -205,12 +204,11 @@ def draw_print(view: PrintView, plane: Array, smear: Smear) -> Drawing:
     shape = (view.photo.shape[1], view.photo.shape[0])
     outside = beside = None
     if smear.reach < _SHARP_REACH:
-        # What is compared lies too far inside for anything to be smeared into it.
         sharp = np.asarray(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), dtype=np.float32)
         grey = smear.of(sharp)
     else:
         past_x, past_y = np.abs(x) > board.width / 2, np.abs(y) > board.height / 2
-        # Past a corner, half of it is from either side.
+        # Past a corner, each side has half of the pixel.
         half = np.float32(1) / (np.float32(1) + (past_x & past_y))
         past = past_x * half, past_y * half
         every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -223,14 +221,14 @@ def draw_print(view: PrintView, plane: Array, smear: Smear) -> Drawing:
 
 
 def fine_places(view: PrintView, onto_board: Array) -> tuple[Grey, Grey]:
-    """Where on the board (m, right and up) each point lies at which the print is drawn.
+    """The places on the board (m, right and up) of the points at which the print is drawn.
 
     Args:
         onto_board: (3, 3) from viewing rays to the board.
     """
     field, A = view.field, onto_board.astype(np.float32)
     w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
-    # A ray along the board's plane never meets it.
+    # A ray along the board's plane never meets the plane.
     with np.errstate(divide="ignore"):
         x = (A[0, 0] * field[..., 0] + A[0, 1] * field[..., 1] + A[0, 2]) / w
         y = (A[1, 0] * field[..., 0] + A[1, 1] * field[..., 1] + A[1, 2]) / w
@@ -238,9 +236,9 @@ def fine_places(view: PrintView, onto_board: Array) -> tuple[Grey, Grey]:
 
 
 def _marker_at(view: PrintView, at: Array, smear: Smear) -> NDArray[np.int_]:
-    """Which of the piece's markers, with half the gap around it, each pixel shows; -1 for none.
+    """The piece's marker, with half the gap around, that each pixel shows; -1 for none.
 
-    Also -1 near what is not compared, from where something else (the table, a hand) may be blurred into the pixel.
+    Also -1 near other parts of the picture, such as the table or a hand, that may be blurred into the pixel.
     """
     board = view.piece.board
     step = board.marker_length + board.gap

@@ -1,9 +1,10 @@
-"""The poses that explain a flat board's outline at many focal lengths at once, and what a lens changes about it."""
+"""The poses that explain a flat board's outline at many focal lengths at once, and the effect of a lens."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 import numpy as np
@@ -13,16 +14,15 @@ from ....geometry.least_squares import LeastSquares, descend
 from ....geometry.se3 import Array
 from .outline import Outline
 
-# A pose's steps at most, and a gain (of chi squared, beside its own size) that is none.
-_STEPS, _NO_GAIN = 30, 1e-3
-# Points along a board's edge at which distortion is taken.
-_GRID = 5
-# A board's picture of less than this (longer sides squared) is seen edge-on.
-_EDGE_ON = 1e-6
-# Distortion with k1 = 1 that moves a point by so many longer sides is none.
-_MOST_BEND = 3.0
-# The longest turn of one step, rad.
-_MOST_TURN = 0.5
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_STEPS = 30  # steps of a pose at most
+_NO_GAIN = 1e-3  # gain of chi squared, over 1 + chi squared, that ends the steps
+_GRID = 5  # points along a board's edge at which distortion is evaluated
+_EDGE_ON = 1e-6  # longer sides squared, area of a board's picture below which the board is seen edge-on
+_MOST_BEND = 3.0  # longer sides, shift by distortion with k1 = 1 above which rounding dominates
+_MOST_TURN = 0.5  # rad, longest turn of one step
 
 
 def poses_of(outline: Outline, size: tuple[int, int], spread: Array) -> list[BoardPoses]:
@@ -45,7 +45,7 @@ def _starts(on_board: Array, seen: Array, spread: Array) -> list[Poses]:
         _, vectors, places, _ = cv2.solvePnPGeneric(
             points, seen * value, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
         )
-        # The last is the first again where there is but one.
+        # With one pose alone, the first is also the last.
         for pose, which in ((0, 0), (1, -1)):
             turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
             shifts[pose, k] = places[which].ravel()
@@ -54,7 +54,7 @@ def _starts(on_board: Array, seen: Array, spread: Array) -> list[Poses]:
 
 
 def _flat_moves(points: Array) -> Array:
-    """How points (k, 2) of a plane are moved by each of the eight ways in which flat maps differ: (2 k, 8)."""
+    """Shifts (2 k, 8) of points (k, 2) of a plane by each of the eight parameters of a homography."""
     x, y = points.T
     zero, one = np.zeros_like(x), np.ones_like(x)
     across, down = (one, zero, x, y, zero, zero, x * x, x * y), (zero, one, zero, zero, x, y, x * y, y * y)
@@ -63,7 +63,7 @@ def _flat_moves(points: Array) -> Array:
 
 
 def _inverses(matrices: Array) -> Array:
-    """Inverses of (..., 2, 2); huge where there is none, as of a board that is seen edge-on."""
+    """Inverses of (..., 2, 2); huge for singular matrices, as of a board that is seen edge-on."""
     a, b, c, d = (matrices[..., row, column] for row in (0, 1) for column in (0, 1))
     determinant = a * d - b * c
     determinant = np.where(np.abs(determinant) < _EDGE_ON, _EDGE_ON, determinant)
@@ -78,27 +78,28 @@ class Poses:
 
     Attributes:
         turns: rotations (n, 3, 3) of the board.
-        middles, sizes: where its middle is in the picture (n, 2), and how large it is there (n,).
+        middles, sizes: centre (n, 2) and size (n,) of the board in the picture.
     """
 
     turns: Array
     middles: Array
     sizes: Array
 
-    def where(self, take: NDArray[np.bool_], other: Poses) -> Poses:
-        """These for some focal lengths, others for the rest."""
-        return Poses(
-            np.where(take[:, None, None], self.turns, other.turns),
-            np.where(take[:, None], self.middles, other.middles),
-            np.where(take, self.sizes, other.sizes),
-        )
+
+R = TypeVar("R", bound="DataclassInstance")
+
+
+def choose(take: NDArray[np.bool_], one: R, other: R) -> R:
+    """One dataclass of arrays (n, ...) where `take` (n,) is true, and another elsewhere."""
+    arrays = zip(vars(one).items(), vars(other).values(), strict=True)
+    return replace(one, **{name: np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for (name, a), b in arrays})
 
 
 class BoardPoses:
-    """What one outline says of the poses of its board, for each of n focal lengths.
+    """The poses of a board that explain its outline, for each of n focal lengths.
 
-    With `size` for how large the board is in the picture and `middle` for where, a point u of the board, turned to y,
-    is seen at (middle + size y_xy) / (1 + spread size y_z): without a limit where the lens is ever longer.
+    With the board's `size` and `middle` in the picture, a point u of the board, turned to y, is seen at
+    (middle + size y_xy) / (1 + spread size y_z), which stays regular for infinitely long lenses.
     """
 
     def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: Poses) -> None:
@@ -110,19 +111,19 @@ class BoardPoses:
         self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
 
     def followed(self, poses: Poses, lens: Array) -> Poses:
-        """The poses near others that explain the outline best, seen through a lens (n, 3)."""
+        """The poses near given ones that explain the outline best, seen through a lens (n, 3)."""
         _, _, by_lens = self.equations(poses, lens)
-        # What distortion does hardly changes on the way.
+        # The effect of distortion hardly changes during the steps.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
         found = descend(_PoseProblem(self, lens, bend), poses, _STEPS)
-        assert found is not None  # the equations can always be written down
+        assert found is not None  # the equations exist at every state
         return found[0]
 
     def _bend(self, poses: Poses, at: Array, w: Array) -> Array:
-        """How far (n, 4, 2) distortion with k1 = 1 moves the four points of the outline.
+        """Shifts (n, 4, 2) of the four points of the outline by distortion with k1 = 1.
 
-        The outline is the flat map nearest to what is seen of the whole board, which distortion curves: so it is taken
-        all over the board, and the flat part of it goes to the four points.
+        The outline is the homography nearest to the whole board's picture, which distortion curves. So distortion is
+        evaluated all over the board, and its homography part moves the four points.
         """
         spread = self._spread[:, None]
         on_grid = self._grid @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
@@ -132,7 +133,7 @@ class BoardPoses:
         on_board = (_inverses(self._by_board(poses, grid, w_grid)) @ moved[..., None])[..., 0]
         flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
         moved_points = (self._by_board(poses, at, w) @ flat[..., None])[..., 0]
-        # Of a board seen edge-on, rounding makes anything.
+        # For a board seen edge-on, rounding dominates.
         possible = np.abs(moved_points).max(axis=(1, 2)) < _MOST_BEND
         return np.where(possible[:, None, None], moved_points, 0.0)
 
@@ -147,7 +148,7 @@ class BoardPoses:
         """Residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
 
         Args:
-            bend: how far (n, 4, 2) distortion with k1 = 1 moves the points, if it is known.
+            bend: shifts (n, 4, 2) of the points by distortion with k1 = 1, if known.
         """
         turned = self._on_board @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
         x, y, z = (turned[..., k] for k in range(3))
@@ -174,8 +175,6 @@ class BoardPoses:
 
 @dataclass(frozen=True)
 class _Linear:
-    """Residuals (n, 8), and their derivatives (n, 8, 6) by the poses."""
-
     residual: Array
     by_pose: Array
 
@@ -196,7 +195,7 @@ class _Linear:
 
 
 class _PoseProblem(LeastSquares[Poses, _Linear]):
-    """Least squares over the poses at all focal lengths, each for itself, with what distortion does to the outline."""
+    """Least squares over the poses, separately at each focal length, with fixed shifts by distortion."""
 
     def __init__(self, board: BoardPoses, lens: Array, bend: Array) -> None:
         self._board, self._lens, self._bend = board, lens, bend
@@ -225,6 +224,4 @@ class _PoseProblem(LeastSquares[Poses, _Linear]):
     def better_of(
         self, better: NDArray[np.bool_], there: tuple[Poses, _Linear], here: tuple[Poses, _Linear]
     ) -> tuple[Poses, _Linear]:
-        residual = np.where(better[:, None], there[1].residual, here[1].residual)
-        by_pose = np.where(better[:, None, None], there[1].by_pose, here[1].by_pose)
-        return there[0].where(better, here[0]), _Linear(residual, by_pose)
+        return choose(better, there[0], here[0]), choose(better, there[1], here[1])

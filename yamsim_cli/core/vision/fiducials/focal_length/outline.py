@@ -1,8 +1,8 @@
-"""Where a board's print lies in a photo, without any camera: the plane-to-plane map that it is seen through.
+"""Where a board's print lies in a photo, without any camera: the homography from the board to the photo.
 
-A flat print seen by any lens without distortion is mapped by eight numbers. They are told here as four points of the
-picture, and found as poses are: by drawing the print and moving it until it agrees with the photo. What a camera and a
-pose have to do with them comes later (`perspective`), and costs nothing to try.
+Any lens without distortion maps a flat print by eight numbers, here four points of the picture. They are fitted as
+poses are: the print is drawn and moved until it agrees with the photo. `estimate` then evaluates which cameras and
+poses explain the four points.
 """
 
 from __future__ import annotations
@@ -21,26 +21,21 @@ from ....geometry.camera import CameraModel
 from ....geometry.se3 import Array
 from ...lens import rays
 from ..fitting.align import BLUR_RANGE
-from ..fitting.descent import PrintProblem, System, weighed
 from ..fitting.fits import SAME_PRINT
-from ..fitting.linearize import Pixels, linearized
+from ..fitting.normal_equations import Pixels, PrintProblem, System, linearized, weighed
 from ..fitting.print_view import Piece, PrintView, view_print
 from ..fitting.smear import Smear
 from ..markers import Group
 
-# How far each point is off in a photo without noise, in the pixels that are compared: these stand for an area, and
-# drawing it by a few points errs. Source: 350 outlines of random views; with it and the noise alone, 95 % of squared
-# distances are within those of a normal distribution, in sharp and blurred, small and large photos.
+# Error of each point in a photo without noise, compared px: the print is drawn by a few points a pixel. Source: 350
+# outlines of random views; with this error and the noise, 95 % of squared distances are within those of a normal
+# distribution, in sharp and blurred, small and large photos.
 _LEAST_PX = 0.003
-
-# How far the truth lies from what is found, over what noise alone explains: the print's shape and placement are not
-# marginalized here. Source: `python -m tests.bench.intervals`.
+# Standard deviations over those from noise alone: the print's shape and placement are not marginalized here.
+# Source: `python -m tests.bench.intervals`.
 _INFLATION = 2.0
-
-_USUAL_BLUR = 0.9
-
-# What is varied: the blur, no motion, and the map.
-_FREE = (0, *range(3, 11))
+_USUAL_BLUR = 0.9  # px, start of a fit
+_FREE = (0, *range(3, 11))  # indices of the fitted parameters: the blur, no motion, and the map
 
 
 @dataclass(frozen=True)
@@ -49,9 +44,9 @@ class Outline:
 
     Attributes:
         on_board: four points (4, 2) of the board, m.
-        points: where the photo has them (4, 2), px.
-        covariance: (8, 8) of these, x and y by turns, px squared.
-        markers: places in `board.ids` of the markers that agree with it.
+        points: the same points in the photo (4, 2), px.
+        covariance: (8, 8) of `points`, x and y alternating, px squared.
+        markers: indices into `board.ids` of the markers that agree.
     """
 
     board: Board
@@ -62,23 +57,23 @@ class Outline:
 
 
 def outline_of(photo: NDArray[np.float32], group: Group, board: Board) -> Outline | None:
-    """Where the print of a group of markers lies; None where the photo does not determine it.
+    """Where the print of a group of markers lies; None where the photo does not determine the place.
 
     Args:
         photo: grey levels (height, width).
     """
     height, width = photo.shape
-    # Any lens would do: the map takes it out again.
+    # Any lens would do, since the result is in pixels again.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     corners = board.corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
     plane: Any = cv2.findHomography(corners, rays(camera, group.corners.reshape(-1, 2)))[0]
-    # None where corners lie in one line, which OpenCV's type hints do not know of.
+    # OpenCV returns None where corners lie in one line.
     if plane is None:
         return None
     found = _fitted(photo, camera, board, group.places, np.asarray(plane, dtype=np.float64))
     if found is None:
         return None
-    # Markers hidden since, or read wrongly, are left out.
+    # Markers that are hidden in part or misread are left out.
     agreeing = tuple(k for k, tile in found[2].tiles[0].items() if tile.correlation >= SAME_PRINT)
     if not agreeing:
         return None
@@ -111,13 +106,11 @@ def _fitted(
 
 
 class _PlaneProblem(PrintProblem[_State]):
-    """Least squares over the map's eight numbers and the blur."""
-
     def __init__(self, view: PrintView, focal: float) -> None:
         super().__init__()
         self._view, self._focal = view, focal
         board = view.piece.board
-        # In half boards, the eight numbers are of a size.
+        # In half boards, the eight numbers have similar sizes.
         self._per_metre = 2 / max(board.width, board.height)
         half = np.array([board.width, board.height]) / math.sqrt(12)
         self._on_board = half * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
@@ -129,7 +122,7 @@ class _PlaneProblem(PrintProblem[_State]):
         return weighed([linearized(self._view, state.plane, Smear(state.blur), columns)], noise, _FREE)
 
     def _by_map(self, state: _State, at: Array, seen: Array, by_ray: Array) -> Array:
-        """Derivatives (n, 8) by the map of what changes by `by_ray` (n, 2) with the rays."""
+        """Derivatives (n, 8) by the map, from those by the viewing rays, `by_ray` (n, 2)."""
         w = np.column_stack([at, np.ones(len(at))]) @ state.plane[2]
         u = np.column_stack([at * self._per_metre, np.ones(len(at))]) / w[:, None]
         along = (by_ray * seen).sum(axis=1, keepdims=True)
@@ -156,7 +149,7 @@ class _PlaneProblem(PrintProblem[_State]):
         return np.stack(by, axis=1).reshape(8, 8)
 
     def outline(self, state: _State, system: System, camera: CameraModel, markers: tuple[int, ...]) -> Outline | None:
-        """What was found, with its uncertainty."""
+        """The outline at a state; None where the pixels do not determine the map."""
         try:
             covariance = np.linalg.inv(system.normal)[1:, 1:] * system.noise**2
         except np.linalg.LinAlgError:

@@ -1,9 +1,9 @@
-"""How surely a print is the board that it is taken for: its markers' bits against chance.
+"""The evidence that a print is a certain board: its markers' bits against chance.
 
-At a supposed pose, the bits of each marker are estimated from the photo by least squares, blur and all: a number for
-each, that is positive for white. Nothing of what the board's bits should be goes into that. So if the photo shows
-anything else, be it another board, another turn, another dictionary or no board at all, the board's own bits are to
-these numbers like tosses of a coin, and how often chance makes them agree so well has a known bound.
+At a supposed pose, the bits of each marker are estimated from the photo by least squares, blur included: a number for
+each bit, positive for white. The estimates do not depend on the board's bits. If the photo shows anything else (another
+board, turn or dictionary, or no board), the board's bits are coin tosses against the estimates, and the probability
+that they agree so well has a known bound.
 """
 
 from __future__ import annotations
@@ -20,19 +20,18 @@ from ....geometry.se3 import Array
 from ..fitting.print_view import Drawing, PrintView, draw_print, fine_places
 from ..fitting.smear import Smear
 
-# A marker of fewer pixels says nothing.
-_LEAST_PIXELS = 12
+_LEAST_PIXELS = 12  # fewest pixels of a marker whose bits are estimated
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What bits say of a board.
+    """The agreement of bits in a photo with a board's.
 
     Attributes:
-        log_chance: natural logarithm of a bound on how often chance makes the bits agree so well, at one pose.
-        markers: places in `board.ids` of those that agree.
-        agreement: for each marker that is seen, the sum over its bits of estimate times truth (-1 and 1), where the
-            estimates have length 1: its square root of bits if they all agree.
+        log_chance: natural logarithm of a bound on the probability of such agreement by chance, at one pose.
+        markers: indices into `board.ids` of the markers that agree.
+        agreement: for each marker that is seen, the sum over its bits of estimate times truth (-1 and 1). The estimates
+            of a marker have length 1.
     """
 
     log_chance: float
@@ -41,7 +40,7 @@ class Evidence:
 
 
 def evidence(view: PrintView, plane: Array, smear: Smear, noise: float) -> Evidence:
-    """What the photo says of a piece's board at a pose.
+    """The evidence for a piece's board at a pose.
 
     Args:
         plane: where the print lies, as for `draw_print`.
@@ -61,10 +60,10 @@ def evidence(view: PrintView, plane: Array, smear: Smear, noise: float) -> Evide
 
 
 def least_chance(agreement: dict[int, float]) -> tuple[float, tuple[int, ...]]:
-    """The bound on chance (its natural logarithm) for the set of markers that makes it least, and that set.
+    """The set of markers with the least bound on chance: the bound's natural logarithm, and the set.
 
-    By Hoeffding's inequality, a sum of coin tosses, weighted to a length of 1, exceeds z in no more than exp(-z^2 / 2)
-    of all cases. All sets of markers that might have been taken instead are counted.
+    By Hoeffding's inequality, a sum of coin tosses, weighted to a length of 1, exceeds z with a probability of at most
+    exp(-z^2 / 2). The bound is multiplied by the number of all sets that could have been chosen.
     """
     order = sorted(agreement, key=lambda k: -agreement[k])
     best, taken, total = 0.0, tuple[int, ...](), 0.0
@@ -85,7 +84,7 @@ def bits_of(board: Board) -> Array:
 
 
 def _cells(view: PrintView, plane: Array) -> NDArray[np.int_]:
-    """Which bit (rows, columns) each point shows at which the print is drawn: marker by marker, -1 for none."""
+    """The bit (rows, columns), counted marker by marker, at each point at which the print is drawn; -1 for none."""
     board = view.piece.board
     x, y = fine_places(view, np.linalg.inv(plane).astype(np.float64))
     step, side = board.marker_length + board.gap, marker_cells(board).shape[1]
@@ -109,7 +108,7 @@ def _estimated(
     bits: Array,
     noise: float,
 ) -> Array | None:
-    """A marker's bits (k,) as the photo has them, of length 1 in all; None where it is not seen."""
+    """A marker's bits (k,) estimated from the photo, scaled to length 1; None where the marker is not seen."""
     rows, columns = view.photo.shape
     use = (drawing.marker == marker).reshape(rows, columns)
     count, fine = len(bits), cells.shape[0] // rows
@@ -124,13 +123,13 @@ def _estimated(
     fine_part = np.s_[top * fine : (bottom + 1) * fine, left * fine : (right + 1) * fine]
     which, points = cells[fine_part] - marker * count, mine[fine_part]
     y, x = (at // fine for at in np.nonzero(points))
-    # How much of each pixel each bit covers, and how it is smeared.
+    # The share of each pixel that each bit covers, smeared.
     share = np.bincount((y * wide + x) * count + which[points], minlength=high * wide * count).astype(np.float32)
     smeared = smear.of(share.reshape(high, wide, count) / fine**2)
     inside = use[part]
     by_bit = smeared[inside].astype(np.float64)
     drawn, photo = (picture[part][inside].astype(np.float64) for picture in (drawing.grey, view.photo))
-    # What the border and the light do is no word on the bits.
+    # The effects of border and light are projected out.
     rest = drawn - by_bit @ (bits / 2)
     across, down = np.meshgrid(np.linspace(-1, 1, wide), np.linspace(-1, 1, high))
     light = [np.ones(len(rest)), across[inside], down[inside], rest]
@@ -138,7 +137,7 @@ def _estimated(
         light += [*drawing.beside[part][inside].T]
     q, _ = np.linalg.qr(np.column_stack(light))
     by_bit, photo = by_bit - q @ (q.T @ by_bit), photo - q @ (q.T @ photo)
-    # Bits are expected to be about as strong as what there is to explain: weaker ones would be noise made larger.
+    # The prior strength of bits is that of the signal, so that noise is not amplified.
     strength = max(float(photo @ photo) / max(float((by_bit**2).sum()), 1e-9), 1e-9)
     normal = by_bit.T @ by_bit + noise**2 / strength * np.eye(count)
     found = np.linalg.solve(normal, by_bit.T @ photo)
