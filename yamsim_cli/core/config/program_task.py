@@ -25,7 +25,7 @@ from ..documents.units import (
 from ..errors import suggest
 from ..goals.cast import Cast
 from ..goals.goal import Goal
-from ..goals.predicates.on import On
+from ..goals.predicates import On
 from ..goals.world import TABLE
 from .things.scaled import scaled
 from .things.thing import ObjectConfig

@@ -89,7 +89,7 @@ class MeasureRecord(Record):
 
     @property
     def is_distance(self) -> bool:
-        """Whether it measures how far a thing lies from the centre of what it lies on, see `goals.predicates.on`."""
+        """Whether it measures how far a thing lies from the centre of what it lies on, see `goals.predicates.On`."""
         return self.unit == "m" and self.what.startswith("on(")
 
 

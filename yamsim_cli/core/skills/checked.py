@@ -16,7 +16,7 @@ from ..geometry.folding import ways_to_fold
 from ..geometry.se3 import Array
 from ..goals.cast import Cast
 from ..goals.contradictions import contradiction
-from ..goals.predicates.hung import Hung
+from ..goals.predicates import Hung
 from ..goals.world import TABLE
 from ..scene.robot import bare_arm
 from .base import Skill
