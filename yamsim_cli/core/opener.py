@@ -206,10 +206,8 @@ class Opener:
         return ("task", "things", setting, "of")
 
     def _at_rate(self, fps: float, timing: ProgramTiming) -> dict[KeyPath, tuple[str, Any]]:
-        from .config.frame_rate import at_rate
-
         try:
-            changed = at_rate(timing, fps)
+            changed = timing.at_rate(fps)
         except ValueError as error:
             raise UsageError(f"{self.spell('fps')}: {error}") from None
         return {("task", "timing", key): (self.spell("fps"), value) for key, value in changed.items()}

@@ -46,8 +46,6 @@ class Reference:
 
     kind: str
 
-    kind: str
-
 
 class ConflictError(ValueError):
     """Several values contradict each other. The message names the value that a flag gave, or else the first.

@@ -20,6 +20,7 @@ from .shapes import DENSITY, Shape
 MADE = "made"
 
 _BODY = "body"
+_POWERS = {"_mm": 1, "_g": 3}  # how a key of a shape ends -> power of the scale factor by which its value grows
 
 _SHAPE: TypeAdapter[Shape] = TypeAdapter(Shape)
 
@@ -59,6 +60,23 @@ def made_from(data: Mapping[str, Any]) -> dict[str, Any]:
         # Checking the whole config names the fault and its line.
         return {}
     return made_object(str(data.get("name")), shape)
+
+
+def scaled_shape(shape: Shape, factor: float) -> Shape:
+    """The shape with all lengths times a factor, and its mass times the cube of the factor.
+
+    Raises:
+        ValidationError: no thing can be made in these sizes.
+    """
+    data = shape.model_dump(mode="json", exclude_none=True)
+    return _SHAPE.validate_python({key: _scaled(key, value, factor) for key, value in data.items()})
+
+
+def _scaled(key: str, value: Any, factor: float) -> Any:
+    power = next((power for unit, power in _POWERS.items() if key.endswith(unit)), 0)
+    if not power:
+        return value
+    return [each * factor**power for each in value] if isinstance(value, list) else value * factor**power
 
 
 def made_object(name: str, shape: Shape) -> dict[str, Any]:

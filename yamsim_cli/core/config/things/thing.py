@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, ValidationInfo, model_validator
 
 from ...documents.base import Config, ConflictError, Name
 from ...documents.document import Document
@@ -15,7 +15,7 @@ from ...documents.units import Distance, Heading, OffsetPoint, Within
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .articulation import Handle, Link
 from .cloth import Cloth, cloth_object
-from .made import MADE, made_from
+from .made import MADE, made_from, made_object, scaled_shape
 from .parts import Contact as Contact
 from .parts import Inertia as Inertia
 from .parts import ObjectMesh as ObjectMesh
@@ -210,6 +210,35 @@ class ObjectConfig(Config):
 
         meshes = {"mesh": named(self.mesh), "meshes": tuple(named(mesh) for mesh in self.meshes)}
         return self.model_copy(update={"name": name, **meshes})
+
+    def scaled(self, factor: float) -> ObjectConfig:
+        """The thing with all lengths times a factor; its mass and its grasps follow.
+
+        Raises:
+            ValueError: the thing is not made from sizes alone, or cannot be made in these sizes.
+        """
+        if factor == 1.0:
+            return self
+        if self.shape is None:
+            raise ValueError(f"the {self.name} has no `shape`, and only what is made from its sizes has others")
+        given = self.model_dump(mode="json")
+        made = self._made_again(self.shape).model_dump(mode="json")
+        if own := sorted(key for key in given if given[key] != made.get(key)):
+            raise ValueError(f"the {self.name} has `{own[0]}` beside its `shape`, which does not grow with it")
+        try:
+            return self._made_again(scaled_shape(self.shape, factor))
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"])
+            reason = first["msg"].removeprefix("Value error, ")
+            raise ValueError(f"the {self.name} cannot be made {factor:g} times as large: {where}: {reason}") from error
+
+    def _made_again(self, shape: Shape) -> ObjectConfig:
+        """The thing with everything that follows from a shape replaced."""
+        made = made_object(self.name, shape)
+        given = self.model_dump(mode="json")
+        kept = {key: value for key, value in given.items() if key not in made and key not in ("grasp", "support")}
+        return ObjectConfig.model_validate({**kept, "shape": shape.model_dump(mode="json", exclude_none=True), **made})
 
     def with_places(self, points: Sequence[GraspPoint]) -> ObjectConfig:
         """The same thing, held by friction at other places, the best first; it needs a friction grasp already."""
