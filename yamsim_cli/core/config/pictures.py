@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ..documents.base import Config, Name
+from ..documents.base import Config, Name, omit_default
 from ..documents.units import Within
 
 
@@ -43,10 +43,7 @@ class RenderConfig(Config):
     supersampling: float = Field(ge=1, le=4)
     shadow_map_px: int = Field(ge=0, le=8192)
     shadow_lights: int = Field(ge=0, le=8)
-    # Left out where it is what it was before it could be chosen, so that older datasets say what they always said.
-    shadow_reach_m: Annotated[
-        FiniteFloat, Within("m", 0.2, 5), Field(exclude_if=lambda reach: reach == SHADOW_REACH)
-    ] = SHADOW_REACH
+    shadow_reach_m: Annotated[FiniteFloat, Within("m", 0.2, 5), omit_default(SHADOW_REACH)] = SHADOW_REACH
     reduced_meshes: bool
     reflections: bool
     slices: int = Field(ge=8, le=128, multiple_of=4)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
-from ..documents.base import Config, ConflictError, Name, Positive, Range, Reference, ordered
+from ..documents.base import OMIT_NONE, Config, ConflictError, Name, Positive, Range, Reference, ordered
 from ..documents.units import ReachRange, Within
 from .things.thing import ObjectConfig
 
@@ -178,7 +178,7 @@ class RandomizationConfig(Config):
     objects: LookRanges | None = None
     distractors: Distractors | None = None
     picture: PictureRanges | None = None
-    arm_dynamics: Annotated[ArmRanges | None, Field(exclude_if=lambda found: found is None)] = None
+    arm_dynamics: Annotated[ArmRanges | None, OMIT_NONE] = None
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from ..documents.base import Config, ConflictError, Name, Quaternion, Reference
+from ..documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Reference
 from ..documents.units import Heading, PlacePoint, Within, as_recorded
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
@@ -143,7 +143,7 @@ class ArmConfig(Config):
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
     model: Annotated[ArmModel, Reference("robots"), *_BY_NAME]
     gripper: Annotated[Gripper, Reference("grippers"), *_BY_NAME]
-    dynamics: Annotated[Dynamics | None, Reference("revisions"), Field(exclude_if=lambda found: found is None)] = None
+    dynamics: Annotated[Dynamics | None, Reference("revisions"), OMIT_NONE] = None
     base: BasePose = BasePose()
     grasp_offset: Annotated[FiniteFloat, Within("m", 0.01, 0.5)] | None = None
     wrist_camera: WristCamera
@@ -235,7 +235,7 @@ class RigConfig(Config):
     name: Name
     margin: Annotated[FiniteFloat, Within("m", 0, 3)] = 0.0
     arms: tuple[ArmConfig, ...] = Field(min_length=1, max_length=2)
-    cameras: Annotated[tuple[RigCamera, ...], Field(exclude_if=lambda cameras: not cameras)] = ()
+    cameras: Annotated[tuple[RigCamera, ...], OMIT_EMPTY] = ()
 
     @property
     def camera_names(self) -> tuple[str, ...]:

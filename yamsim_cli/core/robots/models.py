@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from ..documents.base import Config, ConflictError, Name, Quaternion, Vector, ordered
+from ..documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Vector, ordered
 from ..documents.document import Document, load_yaml
 from ..documents.units import FieldOfView, JointAngle, Offset, OffsetPoint, Within
 from ..errors import ConfigError
@@ -134,7 +134,7 @@ class CameraMode(Config):
 
 
 Fovy = Annotated[FieldOfView, Field(gt=1, lt=179)]
-Modes = Annotated[tuple[CameraMode, ...], Field(exclude_if=lambda modes: not modes)]
+Modes = Annotated[tuple[CameraMode, ...], OMIT_EMPTY]
 
 
 class WristCamera(Config):
@@ -151,7 +151,7 @@ class WristCamera(Config):
     y_axis: Vector
     fovy_deg: Fovy
     modes: Modes = ()
-    name: Annotated[Name | None, Field(exclude_if=lambda name: name is None)] = None
+    name: Annotated[Name | None, OMIT_NONE] = None
 
     def fovy(self, size: tuple[int, int]) -> float:
         """Vertical field of view of images of a size (width, height), degrees."""

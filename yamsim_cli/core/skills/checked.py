@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from ..config.holding import check_fingers
 from ..config.program_task import ProgramTask
-from ..config.recording import RecordConfig
+from ..config.recording import RecordConfig, check_fingers
 from ..config.things.thing import ObjectConfig
 from ..documents.base import Config, ConflictError
 from ..geometry.folding import ways_to_fold

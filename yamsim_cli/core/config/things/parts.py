@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ...documents.base import Config, NonNegative, Quaternion, Rgba
+from ...documents.base import OMIT_NONE, Config, NonNegative, Quaternion, Rgba, omit_default
 from ...documents.units import OffsetPoint, PlacePoint, Within
 
 _Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
@@ -27,9 +27,7 @@ class Contact(Config):
 
     friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
     condim: Literal[1, 3, 4, 6] = 3
-    push_out_s: Annotated[FiniteFloat, Within("s", 0.004, 0.5), Field(exclude_if=lambda time: time == _PUSH_OUT)] = (
-        _PUSH_OUT
-    )
+    push_out_s: Annotated[FiniteFloat, Within("s", 0.004, 0.5), omit_default(_PUSH_OUT)] = _PUSH_OUT
 
 
 class ObjectMesh(Config):
@@ -48,11 +46,10 @@ class ObjectMesh(Config):
     file: str
     origin: PlacePoint
     rgba: Rgba
-    # Left out where there is none, so that what was written before there were any stays as it is.
-    texture: Annotated[str | None, Field(exclude_if=lambda texture: texture is None)] = None
+    texture: Annotated[str | None, OMIT_NONE] = None
     specular: float = Field(default=0.2, ge=0, le=1)
     shininess: float = Field(default=0.3, ge=0, le=1)
-    castshadow: Annotated[bool, Field(exclude_if=lambda cast: cast)] = True
+    castshadow: Annotated[bool, omit_default(True)] = True
 
 
 class Inertia(Config):

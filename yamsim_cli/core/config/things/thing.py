@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, ValidationError, ValidationInfo, model_validator
 
-from ...documents.base import Config, ConflictError, Name
+from ...documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, omit_default
 from ...documents.document import Document
 from ...documents.units import Distance, Heading, OffsetPoint, Within
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
@@ -40,9 +40,7 @@ class GraspPoint(Config):
     position: OffsetPoint
     axis_deg: Heading
     opening: Annotated[FiniteFloat, Within("m", 0, 1)]
-    tilt_deg: Annotated[
-        Annotated[FiniteFloat, Within("degrees", -90, 90)] | None, Field(exclude_if=lambda tilt: tilt is None)
-    ] = None
+    tilt_deg: Annotated[Annotated[FiniteFloat, Within("degrees", -90, 90)] | None, OMIT_NONE] = None
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
         """The pinch frame (4, 4) in the object's: z into it, y along the closing axis, either way round."""
@@ -69,8 +67,8 @@ class FrictionGrasp(Config):
 
     force: Annotated[FiniteFloat, Within("N", 0.05, 500)]
     points: Annotated[tuple[GraspPoint, ...], Field(min_length=1)]
-    around: Annotated[bool, Field(exclude_if=lambda around: not around)] = False
-    hands: Annotated[Literal[1, 2], Field(exclude_if=lambda hands: hands == 1)] = 1
+    around: Annotated[bool, OMIT_EMPTY] = False
+    hands: Annotated[Literal[1, 2], omit_default(1)] = 1
 
 
 class Grasp(GraspPoint):
@@ -97,10 +95,6 @@ class Grasp(GraspPoint):
         return tuple(
             (x + side * reach * math.cos(angle), y + side * reach * math.sin(angle), radius) for side in (-1, 1)
         )
-
-
-# Left out where there are none, so that what was written before there could be any stays as it is.
-_UNLESS_EMPTY = Field(exclude_if=lambda parts: not parts)
 
 
 # Families of shapes that have no upper side.
@@ -130,22 +124,22 @@ class ObjectConfig(Config):
     """
 
     name: Name
-    shape: Annotated[Shape | None, Field(exclude_if=lambda shape: shape is None)] = None
-    cloth: Annotated[Cloth | None, Field(exclude_if=lambda cloth: cloth is None)] = None
+    shape: Annotated[Shape | None, OMIT_NONE] = None
+    cloth: Annotated[Cloth | None, OMIT_NONE] = None
     mesh: ObjectMesh
-    meshes: Annotated[tuple[ObjectMesh, ...], _UNLESS_EMPTY] = ()
+    meshes: Annotated[tuple[ObjectMesh, ...], OMIT_EMPTY] = ()
     inertia: Inertia
     contact: Contact = Contact()
     collision: tuple[CollisionPart, ...] = Field(min_length=1)
     look: tuple[Primitive, ...] = ()
     rest_height: Distance
-    support: Annotated[Distance | None, Field(exclude_if=lambda height: height is None)] = None
+    support: Annotated[Distance | None, OMIT_NONE] = None
     preposition: Literal["on", "in"] = "on"
     grasp: Grasp | None = None
-    rests: Annotated[Literal["upright", "any"] | None, Field(exclude_if=lambda rests: rests is None)] = None
-    base: Annotated[Literal["free", "fixed"], Field(exclude_if=lambda base: base == "free")] = "free"
-    links: Annotated[tuple[Link, ...], _UNLESS_EMPTY] = ()
-    handles: Annotated[tuple[Handle, ...], _UNLESS_EMPTY] = ()
+    rests: Annotated[Literal["upright", "any"] | None, OMIT_NONE] = None
+    base: Annotated[Literal["free", "fixed"], omit_default("free")] = "free"
+    links: Annotated[tuple[Link, ...], OMIT_EMPTY] = ()
+    handles: Annotated[tuple[Handle, ...], OMIT_EMPTY] = ()
 
     @classmethod
     def read(cls, path: Path) -> Document:
