@@ -65,7 +65,7 @@ FLOORS: dict[str, int] = {
     "core.overlay": 9,
     "core.record": 9,
     "core.identify": 9,
-    "core.robots_there": 9,
+    "core.robot_catalog": 9,
     "core.summarize": 9,
     "core.trials": 9,
     "core.gap_photos": 10,

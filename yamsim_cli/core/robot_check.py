@@ -1,8 +1,9 @@
-"""Writes the skeleton of an arm, and checks an arm of one's own."""
+"""Writes the files of a new arm, and checks an arm of the user's own."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,94 @@ from .config.scene import SceneConfig
 from .errors import ConfigError, SimulationError, UsageError
 from .files import refusal, write_file
 from .resources import Locations
+from .robot_catalog import robot_there
 from .robots.models import ArmModel
-from .robots.skeleton import arm_files
-from .robots_there import robot_there
 from .scene.build import build_rig_scene
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_HOLD_S = 1.0  # s, for how long the arm is to hold its home: long enough for drives to settle
-_MOST_SAG = 0.1  # rad, how far a joint may then be off home: more means a drive that cannot bear the arm
+_HOLD_S = 1.0  # s, for which the arm holds its home: long enough for drives to settle
+_MAX_SAG = 0.1  # rad, largest deviation of a joint from home then: beyond, a drive cannot bear the arm
+
+_YAML = """\
+# The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.
+mjcf: arm.xml
+source: a skeleton, its figures are invented   # where your figures are from
+base: base_link     # the body in arm.xml whose frame is the arm's base frame
+flange: flange      # the last body; a gripper becomes part of it
+
+# From the base to the flange: stops, rad; the motor's no-load speed at the joint, revolutions a minute; and the fastest
+# motion that the drive reports, rad/s. The names are those of joints, and of their drives, in arm.xml.
+joints:
+- {{name: joint1, range: [-3.0, 3.0], motor_rpm: 52.5, reported_rad_s: 10}}
+- {{name: joint2, range: [-1.8, 1.8], motor_rpm: 52.5, reported_rad_s: 10}}
+- {{name: joint3, range: [0.0, 2.8], motor_rpm: 52.5, reported_rad_s: 10}}
+- {{name: joint4, range: [-0.5, 3.0], motor_rpm: 200, reported_rad_s: 30}}
+- {{name: joint5, range: [-1.5, 1.5], motor_rpm: 200, reported_rad_s: 30}}
+- {{name: joint6, range: [-3.1, 3.1], motor_rpm: 200, reported_rad_s: 30}}
+home: [0, -0.4, 2.0, 1.5, 0, 0]      # at rest, rad
+start: [0, 0.3, 1.29, 1.55, 0, 0]    # where tasks start, rad
+
+# Gripper -> how it sits on the flange: `mount: {{position: [x, y, z], quat: [w, x, y, z]}}`, m.
+grippers:
+  linear_4310: {{}}
+"""
+
+_XML = """\
+<!-- From the base to the flange, with a position drive for each joint. Lengths in m, masses in kg. -->
+<mujoco model="{name}">
+  <compiler angle="radian" autolimits="true"/>
+  <option integrator="implicitfast"/>
+  <default>
+    <default class="{name}">
+      <joint axis="0 1 0" armature="0.02" frictionloss="0.1"/>
+      <!-- kp in N m/rad, kv in N m s/rad, torques in N m; the range is that of the joint. -->
+      <position inheritrange="1" kp="80" kv="5" forcerange="-28 28"/>
+      <!-- What collides; its masses are in the <inertial> of each body. -->
+      <geom type="capsule" size="0.025" group="3" mass="0" rgba="0.5 0.5 0.5 1"/>
+    </default>
+  </default>
+  <worldbody>
+    <body name="base_link" childclass="{name}">
+      <inertial mass="1" pos="0 0 0.02" diaginertia="0.002 0.002 0.002"/>
+      <geom type="cylinder" size="0.05 0.02" pos="0 0 0.02"/>
+      <!-- gravcomp="1": the drives make up for the body's weight. -->
+      <body name="link1" pos="0 0 0.06" gravcomp="1">
+        <inertial mass="0.3" pos="0 0 0.02" diaginertia="0.0002 0.0002 0.0002"/>
+        <joint name="joint1" axis="0 0 1"/>
+        <body name="link2" pos="0 0 0.06" gravcomp="1">
+          <inertial mass="0.8" pos="0 0 0.17" diaginertia="0.008 0.008 0.0004"/>
+          <joint name="joint2"/>
+          <geom fromto="0 0 0 0 0 0.30"/>
+          <body name="link3" pos="0 0 0.34" gravcomp="1">
+            <inertial mass="0.5" pos="0 0 0.16" diaginertia="0.004 0.004 0.0003"/>
+            <joint name="joint3"/>
+            <geom fromto="0 0 0.06 0 0 0.24" size="0.02"/>
+            <body name="link4" pos="0 0 0.30" gravcomp="1">
+              <inertial mass="0.2" pos="0 0 0.02" diaginertia="0.0002 0.0002 0.0002"/>
+              <joint name="joint4"/>
+              <body name="link5" pos="0 0 0.05" gravcomp="1">
+                <inertial mass="0.2" pos="0 0 0.02" diaginertia="0.0002 0.0002 0.0002"/>
+                <joint name="joint5" axis="1 0 0"/>
+                <body name="flange" pos="0 0 0.04" gravcomp="1">
+                  <inertial mass="1e-6" pos="0 0 0" diaginertia="1e-9 1e-9 1e-9"/>
+                  <joint name="joint6" axis="0 0 1"/>
+                </body>
+              </body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+{drives}
+  </actuator>
+</mujoco>
+"""
 
 
 def new_robot(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
-    """Write the skeleton of an arm under a root of data, and return its files.
+    """Write the files of a new arm under a root of data, and return their paths.
 
     Raises:
         UsageError: the name is not valid or taken, or the folder cannot be written.
@@ -40,7 +117,7 @@ def new_robot(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
     paths = []
     try:
         folder.mkdir(parents=True)
-        for file, text in arm_files(name).items():
+        for file, text in _arm_files(name).items():
             write_file(folder / file, text.encode())
             paths.append(folder / file)
     except OSError as error:
@@ -48,16 +125,23 @@ def new_robot(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
     return tuple(paths)
 
 
+def _arm_files(name: str) -> Mapping[str, str]:
+    """File name -> text of an arm of six joints, with comments for the user."""
+    names = [f"joint{k}" for k in range(1, 7)]
+    drives = "\n".join(f'    <position name="{one}" joint="{one}" class="{name}"/>' for one in names)
+    return {"model.yaml": _YAML.format(name=name), "arm.xml": _XML.format(name=name, drives=drives)}
+
+
 def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
     """Check an arm with each gripper that fits: it compiles, and its drives hold it at home.
 
     Returns:
-        For each gripper: `gripper`, `ok` (None where the pair is no rig by itself, as without a wrist camera),
-        `sag_rad` (the most that a joint is off home), `detail`.
+        For each gripper: `gripper`, `ok` (None where the pair makes no rig, such as without a wrist camera), `sag_rad`
+        (largest deviation of a joint from home), `detail`.
 
     Raises:
         ConfigError: a file is not valid, or no gripper fits.
-        UsageError: there is no arm of that name.
+        UsageError: no arm has that name.
     """
     arm = load_config(ArmModel, ARMS, name, locations)
     grippers = robot_there(arm.name, locations)["goes_with"]
@@ -85,8 +169,8 @@ def _check_with(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, 
     mujoco.mj_step(model, data, nstep=int(_HOLD_S / model.opt.timestep))
     off = np.abs(data.qpos[addresses.joint_qpos] - home)
     joint, sag = arm.joints[int(np.argmax(off))].name, float(off.max())
-    ok = bool(np.isfinite(off).all() and sag <= _MOST_SAG)
-    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_S:g} s; at most {_MOST_SAG:g} rad is right"
+    ok = bool(np.isfinite(off).all() and sag <= _MAX_SAG)
+    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_S:g} s; at most {_MAX_SAG:g} rad is right"
     return {"gripper": gripper, "ok": ok, "sag_rad": sag, "detail": detail}
 
 
@@ -94,7 +178,7 @@ def require_checked(name: str, found: list[dict[str, Any]]) -> None:
     """Make sure that an arm passed with each gripper.
 
     Raises:
-        SimulationError: it did not with one.
+        SimulationError: the arm failed with a gripper.
     """
     for one in found:
         if one["ok"] is False:

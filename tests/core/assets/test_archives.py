@@ -5,7 +5,7 @@ import zipfile
 import pytest
 
 from yamsim_cli.core.assets import SourceError
-from yamsim_cli.core.assets.archives import PinnedArchives, read_members
+from yamsim_cli.core.assets.downloads import PinnedArchives, read_members
 from yamsim_cli.core.assets.sources import no_progress
 
 

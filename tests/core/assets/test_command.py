@@ -9,7 +9,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from yamsim_cli.commands.assets import app
-from yamsim_cli.core.assets import reduced
+from yamsim_cli.core.assets import reduction
 from yamsim_cli.core.errors import UsageError
 
 
@@ -69,7 +69,7 @@ def _tiny(result, key="set"):
 
 
 def test_fetch_reduces_what_it_fetched(run, world, monkeypatch):
-    monkeypatch.setattr(reduced, "reduce_stl", lambda data, how: data)
+    monkeypatch.setattr(reduction, "reduce_stl", lambda data, how: data)
     (fetched,) = json.loads(run("fetch", "tiny", "--json").stdout)["items"]
     assert fetched["reduced_path"].startswith(f"{fetched['path']}-reduced-")
     assert sorted(path.name for path in Path(fetched["reduced_path"]).glob("*.stl")) == ["part.stl", "tip.stl"]

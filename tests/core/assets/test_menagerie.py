@@ -4,7 +4,7 @@ import time
 import pytest
 
 from yamsim_cli.core.assets import SourceError, fetch
-from yamsim_cli.core.assets.menagerie import Menagerie
+from yamsim_cli.core.assets.downloads import Menagerie
 from yamsim_cli.core.assets.sources import no_progress
 
 

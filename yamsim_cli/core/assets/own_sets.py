@@ -1,74 +1,58 @@
-"""Sets of the user's own: the files that an imported thing is made of, in a folder named by their content.
+"""Own sets: the files of imported things, each in a folder named by its content.
 
-A thing's config names its set, and the set's name holds a hash over its files. So a config, and every dataset that
-holds it, says which bytes it means; another import of the same name never changes what an older one sees.
+A thing's config names its set, and the name contains a hash over the files. So a dataset keeps its meshes, whatever is
+imported under the same name later.
 """
 
 from __future__ import annotations
 
 import json
 import re
-import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..errors import ResourceError
-from ..files import publish_directory, sha256_bytes, sha256_file
+from ..files import sha256_bytes, sha256_file
 from .store import AssetStore
 
-# Beside the files: which they are, and where they are from.
-ABOUT = "thing.json"
+ABOUT = "thing.json"  # the file beside the meshes with their hashes and origin
 
 _NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")
-# A part's file: one plain name.
-_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # one plain name
 
 
 def is_own(set_name: str) -> bool:
-    """Whether a set is one of the user's own, which no lock knows."""
+    """Whether the name is that of an own set, which is not in the lock."""
     return _NAME.fullmatch(set_name) is not None
 
 
-def own_set_name(thing: str, files: Mapping[str, bytes]) -> str:
-    """The set's name for a thing's files: file name -> content."""
-    return _name(thing, {name: sha256_bytes(data) for name, data in files.items()})
-
-
-def _name(thing: str, hashes: Mapping[str, str]) -> str:
+def _set_name(thing: str, hashes: Mapping[str, str]) -> str:
     listed = "".join(f"{name} {hashes[name]}\n" for name in sorted(hashes))
     return f"own-{thing}-{sha256_bytes(listed.encode())[:12]}"
 
 
 def publish_own(store: AssetStore, thing: str, files: Mapping[str, bytes], about: Mapping[str, Any]) -> str:
-    """Put a thing's files into the store, all at once, and give the set's name; what is there already stays.
+    """Put a thing's files into the store in one step, and return the set's name.
 
     Args:
-        about: where the thing is from, for people: the source's name and hash, its unit, and how it was made.
+        about: the origin of the thing, for people: the source's name and hash, its unit, and how it was made.
 
     Raises:
         ResourceError: the store cannot be written to.
     """
     if wrong := [name for name in files if not _FILE.fullmatch(name) or name == ABOUT]:
         raise ValueError(f"no names for a set's files: {wrong}")
-    name = own_set_name(thing, files)
     hashes = {file: sha256_bytes(data) for file, data in sorted(files.items())}
+    name = _set_name(thing, hashes)
     text = json.dumps({"about": about, "files": hashes}, indent=1) + "\n"
-    try:
-        with store.writing() as staging:
-            if resolve_own(store, name) is None:
-                final = store.root / name
-                if final.exists():
-                    # Only reached when the folder failed verification.
-                    final.rename(staging / f"damaged.{uuid.uuid4().hex}")
-                publish_directory(final, {**files, ABOUT: text.encode()}, staging)
-    except OSError as error:
-        raise ResourceError(f"cannot write to the asset store {store.root}: {error.strerror or error}") from error
+    with store.writing():
+        if resolve_own(store, name) is None:
+            store.put(name, {**files, ABOUT: text.encode()})
     return name
 
 
 def resolve_own(store: AssetStore, set_name: str) -> Path | None:
-    """The folder of one of the user's own sets, every file verified by SHA-256; None when there is none, or not so."""
+    """The folder of an own set, every file verified by SHA-256; None if a file is missing or changed."""
     if not is_own(set_name):
         return None
     folder = store.root / set_name
@@ -78,11 +62,11 @@ def resolve_own(store: AssetStore, set_name: str) -> Path | None:
     except (OSError, ValueError, KeyError, TypeError):
         return None
     thing = set_name.removeprefix("own-").rpartition("-")[0]
-    return folder if len(found) == len(listed) and _name(thing, found) == set_name else None
+    return folder if len(found) == len(listed) and _set_name(thing, found) == set_name else None
 
 
 def about_own(store: AssetStore, set_name: str) -> Mapping[str, Any]:
-    """What `publish_own` was told of a set; empty where it is not here."""
+    """The `about` of a published set; empty if the set is not in the store."""
     try:
         about = json.loads((store.root / set_name / ABOUT).read_bytes())["about"]
     except (OSError, ValueError, KeyError, TypeError):

@@ -10,8 +10,8 @@ import pytest
 from tests.cli.run_cli import yamsim
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.resources import Locations
+from yamsim_cli.core.robot_catalog import robot_there, robots_there
 from yamsim_cli.core.robot_check import new_robot
-from yamsim_cli.core.robots_there import robot_there, robots_there
 
 
 def test_arms_grippers_and_stations_are_listed_with_what_goes_together(locations: Locations) -> None:

@@ -1,4 +1,4 @@
-"""Which arms, grippers and stations there are, what goes together, and which of their meshes are here."""
+"""Lists arms, grippers and stations, their combinations, and which of their meshes are in the store."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ ARM, GRIPPER, STATION = "arm", "gripper", "station"
 
 
 def robots_there(locations: Locations) -> tuple[dict[str, Any], ...]:
-    """Every arm, gripper and station as plain data: first the arms, then the grippers, then the rigs with two arms.
+    """Every arm, gripper and rig with two arms, in this order, as plain data.
 
-    An arm or a station whose file is not valid has a `fault`, the reason, and goes with nothing.
+    An arm or a station with an invalid file has its error as `fault`, and an empty `goes_with`.
 
     Raises:
-        ConfigError: a gripper is not valid.
+        ConfigError: a gripper's file is not valid.
     """
     meshes = _meshes(locations)
     families, faults = valid_families(locations)
@@ -65,7 +65,7 @@ def robot_there(name: str, locations: Locations) -> dict[str, Any]:
     """The arm, gripper or station of that name; of a family, its newest revision.
 
     Raises:
-        UsageError: there is none.
+        UsageError: there is no such robot.
         ConfigError: its file is not valid.
     """
     items = robots_there(locations)
@@ -81,7 +81,7 @@ def robot_there(name: str, locations: Locations) -> dict[str, Any]:
 def _loaded_arms(
     locations: Locations, faults: Mapping[str, ConfigError]
 ) -> tuple[dict[str, ArmModel], dict[str, ConfigError]]:
-    """Name -> arm, and name -> fault of the arms that are not valid, the faults that are known already included."""
+    """Name -> arm, and name -> fault of each invalid arm; `faults` has those of `valid_families`."""
     loaded, broken = dict[str, ArmModel](), dict(faults)
     for name in locations.config_names(ARMS):
         try:
@@ -123,7 +123,7 @@ def _fits(arm: ArmModel, gripper: Gripper) -> bool:
 
 
 def _meshes(locations: Locations) -> dict[str, bool]:
-    """Asset set -> whether it is here."""
+    """Asset set -> whether the store has it."""
     store = AssetStore(locations.assets)
     return {name: store.resolve(assets) is not None for name, assets in load_lock(locations).sets.items()}
 
