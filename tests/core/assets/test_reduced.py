@@ -1,4 +1,3 @@
-import json
 import threading
 
 import pytest
@@ -124,11 +123,3 @@ def test_a_library_that_is_not_here_is_a_missing_resource(world, tiny, source, m
     for call in (lambda: find_reduced(world.store, tiny), lambda: make_reduced(world.store, tiny, source, "")):
         with pytest.raises(ResourceError, match="manifold3d"):
             call()
-
-
-def test_the_report_says_what_was_done(world, tiny, source):
-    made = make_reduced(world.store, tiny, source, "the notice")
-    report = json.loads((made.directory / reduction.REPORT).read_text())
-    assert report["source"] == tiny.directory_name
-    assert "manifold3d 3" in report["recipe"]
-    assert sum(entry["faces"] for entry in report["files"].values()) == made.faces

@@ -37,10 +37,6 @@ def test_a_duplicate_key_is_refused_at_any_depth_with_both_lines(text, first, se
     assert refusal(text) == f"f.yaml:{second}: duplicate key '{key}', first at line {first}; remove one"
 
 
-def test_equal_keys_of_different_mappings_are_fine():
-    assert parse_yaml("a: {x: 1}\nb: {x: 1, a: 2}\n", "f").data == {"a": {"x": 1}, "b": {"x": 1, "a": 2}}
-
-
 @pytest.mark.parametrize(
     ("text", "number"),
     [
@@ -53,6 +49,7 @@ def test_equal_keys_of_different_mappings_are_fine():
         ("5.", 5.0),
         ("0.0", 0.0),
         (".inf", math.inf),
+        (".nan", pytest.approx(math.nan, nan_ok=True)),
         ("-.Inf", -math.inf),
     ],
 )
@@ -60,10 +57,6 @@ def test_floats_are_read_as_people_write_them(text, number):
     value = value_of(text)
     assert value == number
     assert type(value) is float
-
-
-def test_not_a_number_is_a_float():
-    assert math.isnan(value_of(".nan"))
 
 
 @pytest.mark.parametrize(("text", "number"), [("10", 10), ("-7", -7), ("+7", 7), ("010", 10), ("08", 8), ("0", 0)])
@@ -92,19 +85,11 @@ def test_what_only_old_yaml_would_convert_stays_text(text):
     assert value_of(text if text != "-" else "'-'") == text
 
 
-def test_quoted_numbers_and_words_stay_text():
-    assert parse_yaml("a: '1'\nb: \"true\"\nc: 'null'\n", "f").data == {"a": "1", "b": "true", "c": "null"}
-
-
 @pytest.mark.parametrize("text", ["base: &b {x: 1}\nother: *b\n", "a: &a [*a]\n", "a: &a 1\nb: [2,\n *a]\n"])
 def test_aliases_are_refused_with_their_line(text):
     message = refusal(text)
     assert "alias *" in message and "an error message could not name the one line" in message
     assert message.startswith(f"f.yaml:{text[: text.index('*')].count(chr(10)) + 1}: ")
-
-
-def test_an_anchor_that_nothing_refers_to_does_no_harm():
-    assert parse_yaml("a: &unused 1\n", "f").data == {"a": 1}
 
 
 def test_a_bomb_of_nested_aliases_is_refused_at_once():
@@ -165,10 +150,6 @@ def test_what_is_no_yaml_is_refused(text):
 )
 def test_tags_that_run_code_or_do_not_fit_are_refused(tagged):
     assert "not valid YAML" in refusal(f"key: {tagged}\n")
-
-
-def test_a_set_at_the_top_is_no_mapping():
-    assert "must be a mapping" in refusal("!!set {a, b}\n")
 
 
 @given(st.one_of(st.binary(max_size=60), st.text(max_size=60)))
@@ -259,11 +240,3 @@ def test_dumped_data_reads_back_the_same(data):
     back = parse_yaml(dump_yaml(data), "f").data
     assert back == data
     assert repr(back) == repr(data), "types and the order of keys count too"
-
-
-def test_tuples_are_dumped_as_lists_and_shared_values_are_written_out():
-    shared = (1.0, 2.0)
-    assert parse_yaml(dump_yaml({"a": shared, "b": [shared, shared]}), "f").data == {
-        "a": [1.0, 2.0],
-        "b": [[1.0, 2.0], [1.0, 2.0]],
-    }

@@ -3,7 +3,6 @@ from typing import Any
 import pytest
 
 from yamsim_cli.core.config.loader import KINDS, load_config, model_of, parse_config, validate_file
-from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.documents.document import dump_yaml
@@ -73,11 +72,6 @@ def test_every_shipped_config_is_valid_and_survives_being_written_down(kind, nam
     if kind not in BY_NAME:
         again = parse_config(model, dump_yaml(config.model_dump(mode="json")), "resolved.yaml", locations)
         assert again == config
-
-
-def test_every_kind_has_a_shipped_config():
-    # Revisions are of arms that somebody measured.
-    assert {kind for kind, _ in SHIPPED} == set(KINDS) - {"revisions"}
 
 
 def test_a_datasets_own_config_needs_no_other_file_but_its_robots(config, locations, repository, tmp_path):
@@ -173,12 +167,6 @@ def test_an_unknown_branch_of_a_union_names_the_valid_ones(puck):
     assert all(f"'{branch}'" in message for branch in ("capsule", "cylinder", "ring"))
 
 
-def test_a_union_without_its_discriminator_says_which_key_is_missing(puck):
-    message = refusal(puck, "type: cylinder, ", "")
-    assert "collision[0]" in message
-    assert "'type'" in message
-
-
 def test_the_branch_is_no_part_of_the_key_path(puck):
     message = refusal(puck, "centre: [0, 0, 0.01]", "centre: [0, 0, high]")
     assert "collision[0].centre[2]: 'high' is not valid" in message
@@ -220,15 +208,6 @@ def test_a_fault_in_a_referenced_file_is_placed_in_that_file(tmp_path, record, l
     message = refusal(record, {"rig: single": f"rig: {rig}"})
     assert message.startswith(f"{rig}:")
     assert "rig.arms[0].side: 'middle' is not valid: must be 'left' or 'right'" in message
-
-
-def test_a_flag_overrides_the_file(record):
-    config = record(None, {("seed",): ("--seed", 7), ("image", "jpeg_quality"): ("--jpeg-quality", 33)})
-    assert (config.seed, config.image.jpeg_quality) == (7, 33)
-
-
-def test_a_flag_names_another_config(record):
-    assert record(None, {("render",): ("--quality", "high")}).render != record().render
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -285,17 +264,6 @@ def test_a_check_across_several_keys_needs_no_value_in_its_message(tmp_path, loc
     message = refusal(validate_file, model_of("scenes"), path, locations)
     assert "safety_plane 1.0 m must lie below the table's top" in message
     assert "{" not in message
-
-
-def test_faults_of_the_yaml_itself_come_through(tmp_path, locations):
-    path = tmp_path / "twice.yaml"
-    path.write_text("seed: 1\nseed: 2\n")
-    assert "twice.yaml:2: duplicate key 'seed'" in refusal(load_config, RecordConfig, "record", str(path), locations)
-
-
-def test_an_unknown_name_lists_the_configs(locations):
-    message = refusal(load_config, ProgramTask, "tasks", "pickplaec", locations)
-    assert message.startswith("unknown task 'pickplaec'; did you mean 'pickplace'? valid: ")
 
 
 @pytest.mark.parametrize(
@@ -373,10 +341,6 @@ def test_what_a_number_or_a_list_has_to_look_like(tmp_path, locations, old, new,
     found = refusal(validate_file, model_of(kind), tmp_path / "mine.yaml", locations)
     assert f": {message}" in found
     assert "tuple" not in found
-
-
-def test_the_parts_of_a_point_are_named(puck):
-    assert "mesh.origin: 0 is not valid: give [x, y, z]" in refusal(puck, "origin: [0, 0, 0]", "origin: 0")
 
 
 @pytest.mark.parametrize("kind", ["randomization", "rigs", "scenes", "objects", "quality", "record", "tasks"])

@@ -91,10 +91,3 @@ def test_an_unknown_gripper_may_let_joints_go_as_far_as_any() -> None:
         (0, 3.66519),
         (-1.69297, 1.5708),
     ]
-
-
-def test_the_drives_are_told_apart() -> None:
-    """Joints 1 to 3 have the slow, strong drive. Source: DAMIAO's and I2RT's figures, as in model.yaml."""
-    joints = shipped("i2rt_yam", "crank").joints
-    assert [joint.reported_rad_s for joint in joints] == [10] * 3 + [30] * 3
-    assert joints[0].motor_rad_s == pytest.approx(52.5 / 60 * 2 * np.pi)

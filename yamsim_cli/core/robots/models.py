@@ -332,7 +332,8 @@ class Gripper(_InAFolder):
         name: of the folder, `robot_models/grippers/<name>/`; may be left out.
         source: origin of the figures, in a few words.
         mjcf: the file beside the YAML with one body, the gripper's frame, whose content becomes part of the flange; its
-            `inertial` is that of flange and gripper together. Equalities, excludes and actuators join the arm's. The site `pinch_site` lies where the fingers meet, z into the grasp, y along the closing direction.
+            `inertial` is that of flange and gripper together. Equalities, excludes and actuators join the arm's. The
+            site `pinch_site` lies where the fingers meet, z into the grasp, y along the closing direction.
         mesh_sets: the asset sets of the MJCF's meshes.
         fingers: None for a gripper without fingers.
         finray: soft fingers that are generated on two bodies of the MJCF.

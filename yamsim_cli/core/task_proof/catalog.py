@@ -66,7 +66,7 @@ def tasks_there(locations: Locations) -> list[dict[str, Any]]:
 
 
 def task_there(name: str, locations: Locations) -> dict[str, Any]:
-    """One task, JSON-ready: name, kind, rig, prompt, things, skills, goal, counts, phrasings, starts and so on, and path.
+    """One task, JSON-ready: name, kind, rig, prompt, things, skills, goal, counts, phrasings, starts, path and so on.
 
     Raises:
         ConfigError: there is no task of that name, or its file is not valid.

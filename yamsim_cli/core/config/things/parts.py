@@ -1,4 +1,4 @@
-"""What every part of a thing has: surface, weight, and the meshes that are seen of it."""
+"""Contact parameters, visual meshes and inertia of a thing's parts."""
 
 from __future__ import annotations
 
@@ -12,17 +12,15 @@ from ...documents.units import OffsetPoint, PlacePoint, Within
 _Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
 _Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 100)]
 
-
-# MuJoCo's own, s.
-_PUSH_OUT = 0.02
+_PUSH_OUT = 0.02  # s, MuJoCo's default
 
 
 class Contact(Config):
-    """Surface in MuJoCo's terms: sliding, torsional (m) and rolling (m) friction, and the contact dimension.
+    """MuJoCo's contact parameters: sliding, torsional (m) and rolling (m) friction, and the contact dimension.
 
     Attributes:
-        push_out_s: about how long a contact takes to push out what has sunk in, s. What is small and falls sinks in by
-            some millimetres for each hundredth; a table's top is thin.
+        push_out_s: time constant with which a contact resolves penetration, s. A small falling thing penetrates some
+            millimetres for each 0.01 s; a table's top is thin.
     """
 
     friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
@@ -31,15 +29,16 @@ class Contact(Config):
 
 
 class ObjectMesh(Config):
-    """A mesh that is seen, such as a scan: asset set and file, and the point of it that becomes the part's origin.
+    """A visual mesh, such as a scan.
 
     Attributes:
-        set: of the lock, or one of the user's own, see `core.assets.own_sets`.
-        file: STL, or OBJ where it has a texture.
-        rgba: its colour; with a texture, what the texture is multiplied by.
-        texture: a PNG file of the same set, which the OBJ's texture coordinates refer to.
-        castshadow: whether the scan casts a shadow. A shallow one speckles itself where light grazes it: then let
-            primitives of `look` just under its surface cast the shadow instead.
+        set: an asset set of the lock, or an own set, see `core.assets.own_sets`.
+        file: STL, or OBJ for a mesh with a texture.
+        origin: the point of the mesh that becomes the part's origin, m.
+        rgba: the colour; a texture is multiplied by it.
+        texture: a PNG file of the same set for the OBJ's texture coordinates.
+        castshadow: whether the mesh casts a shadow. Grazing light speckles a shallow scan with its own shadow: then let
+            primitives of `look` just below its surface cast the shadow instead.
     """
 
     set: str
@@ -53,7 +52,7 @@ class ObjectMesh(Config):
 
 
 class Inertia(Config):
-    """Mass in grams, centre of mass (m) in the part's frame, principal moments (kg m2) and the frame they hold in."""
+    """Mass (g), centre of mass (m) in the part's frame, principal moments (kg m2) and the quaternion of their axes."""
 
     mass_g: Annotated[FiniteFloat, Within("g", 0.5, 50_000)]
     centre: OffsetPoint = (0.0, 0.0, 0.0)
@@ -62,5 +61,5 @@ class Inertia(Config):
 
     @property
     def mass(self) -> float:
-        """Mass in kilograms."""
+        """Mass, kg."""
         return self.mass_g / 1000.0

@@ -19,8 +19,8 @@ def add_fingers(root: Element, name: str, finger: FinRay) -> None:
     """Add both fingers to a gripper's MJCF.
 
     The MJCF has the default classes `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs, which
-    do not collide, and `soft` for meshes. A foot is a body without a joint at the base of the front wall's outer face: x
-    to the tip, y towards the other finger.
+    do not collide, and `soft` for meshes. A foot is a body without a joint, at the base of the front wall, on
+    its outer face: x to the tip, y towards the other finger.
 
     Args:
         name: of the gripper, and of its asset set.
