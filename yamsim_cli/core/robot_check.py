@@ -175,11 +175,7 @@ def _check_with(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, 
 
 
 def require_checked(name: str, found: list[dict[str, Any]]) -> None:
-    """Make sure that an arm passed with each gripper.
-
-    Raises:
-        SimulationError: the arm failed with a gripper.
-    """
+    """Make sure that an arm passed with each gripper. Raises SimulationError if the arm failed with a gripper."""
     for one in found:
         if one["ok"] is False:
             raise SimulationError(f"arm {name!r} with {one['gripper']}: {one['detail']}")

@@ -3,7 +3,7 @@ import threading
 import pytest
 
 from tests.meshes import ball, box
-from yamsim_cli.core.assets import AssetStore, LockedFile, find_reduced, make_reduced, reduction
+from yamsim_cli.core.assets import LockedFile, find_reduced, make_reduced, reduction
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.geometry.stl import stl_bytes
@@ -78,21 +78,6 @@ def test_another_source_or_recipe_is_another_folder(world, tiny, source, monkeyp
     assert made.directory.is_dir()
 
 
-def test_half_made_is_not_there(world, tiny, source, monkeypatch):
-    calls = []
-
-    def second_fails(data, how):
-        calls.append(how)
-        if len(calls) == 2:
-            raise ResourceError("no binary STL")
-        return data
-
-    monkeypatch.setattr(reduction, "reduce_stl", second_fails)
-    with pytest.raises(ResourceError, match="no binary STL"):
-        make_reduced(world.store, tiny, source, "the notice")
-    assert [path.name for path in world.store.root.iterdir() if path.name[0] != "."] == [source.name]
-
-
 def test_two_at_once_do_the_work_once(world, tiny, source, monkeypatch):
     calls, real = [], reduction.reduce_stl
     monkeypatch.setattr(reduction, "reduce_stl", lambda data, how: (calls.append(1), real(data, how))[1])
@@ -107,12 +92,6 @@ def test_two_at_once_do_the_work_once(world, tiny, source, monkeypatch):
         thread.join()
     assert len(calls) == len(tiny.files)
     assert results[0] == results[1]
-
-
-def test_a_store_that_cannot_be_written_is_a_missing_resource(tiny, source, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ResourceError, match="cannot write to the asset store"):
-        make_reduced(AssetStore(tmp_path / "file/store"), tiny, source, "the notice")
 
 
 def test_a_library_that_is_not_here_is_a_missing_resource(world, tiny, source, monkeypatch):

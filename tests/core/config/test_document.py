@@ -38,37 +38,16 @@ def test_a_duplicate_key_is_refused_at_any_depth_with_both_lines(text, first, se
 
 
 @pytest.mark.parametrize(
-    ("text", "number"),
+    ("text", "wanted"),
     [
-        ("1e-3", 0.001),
-        ("1.568e-5", 1.568e-5),
-        ("+1E6", 1e6),
-        ("-2.5e+3", -2500.0),
-        (".5", 0.5),
-        ("-.5", -0.5),
-        ("5.", 5.0),
-        ("0.0", 0.0),
-        (".inf", math.inf),
-        (".nan", pytest.approx(math.nan, nan_ok=True)),
-        ("-.Inf", -math.inf),
+        *(("1e-3", 0.001), ("1.568e-5", 1.568e-5), ("+1E6", 1e6), ("-2.5e+3", -2500.0), (".5", 0.5), ("-.5", -0.5)),
+        *(("5.", 5.0), ("0.0", 0.0), (".inf", math.inf), ("-.Inf", -math.inf), (".nan", math.nan)),
+        *(("10", 10), ("-7", -7), ("+7", 7), ("010", 10), ("08", 8), ("0", 0)),
+        *(("true", True), ("False", False), ("~", None), ("null", None), ("", None), ("'1'", "1"), ('"true"', "true")),
     ],
 )
-def test_floats_are_read_as_people_write_them(text, number):
-    value = value_of(text)
-    assert value == number
-    assert type(value) is float
-
-
-@pytest.mark.parametrize(("text", "number"), [("10", 10), ("-7", -7), ("+7", 7), ("010", 10), ("08", 8), ("0", 0)])
-def test_integers_are_decimal(text, number):
-    value = value_of(text)
-    assert value == number
-    assert type(value) is int
-
-
-@pytest.mark.parametrize(("text", "value"), [("true", True), ("False", False), ("~", None), ("null", None), ("", None)])
-def test_booleans_and_null_have_their_own_words(text, value):
-    assert value_of(text) is value
+def test_scalars_are_read_by_the_core_schema(text, wanted):
+    assert repr(value_of(text)) == repr(wanted), "the type counts too"
 
 
 @pytest.mark.parametrize(
@@ -95,10 +74,6 @@ def test_aliases_are_refused_with_their_line(text):
 def test_a_bomb_of_nested_aliases_is_refused_at_once():
     bomb = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 40))
     assert refusal(bomb).startswith("f.yaml:2: ")
-
-
-def test_a_merge_key_is_not_merged():
-    assert parse_yaml("<<: {a: 1}\n", "f").data == {"<<": {"a": 1}}
 
 
 @pytest.mark.parametrize("text", ["\ta: 1\n", "a:\n\tb: 1\n", "a:\tb: c\n"])
@@ -191,16 +166,10 @@ def test_the_place_of_what_is_not_there_is_that_of_the_nearest_around_it():
 def test_an_overridden_value_forgets_its_line_and_those_inside_it():
     document = parse_yaml("a:\n  b: {c: 1}\n  d: 2\n", "f.yaml")
     document.set(("a", "b"), {"c": 5}, "--b")
-    assert document.data == {"a": {"b": {"c": 5}, "d": 2}}
+    document.set(("new", "inner"), 7, "--new")
+    assert document.data == {"a": {"b": {"c": 5}, "d": 2}, "new": {"inner": 7}}
     assert document.place(("a", "b", "c")) == "--b"
     assert document.place(("a", "d")) == "f.yaml:3"
-
-
-def test_an_override_makes_the_mappings_above_it():
-    document = parse_yaml("a: 1\nlist: [{x: 1}]\n", "f.yaml")
-    document.set(("b", "c", "d"), 2, "--d")
-    document.set(("list", 0, "x"), 7, "--x")
-    assert document.data == {"a": 1, "b": {"c": {"d": 2}}, "list": [{"x": 7}]}
 
 
 @pytest.mark.parametrize("value", ["5", "text", "", "true"])

@@ -63,12 +63,3 @@ def resolve_own(store: AssetStore, set_name: str) -> Path | None:
         return None
     thing = set_name.removeprefix("own-").rpartition("-")[0]
     return folder if len(found) == len(listed) and _set_name(thing, found) == set_name else None
-
-
-def about_own(store: AssetStore, set_name: str) -> Mapping[str, Any]:
-    """The `about` of a published set; empty if the set is not in the store."""
-    try:
-        about = json.loads((store.root / set_name / ABOUT).read_bytes())["about"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
-    return about if isinstance(about, dict) else {}

@@ -56,11 +56,7 @@ Check = Callable[[Config], None]
 
 
 def model_of(kind: str) -> type[Config]:
-    """The model of a kind of config.
-
-    Raises:
-        ConfigError: no kind has that name.
-    """
+    """The model of a kind of config. Raises ConfigError if no kind has that name."""
     if kind not in KINDS:
         raise ConfigError(f"unknown kind of config {kind!r}; {suggest(kind, KINDS)}")
     return KINDS[kind]

@@ -76,11 +76,7 @@ def model_named(name: str, locations: Locations) -> str:
 
 
 def revised(model: str, revision: str, locations: Locations) -> str:
-    """Another revision of a model's family.
-
-    Raises:
-        ConfigError: there is no such revision.
-    """
+    """Another revision of a model's family. Raises ConfigError if there is no such revision."""
     for family, revisions in families(locations).items():
         if model in (family, *revisions.values()):
             if revision not in revisions:

@@ -153,11 +153,7 @@ def load_yaml(path: Path) -> Document:
 
 
 def read_config(path: Path) -> bytes:
-    """A config file's bytes.
-
-    Raises:
-        ConfigError: the file is unreadable, or larger than 1 MB.
-    """
+    """A config file's bytes. Raises ConfigError if the file is unreadable, or larger than 1 MB."""
     try:
         raw = path.read_bytes()
     except OSError as error:

@@ -81,17 +81,21 @@ def _inverted(measure: Measure) -> Measure:
     return Measure(f"not {measure.what}", margin, measure.unit, measure.detail)
 
 
+def _optional(annotation: Any) -> Any:
+    return Annotated[annotation, OMIT_NONE], None
+
+
 # Created from the table of predicates, so that a new predicate is a key without further changes.
 Clause: Any = create_model(
     "Clause",
     __base__=_Clause,
     __module__=__name__,
     **{
-        "all": (Annotated[tuple["Clause", ...] | None, OMIT_NONE], None),  # type: ignore[misc]
-        "any": (Annotated[tuple["Clause", ...] | None, OMIT_NONE], None),  # type: ignore[misc]
-        "not": (Annotated["Clause | None", OMIT_NONE], None),
+        "all": _optional(tuple["Clause", ...] | None),  # type: ignore[misc]
+        "any": _optional(tuple["Clause", ...] | None),  # type: ignore[misc]
+        "not": _optional("Clause | None"),
     }
-    | {name: (Annotated[predicate | None, OMIT_NONE], None) for name, predicate in PREDICATES.items()},
+    | {name: _optional(predicate | None) for name, predicate in PREDICATES.items()},
 )
 
 

@@ -109,11 +109,7 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
 
 
 def body(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """The body of that name.
-
-    Raises:
-        ConfigError: there is no such body.
-    """
+    """The body of that name. Raises ConfigError if there is no such body."""
     bodies = {found.get("name", ""): found for found in root.iter("body")}
     if name not in bodies:
         raise ConfigError(f"{mjcf.file}: has no body {name!r}; its bodies: {', '.join(bodies) or 'none'}")
@@ -121,11 +117,7 @@ def body(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 
 def joint(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """The joint of that name in `worldbody`.
-
-    Raises:
-        ConfigError: there is no such joint.
-    """
+    """The joint of that name in `worldbody`. Raises ConfigError if there is no such joint."""
     joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
     if name not in joints:
         raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")

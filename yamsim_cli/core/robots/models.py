@@ -194,11 +194,7 @@ def _read_mjcf(path: Path) -> dict[str, object]:
 
 
 def root_of(data: str | bytes) -> Element:
-    """The root element of an XML text.
-
-    Raises:
-        RefusedError: the text is no XML, or declares entities.
-    """
+    """The root element of an XML text. Raises RefusedError if the text is no XML, or declares entities."""
     text = data if isinstance(data, str) else data.decode(errors="replace")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise RefusedError("xml-entities", "declares a document type, which no MJCF needs; remove it")
@@ -349,11 +345,7 @@ class Gripper(_InAFolder):
 
 
 def fit(arm: ArmModel, gripper: Gripper) -> Fit:
-    """How a gripper fits an arm.
-
-    Raises:
-        ValueError: the gripper does not fit, or both files say how.
-    """
+    """How a gripper fits an arm. Raises ValueError if the gripper does not fit, or both files say how."""
     mine, theirs = arm.grippers.get(gripper.name), gripper.arms.get(arm.name)
     if mine and theirs:
         raise ValueError(

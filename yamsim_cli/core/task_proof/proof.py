@@ -243,11 +243,7 @@ def _near_misses(simulators: Simulators, report: Mapping[str, Any]) -> Check:
 
 
 def require_proof(report: Mapping[str, Any]) -> None:
-    """Make sure that every check passed.
-
-    Raises:
-        SimulationError: a check failed.
-    """
+    """Make sure that every check passed. Raises SimulationError if a check failed."""
     failed = [check for check in report["checks"] if check["ok"] is False]
     if failed:
         first = failed[0]

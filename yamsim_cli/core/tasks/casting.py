@@ -19,7 +19,7 @@ from .randomness import Stream, generator
 _TRIES = 60  # to find a free place for a thing
 _ROUNDS = 20  # in which all things are placed anew, since one found no place
 
-BoxOf = Callable[[str, Mapping[str, float]], Array]
+BlockOf = Callable[[str, Mapping[str, float]], Array]
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def draw_phrasing(task: ProgramTask, job: EpisodeJob) -> str:
 
 
 def draw_places(
-    task: ProgramTask, cast: Cast, box_of: BoxOf, table: Table, job: EpisodeJob, number: int = 0
+    task: ProgramTask, cast: Cast, box_of: BlockOf, table: Table, job: EpisodeJob, number: int = 0
 ) -> dict[str, Placed] | str:
     """Thing -> its start, in the order in which things settle.
 
@@ -92,7 +92,7 @@ def _arranged(task: ProgramTask, cast: Cast, job: EpisodeJob, number: int) -> di
 
 
 def _round(
-    task: ProgramTask, cast: Cast, box_of: BoxOf, table: Table, rng: np.random.Generator
+    task: ProgramTask, cast: Cast, box_of: BlockOf, table: Table, rng: np.random.Generator
 ) -> dict[str, Placed] | str:
     placed: dict[str, Placed] = {}
     for role, start in task.starts.items():
@@ -110,7 +110,7 @@ def _place(
     on: str,
     name: str,
     placed: Mapping[str, Placed],
-    box_of: BoxOf,
+    box_of: BlockOf,
     table: Table,
     rng: np.random.Generator,
 ) -> Placed | None:
