@@ -69,7 +69,7 @@ def new(
 
     Example: yamsim robots new my_arm --data my_data
     """
-    from yamsim_cli.core.robot_check import new_robot
+    from yamsim_cli.core.robot_catalog import new_robot
     from yamsim_cli.terminal.console import print_json, print_line
 
     where = _locations(data)
@@ -98,7 +98,7 @@ def check(
     """
     opener.skip_gl()
 
-    from yamsim_cli.core.robot_check import check_robot, require_checked
+    from yamsim_cli.core.robot_catalog import check_robot, require_checked
     from yamsim_cli.terminal.console import print_json, print_table
     from yamsim_cli.terminal.tables import listing
 

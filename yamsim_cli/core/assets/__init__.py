@@ -5,10 +5,9 @@ Only `fetch` and `fetch_missing` use the network; `load_lock` and `AssetStore.re
 
 from .fetch import FetchReport, default_sources, fetch, fetch_missing
 from .lock import AssetLock, AssetSet, LockedFile, Reduction, load_lock
-from .own_sets import is_own, publish_own, resolve_own
 from .reduction import ReducedSet, find_reduced, make_reduced
 from .sources import FetchProgress, SourceError
-from .store import AssetStore, FileStatus
+from .store import AssetStore, FileStatus, is_own, publish_own, resolve_own
 
 __all__ = [
     "AssetLock",

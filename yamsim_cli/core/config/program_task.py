@@ -285,8 +285,8 @@ class ProgramTask(Config):
         placed = {TABLE}
         for role, start in self.starts.items():
             if start.on not in placed:
-                known = suggest(start.on, placed)
-                raise ConflictError(f"{start.on!r} is not placed before the {role}; {known}", ("starts", role, "on"))
+                valid = suggest(start.on, placed)
+                raise ConflictError(f"{start.on!r} is not placed before the {role}; {valid}", ("starts", role, "on"))
             placed.add(role)
         names = {*self.things, *(name for role in self.things for name in self._numbered(role))}
         for k, miss in enumerate(self.near_misses):

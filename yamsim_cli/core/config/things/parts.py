@@ -32,7 +32,7 @@ class ObjectMesh(Config):
     """A visual mesh, such as a scan.
 
     Attributes:
-        set: an asset set of the lock, or an own set, see `core.assets.own_sets`.
+        set: an asset set of the lock, or an own set, see `core.assets.store`.
         file: STL, or OBJ for a mesh with a texture.
         origin: the point of the mesh that becomes the part's origin, m.
         rgba: the colour; a texture is multiplied by it.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from dataclasses import fields
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, FiniteFloat, model_validator
 
@@ -20,6 +21,8 @@ _Length = Annotated[FiniteFloat, Within("mm", 0, 500)]
 _Share = Annotated[FiniteFloat, Within("of 1", 0, 1)]
 _Grams = Annotated[FiniteFloat, Within("g", 0.5, 50_000)]
 _Box = tuple[_Size, _Size, _Size]
+
+T = TypeVar("T", vessels.Vessel, boxes.Container, cutlery.Cutlery)
 
 Stuff = Literal[
     "steel", "aluminium", "stoneware", "porcelain", "glass", "polypropylene", "nylon", "wood", "cardboard", "cotton",
@@ -112,21 +115,7 @@ class VesselShape(_Shape):
         return self
 
     def _form(self) -> Form:
-        return vessels.vessel(
-            vessels.Vessel(
-                diameter=_m(self.diameter_mm),
-                height=_m(self.height_mm),
-                foot=_m(self.foot_mm),
-                wall=_m(self.wall_mm),
-                flare=self.flare,
-                fillet=_m(self.fillet_mm),
-                neck=None if self.neck_mm is None else _m(self.neck_mm),
-                shoulder=_m(self.shoulder_mm),
-                slope=_m(self.slope_mm),
-                handles=self.handles,
-                reach=_m(self.reach_mm),
-            )
-        )
+        return vessels.vessel(_in_metres(vessels.Vessel, self))
 
 
 class CapShape(_Shape):
@@ -168,16 +157,7 @@ class ContainerShape(_Shape):
     cells: int = Field(default=1, ge=1, le=12)
 
     def _form(self) -> Form:
-        return boxes.container(
-            boxes.Container(
-                size=_size(self.size_mm),
-                wall=_m(self.wall_mm),
-                corner=_m(self.corner_mm),
-                taper=_m(self.taper_mm),
-                lip=_m(self.lip_mm),
-                cells=self.cells,
-            )
-        )
+        return boxes.container(_in_metres(boxes.Container, self))
 
 
 class LidShape(_Shape):
@@ -259,15 +239,7 @@ class CutleryShape(_Shape):
     handle_mm: _Thin
 
     def _form(self) -> Form:
-        return cutlery.cutlery(
-            cutlery.Cutlery(
-                kind=self.kind,
-                size=_size(self.size_mm),
-                grip=_m(self.grip_mm),
-                thickness=_m(self.thickness_mm),
-                handle=_m(self.handle_mm),
-            )
-        )
+        return cutlery.cutlery(_in_metres(cutlery.Cutlery, self))
 
 
 class PastaShape(_Shape):
@@ -286,6 +258,18 @@ class PastaShape(_Shape):
 
 def _m(mm: float) -> float:
     return mm / 1000
+
+
+def _in_metres(kind: type[T], shape: _Shape) -> T:
+    """A dataclass of geometry whose fields are those of a shape: `wall` is `wall_mm` in m."""
+    values = {}
+    for field in fields(kind):
+        mm = getattr(shape, f"{field.name}_mm", None)
+        if mm is None:
+            values[field.name] = getattr(shape, field.name, None)
+        else:
+            values[field.name] = _size(mm) if isinstance(mm, tuple) else _m(mm)
+    return kind(**values)
 
 
 def _size(mm: tuple[float, float, float]) -> tuple[float, float, float]:

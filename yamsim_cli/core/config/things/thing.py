@@ -80,20 +80,6 @@ class Grasp(GraspPoint):
     clearance: Annotated[FiniteFloat, Within("m", 1e-4, 0.1)] = 0.010
     friction: FrictionGrasp | None = None
 
-    def fingers(self, open_by: float, radius: float) -> tuple[tuple[float, float, float], ...]:
-        """Discs (x, y, radius) in the object's frame that the tips of the open fingers cover, m.
-
-        Args:
-            open_by: opening of each finger, m.
-            radius: half of a finger's width, m.
-        """
-        angle = math.radians(self.axis_deg)
-        reach = open_by + radius / 2
-        x, y, _ = self.position
-        return tuple(
-            (x + side * reach * math.cos(angle), y + side * reach * math.sin(angle), radius) for side in (-1, 1)
-        )
-
 
 # Families of shapes without an upper side.
 _SOLID = ("block", "fruit", "cutlery", "pasta")
