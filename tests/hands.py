@@ -12,8 +12,8 @@ import numpy as np
 import yaml
 
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.robots.finray.chain import grow
-from yamsim_cli.core.robots.finray.parameters import FinRay
+from yamsim_cli.core.robots.finray.chain import add_fingers
+from yamsim_cli.core.robots.finray.finger import FinRay
 
 GRIPPERS = Path(__file__).resolve().parents[1] / "robot_models" / "grippers"
 
@@ -37,7 +37,7 @@ def hand(name: str, soft: FinRay | None = None) -> mujoco.MjSpec:
     said = _said(name)
     root = ElementTree.parse(GRIPPERS / name / "gripper.xml").getroot()
     if "finray" in said:
-        grow(root, name, soft or finger(name))
+        add_fingers(root, name, soft or finger(name))
     for parent in list(root.iter()):
         for child in list(parent):
             if child.tag == "mesh" or "mesh" in child.attrib:

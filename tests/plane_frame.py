@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.robots.finray.parameters import FinRay
+from yamsim_cli.core.robots.finray.finger import FinRay, hinge_stiffness, slip_arms, slip_stiffness
 
 # Beams between two joints.
 _PARTS = 6
@@ -85,3 +85,15 @@ class PlaneFrame:
         units = np.diag([1, length, 1, length])
         k[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])] = bend * units @ np.array(across) @ units
         return k
+
+
+def bent(finger: FinRay, height: float, force: float) -> Array:
+    """Angles (n,) in rad at which a small force (N) holds the springs, pushing the front wall in at a height (m)."""
+    arms = slip_arms(finger)
+    stiffness = np.diag(hinge_stiffness(finger)) + arms.T @ slip_stiffness(finger) @ arms
+    return np.linalg.solve(stiffness, -force * np.maximum(height - finger.stations, 0.0))
+
+
+def compliance(finger: FinRay, height: float) -> float:
+    """How far a small force pushes the front wall in at a height (m), m/N."""
+    return float(-np.maximum(height - finger.stations, 0.0) @ bent(finger, height, 1.0))

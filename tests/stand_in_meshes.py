@@ -13,7 +13,7 @@ from yamsim_cli.core.resources import Locations
 def stand_ins(
     folder: Path, locations: Locations, *names: str, edge: float = 0.02, reduced: bool = False
 ) -> dict[str, Path | None]:
-    """Asset set -> a folder with cubes of `edge` m, below `folder`; `reduced` as `assets.reduced` leaves it."""
+    """Asset set -> a folder with cubes of `edge` m, below `folder`; `reduced` as `assets.reduction` leaves it."""
     cube = stl_bytes(*box(edge, cuts=1))
     made: dict[str, Path | None] = {}
     for assets in load_lock(locations).select(names):

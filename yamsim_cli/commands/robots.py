@@ -35,7 +35,7 @@ def list_robots(json: Json = False) -> None:
 
     Example: yamsim robots list
     """
-    from yamsim_cli.core.robots_there import robots_there
+    from yamsim_cli.core.robot_catalog import robots_there
     from yamsim_cli.terminal.console import note
 
     items = robots_there(opener.locations())
@@ -54,7 +54,7 @@ def show(
 
     Example: yamsim robots show yam_ultra
     """
-    from yamsim_cli.core.robots_there import robot_there
+    from yamsim_cli.core.robot_catalog import robot_there
 
     print_item(robot_there(name, opener.locations()), json, {"meshes": _told_meshes})
 
@@ -69,7 +69,7 @@ def new(
 
     Example: yamsim robots new my_arm --data my_data
     """
-    from yamsim_cli.core.robot_check import new_robot
+    from yamsim_cli.core.robot_catalog import new_robot
     from yamsim_cli.terminal.console import print_json, print_line
 
     where = _locations(data)
@@ -98,7 +98,7 @@ def check(
     """
     opener.skip_gl()
 
-    from yamsim_cli.core.robot_check import check_robot, require_checked
+    from yamsim_cli.core.robot_catalog import check_robot, require_checked
     from yamsim_cli.terminal.console import print_json, print_table
     from yamsim_cli.terminal.tables import listing
 

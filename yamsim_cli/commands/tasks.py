@@ -25,7 +25,7 @@ def list_tasks(json: Json = False) -> None:
 
     Example: yamsim tasks list
     """
-    from yamsim_cli.core.task_proof.tasks_there import tasks_there
+    from yamsim_cli.core.task_proof.catalog import tasks_there
 
     print_items(tasks_there(opener.locations()), ["name", "things", "skills", "what is said"], _row, json)
 
@@ -39,7 +39,7 @@ def show(
 
     Example: yamsim tasks show tower
     """
-    from yamsim_cli.core.task_proof.tasks_there import task_there
+    from yamsim_cli.core.task_proof.catalog import task_there
 
     print_item(task_there(name, opener.locations()), json)
 
@@ -54,7 +54,7 @@ def new(
 
     Example: yamsim tasks new my_task
     """
-    from yamsim_cli.core.task_proof.skeleton import new_task
+    from yamsim_cli.core.task_proof.catalog import new_task
     from yamsim_cli.terminal.console import print_json, print_line
 
     path = new_task(name, folder)

@@ -1,4 +1,4 @@
-"""Settle what has to be known before anything runs: a config, where files are, the meshes, and what renders."""
+"""Opens sessions: loads the config, and finds files, meshes and an OpenGL backend."""
 
 from __future__ import annotations
 
@@ -21,23 +21,17 @@ if TYPE_CHECKING:
     from .documents.document import KeyPath
     from .resources import Locations
 
-# What MuJoCo and OpenCV can be asked for without a machine running out of memory.
-_SIZES = range(16, 4097)
-
-# What `Opener.skip_gl` writes. MuJoCo takes it as it takes "disabled", which a user may have set and which is then
-# kept to.
-_NO_GL = "off"
-
-# The environment variable that keeps meshes from being fetched at first use, unless it is empty or 0.
-_OFFLINE = "YAMSIM_OFFLINE"
+_SIZES = range(16, 4097)  # px, valid width and height of images
+_NO_GL = "off"  # MUJOCO_GL of `Opener.skip_gl`; like "disabled" for MuJoCo, which stands for a user's choice
+_OFFLINE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless it is empty or 0
 
 
 def _show_no_progress() -> AbstractContextManager[FetchProgress]:
     return nullcontext(lambda label, done, total: None)
 
 
-# What each setting sets. A task comes before its parts.
-_SETS: dict[str, tuple[str, ...]] = {
+# Setting -> key path in a record config. A task precedes its parts.
+_PATHS: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
     "robot": ("rig", "robot"),
@@ -63,8 +57,7 @@ _SETS: dict[str, tuple[str, ...]] = {
     "randomize": ("randomization",),
 }
 
-
-# Those that are of a part of the task.
+# Settings whose key path depends on the task.
 _WITHIN_TASK = ("object", "target", "threshold")
 
 
@@ -73,13 +66,13 @@ class Opener:
     """Opens sessions, for the command line or for a program.
 
     Attributes:
-        environ: the process's environment. What renders is settled in it: MuJoCo reads it when it is imported.
-        notify: told what a user should read, a sentence at a time.
-        spell: a setting's name -> how whoever asks writes it, for messages.
-        thing: makes a config of what names a thing otherwise, such as by its file, and gives its place.
-        task: a task's name, or its config as plain data where the name is that of a scene elsewhere.
-        fetch_bar: opens what shows how far the fetching of missing meshes is.
-        remind: told what is to be said again when all is done.
+        environ: the process's environment. MuJoCo reads the OpenGL backend from it when it is imported.
+        notify: shows the user a sentence.
+        spell: name of a setting -> the flag or keyword in messages.
+        thing: converts a thing's name to that of its config; a file of another format is imported.
+        task: converts a task's name to a name or a config as plain data.
+        fetch_bar: opens the progress bar of missing meshes.
+        remind: shows the user a sentence again at the end.
     """
 
     environ: MutableMapping[str, str]
@@ -93,17 +86,17 @@ class Opener:
     def open(
         self, name: str, *, renders: bool = True, parallel: bool = True, resumes: Path | None = None, **given: Any
     ) -> Session:
-        """A session of a record config with settings put over it.
+        """A session of a record config with settings.
 
         Args:
-            renders: whether anything is rendered; otherwise neither OpenGL nor meshes are looked for.
+            renders: whether anything is rendered; otherwise OpenGL and meshes are not needed.
             parallel: whether several processes render, see `use_gl`.
-            resumes: the dataset that is continued; what it shows as primitives stays primitives.
+            resumes: the dataset that is resumed; its primitives stay primitives.
             given: see `config`.
 
         Raises:
-            ConfigError, UsageError: a value is not valid. It is told before OpenGL is tried, which takes seconds.
-            ResourceError: nothing can render here.
+            ConfigError, UsageError: a value is not valid.
+            ResourceError: no OpenGL backend works.
         """
         from .attempt.first_starts import check_starts
 
@@ -120,12 +113,12 @@ class Opener:
         where = self.use_gl(where, workers=parallel)
         from .dataset.writing.opening import shown_in
 
-        # What the config of another dataset says of its meshes does not bind this one.
+        # A config may be that of another dataset, whose meshes do not matter here.
         session = Session(self.config(name, where, **given), where)
         return self.with_meshes(session.with_values(meshes=shown_in(resumes) if resumes else None))
 
     def locations(self) -> Locations:
-        """Where configs, models and meshes are, from the environment."""
+        """The places of configs, models and meshes from the environment."""
         from .resources import Locations
 
         return Locations.find(self.environ)
@@ -133,15 +126,15 @@ class Opener:
     def config(
         self, name: str, where: Locations, check: Callable[[RecordConfig], None] = lambda config: None, **given: Any
     ) -> RecordConfig:
-        """The named record config with settings put over it.
+        """The named record config with settings.
 
         Args:
-            check: of what takes longer to find out, once all else is right; it raises a `ConflictError`.
-            given: settings by their names; None for those that were not given. `randomize` keeps the ranges that a
-                config has of its own, or that `randomization` names.
+            check: a further check, which runs last and raises a `ConflictError`.
+            given: settings by name; None for settings that are not given. `randomize` keeps the ranges in the config,
+                or those of `randomization`.
 
         Raises:
-            ConfigError, UsageError: a value is not valid; what cannot be demonstrated is told before anything is made.
+            ConfigError, UsageError: a value is not valid.
         """
         from .config.loader import load_config
         from .config.recording import RecordConfig
@@ -158,12 +151,12 @@ class Opener:
             own = self.config(name, where, **(given | {"randomize": None})).randomization.parts
             given["randomize"] = (None if own else "default") if randomize else "none"
         fps = given.pop("fps", None)
-        sets = {
-            setting: path for setting, path in _SETS.items() if given.get(setting) is not None and given[setting] != []
+        paths = {
+            setting: path for setting, path in _PATHS.items() if given.get(setting) is not None and given[setting] != []
         }
-        within = [setting for setting in _WITHIN_TASK if setting in sets]
+        within = [setting for setting in _WITHIN_TASK if setting in paths]
         overrides: dict[KeyPath, tuple[str, Any]] = {
-            path: (self.spell(setting), given[setting]) for setting, path in sets.items() if setting not in within
+            path: (self.spell(setting), given[setting]) for setting, path in paths.items() if setting not in within
         }
         if (
             given.get("task") is not None
@@ -172,7 +165,6 @@ class Opener:
         ):
             overrides["rig",] = own_rig
         if within:
-            # Where a task has them depends on what it is.
             task = load_config(RecordConfig, "record", name, where, overrides).task
             overrides |= {self._within(task, setting): (self.spell(setting), given[setting]) for setting in within}
         if fps is not None:
@@ -180,17 +172,13 @@ class Opener:
 
         def check_all(config: Config) -> None:
             check_config(config)
-            assert isinstance(config, RecordConfig)  # asked for here
+            assert isinstance(config, RecordConfig)
             check(config)
 
         return load_config(RecordConfig, "record", name, where, overrides, check_all)
 
     def _within(self, task: ProgramTask, setting: str) -> KeyPath:
-        """Return where a recording's config has a setting of its task.
-
-        Raises:
-            UsageError: the task has no such thing.
-        """
+        """The key path of a setting within the task. Raises UsageError if the task has no such key."""
         from .documents.base import ConflictError
 
         if setting == "threshold":
@@ -206,16 +194,14 @@ class Opener:
         return ("task", "things", setting, "of")
 
     def _at_rate(self, fps: float, timing: ProgramTiming) -> dict[KeyPath, tuple[str, Any]]:
-        from .config.frame_rate import at_rate
-
         try:
-            changed = at_rate(timing, fps)
+            changed = timing.at_rate(fps)
         except ValueError as error:
             raise UsageError(f"{self.spell('fps')}: {error}") from None
         return {("task", "timing", key): (self.spell("fps"), value) for key, value in changed.items()}
 
     def _own_rig(self, task: str | dict[str, Any], where: Locations) -> tuple[str, str] | None:
-        """Return where a task names the rig that it is done on, and the rig; None if it names none."""
+        """Place and name of the rig in a task's config; None if it has none."""
         from .config.loader import model_of
         from .config.program_task import PROGRAM
         from .documents.document import Document
@@ -224,7 +210,7 @@ class Opener:
             read = model_of("tasks").read
             document = read(where.config_file("tasks", task)) if isinstance(task, str) else Document(task, "task")
         except ConfigError:
-            return None  # Loading the whole config says so, and who asked for it.
+            return None  # loading the whole config reports the error
         rig = document.data.get("rig") if document.data.get("kind") == PROGRAM else None
         return (document.place(("rig",)), rig) if isinstance(rig, str) else None
 
@@ -236,33 +222,29 @@ class Opener:
         revision: str | None = None,
         robot: Sequence[str] | None = None,
     ) -> RigConfig:
-        """The named rig, with another margin, another revision of its robots, or one's dynamics, if one was given."""
+        """The named rig with another margin, another revision of its robots, and files of dynamics, where given."""
         from .config.loader import load_config
         from .config.rig import RigConfig
 
-        overrides: dict[KeyPath, tuple[str, Any]] = {}
-        if margin is not None:
-            overrides["margin",] = (self.spell("margin"), margin)
-        if revision is not None:
-            overrides["revision",] = (self.spell("revision"), revision)
-        if robot:
-            overrides["robot",] = (self.spell("robot"), robot)
+        given = {"margin": margin, "revision": revision, "robot": robot or None}
+        overrides: dict[KeyPath, tuple[str, Any]] = {
+            (key,): (self.spell(key), value) for key, value in given.items() if value is not None
+        }
         return load_config(RigConfig, "rigs", name, where, overrides)
 
     def use_gl(self, where: Locations, *, workers: bool = False) -> Locations:
-        """Settle on an OpenGL backend that works, for this process and its workers; rather before mujoco is imported.
+        """Find an OpenGL backend for this process and its workers, before mujoco is imported.
 
         Args:
-            workers: several processes render, so that none may take more than one core: Mesa's software renderer would
-                start a thread a core in each.
+            workers: whether several processes render, so that Mesa's software renderer has to use one core in each.
 
         Returns:
-            `where`, with the quality that suits the backend as `auto`.
+            `where` with the quality for the backend as `auto`.
         """
         from .gl import bind_backend, find_backend
 
-        asked = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _NO_GL)}
-        backend = find_backend(asked)
+        environ = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _NO_GL)}
+        backend = find_backend(environ)
         if backend.name is not None:
             self.environ["MUJOCO_GL"] = backend.name
             bind_backend(backend.name)
@@ -271,17 +253,17 @@ class Opener:
         return replace(where, auto_quality="balanced" if backend.software else "high")
 
     def skip_gl(self) -> None:
-        """Keep MuJoCo from loading any OpenGL: nothing will be rendered."""
+        """Keep MuJoCo from loading OpenGL."""
         self.environ.setdefault("MUJOCO_GL", _NO_GL)
 
     def stay_offline(self) -> None:
-        """Fetch no meshes: primitives stand in for what is missing."""
+        """Show primitives for missing meshes instead of fetching them."""
         self.environ[_OFFLINE] = "1"
 
     def with_meshes(self, session: Session) -> Session:
-        """The same session with the meshes of everything that its scene shows.
+        """The session with the folders of all meshes of its scene.
 
-        Sets that the config says were recorded as primitives stay primitives, and are not looked for.
+        Sets that the config has as primitives stay primitives.
         """
         from .scene.blueprint import recording_blueprint
         from .scene.compose import mesh_sets
@@ -294,10 +276,10 @@ class Opener:
         return replace(session, locations=replace(where, meshes={**where.meshes, **dict.fromkeys(kept)}))
 
     def find_meshes(self, where: Locations, names: Iterable[str], quality: RenderConfig | None = None) -> Locations:
-        """`where`, with the folder of each mesh set. Missing sets are fetched; the user is told of what cannot be had.
+        """`where` with the folder of each asset set. Missing sets are fetched; the user is notified of failures.
 
         Args:
-            quality: rather the meshes that it asks for: reduced ones are made when they are not there yet.
+            quality: whether meshes are reduced; reduced meshes are made if they are missing.
         """
         from .assets import AssetStore, is_own, load_lock, resolve_own
         from .resources import IMPORTED
@@ -324,12 +306,12 @@ class Opener:
     def _fetch(
         self, where: Locations, lock: AssetLock, store: AssetStore, missing: Sequence[str]
     ) -> dict[str, Path | None]:
-        """The folders of sets that were not here, after fetching them unless the user asked for primitives."""
+        """The folders of missing sets, after fetching them unless the user chose primitives."""
         from .assets import fetch_missing
 
-        asked = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
-        why = f"run `yamsim assets fetch{asked}`, or `yamsim doctor`"
-        if not self._asks_for_primitives(where):
+        on_demand = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
+        why = f"run `yamsim assets fetch{on_demand}`, or `yamsim doctor`"
+        if not self._wants_primitives(where):
             self.notify(f"The meshes of {' and '.join(missing)} are being fetched, which is done once.")
             try:
                 with self.fetch_bar() as progress:
@@ -343,8 +325,8 @@ class Opener:
             self.remind(notice)
         return found
 
-    def _asks_for_primitives(self, where: Locations) -> bool:
-        """Whether missing meshes are not to be fetched: offline, or YAMSIM_ASSETS names an empty folder or a file."""
+    def _wants_primitives(self, where: Locations) -> bool:
+        """Whether missing meshes are not fetched: offline, or if YAMSIM_ASSETS is an empty folder or a file."""
         if self.environ.get(_OFFLINE, "0") not in ("", "0"):
             return True
         if not self.environ.get("YAMSIM_ASSETS") or not where.assets.exists():
@@ -352,7 +334,7 @@ class Opener:
         return not where.assets.is_dir() or not any(where.assets.iterdir())
 
     def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
-        """The set's reduced meshes; its own, with a word to the user, where there are none and none can be made."""
+        """The folder of a set's reduced meshes; the set's own folder if they cannot be made."""
         from .assets import find_reduced, make_reduced
 
         assets = lock.sets[name]
@@ -371,7 +353,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """WIDTHxHEIGHT as two numbers of pixels.
 
     Raises:
-        UsageError: it is not of that form, or out of range.
+        UsageError: the text has another form, or a number is out of range.
     """
     width, cross, height = text.lower().partition("x")
     if not cross or not width.isdecimal() or not height.isdecimal():

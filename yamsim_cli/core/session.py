@@ -1,11 +1,11 @@
-"""What is settled before anything runs, as one value."""
+"""A config and the places of its files, as one value for all that runs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-# Named alone: whoever opens sessions starts before pydantic is loaded.
+# Imported for types only, so that a program can open a session before pydantic is loaded.
 if TYPE_CHECKING:
     from .config.recording import RecordConfig
     from .resources import Locations
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Session:
-    """What a job is made from: plain data, which travels to its workers whole. `core.opener` opens one.
+    """Plain data for workers on any machine; `core.opener` opens a session.
 
     Attributes:
-        config: what is run, checked.
-        locations: where its files are, the folders of its meshes among them.
+        config: the validated config.
+        locations: places of its files, including the folders of its meshes.
     """
 
     config: RecordConfig
     locations: Locations
 
     def with_values(self, **values: Any) -> Session:
-        """The same session with other values of its config, by their keys; they are not checked again."""
+        """The session with other values of its config, by their keys, without validation."""
         return replace(self, config=self.config.model_copy(update=values))
 
     def without_meshes(self) -> Session:
-        """The same session with primitives in place of all meshes: the same physics, compiled sooner."""
+        """The session with primitives instead of meshes, which compiles faster and has the same physics."""
         return replace(self, locations=replace(self.locations, meshes={}))

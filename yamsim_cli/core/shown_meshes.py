@@ -1,7 +1,6 @@
-"""What a dataset says of the meshes that it shows: one text for each asset set, to be compared and told.
+"""Descriptions of the meshes that a dataset shows, one for each asset set.
 
-`primitives`, or `full` or `reduced` with a hash over the files in use. Meshes are only looks: a dataset that mixes them
-has the same physics throughout, and shows two robots.
+A description is `primitives`, or `full` or `reduced` with a hash over the files. Meshes do not change physics.
 """
 
 from __future__ import annotations
@@ -12,26 +11,24 @@ PRIMITIVES = "primitives"
 FULL = "full"
 REDUCED = "reduced"
 
-# What such a text can be.
 PATTERN = rf"^({PRIMITIVES}|({FULL}|{REDUCED}) [0-9a-f]{{64}})$"
 
-# Digits of a hash that are enough to tell two apart.
-_SHOWN = 12
+_DIGITS = 12  # of a hash in messages
 
-# Asset set -> the text on what is shown of it.
+# Asset set -> description.
 ShownMeshes = Mapping[str, str]
 
 
 def shown(text: str | None) -> str:
-    """What is shown of a set, for a message; `text` is None where the set is not used."""
+    """A description for messages; `text` is None for an unused set."""
     if text is None:
         return "not used"
     kind, _, digest = text.partition(" ")
-    return f"{kind} {digest[:_SHOWN]}" if digest else kind
+    return f"{kind} {digest[:_DIGITS]}" if digest else kind
 
 
 def differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, str] = ("there", "now")) -> list[str]:
-    """`set: what is shown there, what is shown now` for every set of which these differ."""
+    """`set: description there, description now` for every set whose descriptions differ."""
     return [
         f"{name}: {shown(one.get(name))} {places[0]}, {shown(other.get(name))} {places[1]}"
         for name in sorted({*one, *other})
@@ -40,7 +37,7 @@ def differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, str] = 
 
 
 def remedy(recorded: ShownMeshes, now: ShownMeshes) -> str:
-    """What to do where a dataset shows other meshes than it would now."""
+    """How to get the meshes that a dataset was recorded with."""
     changed = [name for name in recorded if recorded[name] != now.get(name)]
     if any(now.get(name) == PRIMITIVES for name in changed):
         return "`yamsim assets fetch` brings the meshes, or set YAMSIM_ASSETS to where they are"

@@ -1,4 +1,4 @@
-"""How one attempt differs from another beside where things start: plain frozen data."""
+"""What varies between attempts besides the starts of things: plain frozen data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class LightVariation:
-    """How one light differs: factors on red, green and blue, and the turn (3,) of its direction, rad."""
+    """A light's factors on red, green and blue, and the rotation vector (3,) of its direction, rad."""
 
     colour: tuple[float, float, float]
     turn: tuple[float, float, float]
@@ -16,7 +16,7 @@ class LightVariation:
 
 @dataclass(frozen=True)
 class SurfaceVariation:
-    """The look of a surface: a pattern of two colours (RGB, 0..1), how often it repeats, and its noise's seed."""
+    """A surface's pattern of two colours (RGB, 0..1), its repetitions along each edge, and the seed of its noise."""
 
     texture: str
     colours: tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -26,7 +26,7 @@ class SurfaceVariation:
 
 @dataclass(frozen=True)
 class LookVariation:
-    """The look of an object: its colour (RGB, 0..1) and its shine."""
+    """An object's colour (RGB, 0..1) and shine."""
 
     rgb: tuple[float, float, float]
     specular: float
@@ -35,7 +35,7 @@ class LookVariation:
 
 @dataclass(frozen=True)
 class ArmVariation:
-    """What is added to how one arm acts and is read, see `config.randomization.ArmRanges`; `gravity` has each joint."""
+    """Added to one arm's dynamics, see `config.randomization.ArmRanges`; `gravity` is the error of each joint."""
 
     command_delay_ms: float
     sensor_delay_ms: float
@@ -46,19 +46,17 @@ class ArmVariation:
 
 @dataclass(frozen=True)
 class Variation:
-    """What was sampled for one attempt from the ranges of a randomization; records keep it, key by key.
-
-    A part that does not vary is empty or None.
+    """The samples of one attempt from the ranges of a randomization; a part that does not vary is empty or None.
 
     Attributes:
-        headlight: factors on the light that the camera sheds, and on the light from everywhere.
+        headlight: factors on the camera's headlight, and on the ambient light.
         mass, friction: body -> factor.
         lens_deg: added to the scene camera's field of view.
-        camera: shift (m) and turn (rad) of the scene camera, along and about the axes of `world`.
+        camera: shift (m) and rotation (rad) of the scene camera, along and about the axes of `world`.
         looks: object -> its look.
-        distractors: object -> where it stands, `[x, y, z, yaw]` in `world`, m and rad.
-        noise, salt_pepper: of the pictures; see `config.randomization.PictureRanges`.
-        arm_dynamics: of the scene's arms, in its order.
+        distractors: object -> its place `[x, y, z, yaw]` in `world`, m and rad.
+        noise, salt_pepper: of the pictures, see `config.randomization.PictureRanges`.
+        arm_dynamics: in the scene's order of arms.
     """
 
     lights: tuple[LightVariation, ...] = ()

@@ -5,7 +5,7 @@ import zipfile
 import pytest
 
 from yamsim_cli.core.assets import SourceError
-from yamsim_cli.core.assets.archives import PinnedArchives, read_members
+from yamsim_cli.core.assets.downloads import PinnedArchives, read_members
 from yamsim_cli.core.assets.sources import no_progress
 
 
@@ -91,17 +91,6 @@ def test_pip_downloads_the_pinned_archive_for_any_python(world, contents, scratc
     assert seen[-1] == ("tiny: tiny-meshes 1.0", size, size)
 
 
-def test_sets_of_one_archive_take_one_download_and_each_is_reported(world, contents, tmp_path, local_pip):
-    source = PinnedArchives(world.lock.archives)
-    reported = []
-    for name in ("first", "second"):
-        (tmp_path / name).mkdir()
-        reported.clear()
-        assert source.read(world.lock.sets["tiny"], tmp_path / name, lambda *one: reported.append(one)) == contents
-        assert reported[-1][0] == "tiny: tiny-meshes 1.0"
-        (world.index / "tiny_meshes-1.0-py3-none-any.whl").unlink(missing_ok=True)
-
-
 def test_pip_refuses_an_archive_that_is_not_the_pinned_one(world, scratch, local_pip):
     wheel = world.index / "tiny_meshes-1.0-py3-none-any.whl"
     wheel.write_bytes(wheel.read_bytes() + b"\0")
@@ -127,3 +116,14 @@ def test_a_python_without_pip_gets_the_fix(world, scratch, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(SourceError, match="ensurepip"):
         PinnedArchives(world.lock.archives).read(world.lock.sets["tiny"], scratch, no_progress)
+
+
+def test_sets_of_one_archive_take_one_download_and_each_is_reported(world, contents, tmp_path, local_pip):
+    source = PinnedArchives(world.lock.archives)
+    reported = []
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        reported.clear()
+        assert source.read(world.lock.sets["tiny"], tmp_path / name, lambda *one: reported.append(one)) == contents
+        assert reported[-1][0] == "tiny: tiny-meshes 1.0"
+        (world.index / "tiny_meshes-1.0-py3-none-any.whl").unlink(missing_ok=True)

@@ -9,8 +9,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from yamsim_cli.commands.assets import app
-from yamsim_cli.core.assets import reduced
-from yamsim_cli.core.errors import UsageError
+from yamsim_cli.core.assets import reduction
 
 
 @pytest.fixture
@@ -69,23 +68,7 @@ def _tiny(result, key="set"):
 
 
 def test_fetch_reduces_what_it_fetched(run, world, monkeypatch):
-    monkeypatch.setattr(reduced, "reduce_stl", lambda data, how: data)
+    monkeypatch.setattr(reduction, "reduce_stl", lambda data, how: data)
     (fetched,) = json.loads(run("fetch", "tiny", "--json").stdout)["items"]
     assert fetched["reduced_path"].startswith(f"{fetched['path']}-reduced-")
     assert sorted(path.name for path in Path(fetched["reduced_path"]).glob("*.stl")) == ["part.stl", "tip.stl"]
-
-
-def test_people_get_a_table(run):
-    output = run("list").stdout
-    assert "part.stl" in output
-    assert "missing" in output
-
-
-def test_an_unknown_set_is_the_boundarys_to_report(run):
-    with pytest.raises(UsageError, match="did you mean 'tiny'"):
-        run("fetch", "tinny")
-
-
-@pytest.mark.parametrize("command", ["list", "fetch"])
-def test_every_command_shows_an_example(run, command):
-    assert f"Example: yamsim assets {command}" in run(command, "--help").output

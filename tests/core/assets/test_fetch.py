@@ -47,23 +47,6 @@ def test_after_a_fetch_no_source_is_asked_again(world, contents):
     assert (again.source, source.asked) == ("store", ["tiny"])
 
 
-def test_a_hand_filled_folder_needs_no_source_and_is_left_as_it_is(world, contents):
-    (world.store.root / "tiny").mkdir(parents=True)
-    for name, data in contents.items():
-        (world.store.root / "tiny" / name).write_bytes(data)
-    (found,) = fetch(world.lock, [], world.store, []).sets
-    assert (found.source, found.directory) == ("store", world.store.root / "tiny")
-    assert {path.name for path in world.store.root.iterdir()} == {"tiny"}
-
-
-def test_a_damaged_set_is_fetched_again(world, contents):
-    source = Fake("twice", files=contents)
-    (fetched,) = fetch(world.lock, [], world.store, [source]).sets
-    (fetched.directory / "tip.stl").write_bytes(b"junk")
-    assert fetch(world.lock, [], world.store, [source]).sets == (fetched,)
-    assert world.store.resolve(world.lock.sets["tiny"]) == fetched.directory
-
-
 def test_when_all_fail_one_line_names_each_and_what_to_do(world, contents):
     sources = [
         Fake("first", error=SourceError("no answer")),

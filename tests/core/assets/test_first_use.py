@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from tests.core.assets.conftest import World
-from yamsim_cli.core.assets import default_sources, fetch, first_use
+from yamsim_cli.core.assets import default_sources, fetch
+from yamsim_cli.core.assets.fetch import FAILURE_VALID_S
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Meshes
 
@@ -69,7 +71,7 @@ def test_a_failure_keeps_later_commands_from_waiting_for_an_hour(
     meshes, told = look()
     assert meshes == {"tiny": None}
     assert "failed less than an hour ago" in told[1]
-    past = time.time() - first_use.REMEMBERED_S - 1
+    past = time.time() - FAILURE_VALID_S - 1
     os.utime(world.store.failure_mark, (past, past))
     assert look()[0]["tiny"] is not None
     assert not world.store.failure_mark.exists()
@@ -95,7 +97,7 @@ def test_an_index_that_says_nothing_is_given_up_after_the_first_set(
 ) -> None:
     tiny = world.raw["sets"]["tiny"]
     world.write_lock(world.raw | {"sets": {"tiny": tiny, "other": tiny | {"name": "other"}}})
-    monkeypatch.setattr(first_use, "IDLE_S", 1.0)
+    monkeypatch.setattr(sys.modules[default_sources.__module__], "IDLE_S", 1.0)
     monkeypatch.delenv("PIP_NO_INDEX")
     monkeypatch.delenv("PIP_FIND_LINKS")
     with socket.create_server(("127.0.0.1", 0)) as silent:

@@ -10,7 +10,7 @@ from yamsim_cli.core.assets.lock import is_contained
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.things.thing import ObjectConfig
-from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
+from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.blueprint import recording_blueprint
@@ -112,15 +112,6 @@ def test_a_missing_notice_is_named(world):
     (world.locations.data[0] / "assets/notices/tiny.txt").unlink()
     with pytest.raises(ResourceError, match=r"notices/tiny\.txt"):
         load_lock(world.locations)
-
-
-def test_an_unknown_set_lists_the_known_ones(committed):
-    with pytest.raises(UsageError, match=r"did you mean 'ycb'\? valid: finray, i2rt_arm_big_yam"):
-        committed.select(["ycbb"])
-
-
-def test_sets_are_selected_once_and_in_the_locks_order(committed):
-    assert [assets.name for assets in committed.select(["ycb", "i2rt_yam_crank", "ycb"])] == ["i2rt_yam_crank", "ycb"]
 
 
 def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(committed):

@@ -4,7 +4,7 @@ import time
 import pytest
 
 from yamsim_cli.core.assets import SourceError, fetch
-from yamsim_cli.core.assets.menagerie import Menagerie
+from yamsim_cli.core.assets.downloads import Menagerie
 from yamsim_cli.core.assets.sources import no_progress
 
 
@@ -81,9 +81,3 @@ def test_a_package_that_is_not_installed_is_a_reason(world, tmp_path, monkeypatc
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(SourceError, match="not installed"):
         Menagerie().read(world.lock.sets["tiny"], tmp_path, no_progress)
-
-
-def test_only_robot_meshes_are_asked_for(world):
-    tiny = world.lock.sets["tiny"]
-    assert Menagerie().offers(tiny)
-    assert not Menagerie().offers(tiny.model_copy(update={"menagerie": None}))

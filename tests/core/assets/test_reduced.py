@@ -1,10 +1,9 @@
-import json
 import threading
 
 import pytest
 
 from tests.meshes import ball, box
-from yamsim_cli.core.assets import AssetStore, LockedFile, find_reduced, make_reduced, reduced
+from yamsim_cli.core.assets import LockedFile, find_reduced, make_reduced, reduction
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.geometry.stl import stl_bytes
@@ -37,11 +36,11 @@ def test_they_are_made_once_and_kept_beside_the_set(world, tiny, source, content
     assert steps == [(1, 2), (2, 2)]
     assert made.directory.parent == source.parent
     assert made.directory.name.startswith(f"{source.name}-reduced-")
-    assert sorted(path.name for path in made.directory.iterdir()) == sorted([*contents, "tiny.txt", reduced.REPORT])
+    assert sorted(path.name for path in made.directory.iterdir()) == sorted([*contents, "tiny.txt", reduction.REPORT])
     assert made.faces < made.source_faces == sum((len(data) - 84) // 50 for data in contents.values())
     assert (made.directory / "tiny.txt").read_text() == "the notice"
 
-    monkeypatch.setattr(reduced, "reduce_stl", None)
+    monkeypatch.setattr(reduction, "reduce_stl", None)
     assert find_reduced(world.store, tiny) == made
     assert make_reduced(world.store, tiny, source, "the notice") == made
 
@@ -49,7 +48,7 @@ def test_they_are_made_once_and_kept_beside_the_set(world, tiny, source, content
 @pytest.mark.parametrize("damage", ["byte", "cut", "missing", "report", "no report"])
 def test_what_is_damaged_is_made_again(world, tiny, source, damage):
     made = make_reduced(world.store, tiny, source, "the notice")
-    mesh, report = made.directory / "part.stl", made.directory / reduced.REPORT
+    mesh, report = made.directory / "part.stl", made.directory / reduction.REPORT
     whole = mesh.read_bytes()
     match damage:
         case "byte":
@@ -73,30 +72,15 @@ def test_another_source_or_recipe_is_another_folder(world, tiny, source, monkeyp
     other = dict(tiny.files)
     other["part.stl"] = other["part.stl"].model_copy(update={"sha256": "0" * 64})
     assert find_reduced(world.store, tiny.model_copy(update={"files": other})) is None
-    monkeypatch.setattr(reduced, "recipe", lambda: "another")
+    monkeypatch.setattr(reduction, "recipe", lambda: "another")
     assert find_reduced(world.store, tiny) is None
     assert make_reduced(world.store, tiny, source, "the notice").directory != made.directory
     assert made.directory.is_dir()
 
 
-def test_half_made_is_not_there(world, tiny, source, monkeypatch):
-    calls = []
-
-    def second_fails(data, how):
-        calls.append(how)
-        if len(calls) == 2:
-            raise ResourceError("no binary STL")
-        return data
-
-    monkeypatch.setattr(reduced, "reduce_stl", second_fails)
-    with pytest.raises(ResourceError, match="no binary STL"):
-        make_reduced(world.store, tiny, source, "the notice")
-    assert [path.name for path in world.store.root.iterdir() if path.name[0] != "."] == [source.name]
-
-
 def test_two_at_once_do_the_work_once(world, tiny, source, monkeypatch):
-    calls, real = [], reduced.reduce_stl
-    monkeypatch.setattr(reduced, "reduce_stl", lambda data, how: (calls.append(1), real(data, how))[1])
+    calls, real = [], reduction.reduce_stl
+    monkeypatch.setattr(reduction, "reduce_stl", lambda data, how: (calls.append(1), real(data, how))[1])
     results = []
     threads = [
         threading.Thread(target=lambda: results.append(make_reduced(world.store, tiny, source, "the notice")))
@@ -110,25 +94,11 @@ def test_two_at_once_do_the_work_once(world, tiny, source, monkeypatch):
     assert results[0] == results[1]
 
 
-def test_a_store_that_cannot_be_written_is_a_missing_resource(tiny, source, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ResourceError, match="cannot write to the asset store"):
-        make_reduced(AssetStore(tmp_path / "file/store"), tiny, source, "the notice")
-
-
 def test_a_library_that_is_not_here_is_a_missing_resource(world, tiny, source, monkeypatch):
     def missing():
         raise ModuleNotFoundError("No module named 'manifold3d'")
 
-    monkeypatch.setattr(reduced, "recipe", missing)
+    monkeypatch.setattr(reduction, "recipe", missing)
     for call in (lambda: find_reduced(world.store, tiny), lambda: make_reduced(world.store, tiny, source, "")):
         with pytest.raises(ResourceError, match="manifold3d"):
             call()
-
-
-def test_the_report_says_what_was_done(world, tiny, source):
-    made = make_reduced(world.store, tiny, source, "the notice")
-    report = json.loads((made.directory / reduced.REPORT).read_text())
-    assert report["source"] == tiny.directory_name
-    assert "manifold3d 3" in report["recipe"]
-    assert sum(entry["faces"] for entry in report["files"].values()) == made.faces

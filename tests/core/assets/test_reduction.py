@@ -4,7 +4,6 @@ import pytest
 from tests.meshes import ball, box, volume
 from yamsim_cli.core.assets import Reduction, reduction
 from yamsim_cli.core.assets.reduction import LIMIT_MM, cleared, collapsed, reduce_stl
-from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.deviation import deviation
 from yamsim_cli.core.geometry.stl import read_stl, stl_bytes
 
@@ -61,8 +60,3 @@ def test_no_face_without_an_area_is_left():
     vertices, faces = in_mm(reduce_stl(stl_bytes(*BALL), Reduction(faces=300)))
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).min() > 0
-
-
-def test_what_is_no_mesh_is_refused():
-    with pytest.raises(ResourceError, match="no binary STL"):
-        reduce_stl(b"solid part", None)

@@ -1,4 +1,4 @@
-"""Camera files of other programs, as those programs write them; files of several cameras; and files made to do harm."""
+"""Camera files of yamsim and of other programs, files of several cameras, and files made to do harm."""
 
 from __future__ import annotations
 
@@ -48,19 +48,139 @@ def refusal(name: str, locations: Locations) -> str:
     return message
 
 
-def write_file_storage(name: str, distortion: np.ndarray[Any, Any], comment: str = "") -> None:
+def model_of_text(text: str, locations: Locations) -> CameraModel:
+    Path("c.yaml").write_text(text)
+    return read("c.yaml", locations)
+
+
+def refusal_of_text(text: str, locations: Locations) -> str:
+    Path("c.yaml").write_text(text)
+    message = refusal("c.yaml", locations)
+    assert message.startswith("c.yaml:")
+    return message
+
+
+FLAT = [number for row in K for number in row]
+
+OURS = f"width: 640\nheight: 480\nK: {K}\ndistortion: {DISTORTION}\n"
+
+ROS = f"""\
+image_width: 640
+image_height: 480
+camera_name: head
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: {FLAT}
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: {DISTORTION}
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [580.0, 0.0, 321.0, 0.0, 0.0, 590.0, 237.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""
+
+
+# What a page of Python that dumps OpenCV's arrays makes.
+DUMPED = f"camera_matrix: {K}\ndist_coeff: [{DISTORTION}]\nwidth: 640\nheight: 480\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [OURS, OURS.replace(str(K), str(FLAT)), DUMPED, ROS],
+    ids=["ours", "flat", "dumped", "ros"],
+)
+def test_files_written_by_hand_or_by_ros(text: str, locations: Locations) -> None:
+    assert model_of_text(text, locations) == WANTED
+
+
+def test_the_focal_lengths_uncertainty_is_kept_from_any_file(locations: Locations) -> None:
+    assert model_of_text(OURS, locations).focal_sigma == 0.003
+    for text in (OURS, ROS):
+        assert model_of_text(text + "focal_sigma: 0.02\n", locations).focal_sigma == 0.02
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "part"),
+    [
+        ("width: 640\n", "", None, "width: missing"),
+        ("640", "0", 1, "greater than or equal to 16"),
+        ("height: 480", "hieght: 480", 2, "did you mean 'height'?"),
+        ("610.5", "0.0", None, "must be above 0 px"),
+        ("610.5", "-600", None, "must be above 0 px"),
+        ("610.5", "six", 3, "'six'"),
+        ("610.5", ".nan", 3, "finite"),
+        ("610.5, 0.0,", "610.5, 3.0,", None, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"),
+        ("[0.0, 0.0, 1.0]", "[0.0, 0.0, 2.0]", None, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"),
+        (", [0.0, 0.0, 1.0]", "", 3, "K must have 3 x 3 numbers"),
+        # In millimetres.
+        ("610.5", "3.6", None, "does not fit images of 640 x 480: its focal length is 3.6 px"),
+        # Of images twice or half as large, or of a crop that lies elsewhere.
+        ("width: 640\nheight: 480", "width: 1280\nheight: 960", None, "middle of images of about 644 x 474"),
+        ("width: 640\nheight: 480", "width: 320\nheight: 240", None, "principal point is (322.25, 236.75)"),
+        ("width: 640\nheight: 480", "width: 400\nheight: 300", None, "middle of images of about 644 x 474"),
+        ("322.25", "-20", None, "principal point is (-20, 236.75)"),
+        (str(DISTORTION), "[-0.1, 0.0, 0.0]", None, "distortion has 3 numbers; OpenCV's model has 0, 4, 5, 8, 12"),
+        (str(DISTORTION), "none", 4, "'none'"),
+        ("distortion:", "focal_sigma: 3\ndistortion:", 4, "less than or equal to 0.5"),
+    ],
+)
+def test_each_fault_of_a_plain_file_is_one_line(
+    old: str, new: str, line: int | None, part: str, locations: Locations
+) -> None:
+    assert OURS.count(old) >= 1
+    message = refusal_of_text(OURS.replace(old, new, 1), locations)
+    assert part in message
+    if line is not None:
+        assert message.startswith(f"c.yaml:{line}: ")
+
+
+@pytest.mark.parametrize(
+    ("text", "start", "part"),
+    [
+        (ROS.replace("plumb_bob", "equidistant"), "c.yaml:8: distortion_model", "'equidistant' is not valid"),
+        (ROS.replace("plumb_bob", "fisheye"), "c.yaml:8: distortion_model", "valid: plumb_bob, rational_polynomial"),
+        (DUMPED + "fisheye_model: 1\n", "c.yaml", "'fisheye' is not valid"),
+        (ROS.replace("image_width: 640\n", ""), "c.yaml:1: width", "missing"),
+        (ROS.replace("image_width: 640", "image_width: 64000"), "c.yaml:1: width", "64000"),
+        (ROS.replace("610.5, ", ""), "c.yaml:5: K", "K must have 3 x 3 numbers"),
+        (ROS.replace("data: [610.5", "dates: [610.5"), "c.yaml:5: K", "K must have 3 x 3 numbers"),
+        (ROS.replace("0.01]", "0.01, 0.0]"), "c.yaml:1: config", "distortion has 6 numbers"),
+    ],
+)
+def test_each_fault_of_another_programs_file_is_one_line(
+    text: str, start: str, part: str, locations: Locations
+) -> None:
+    message = refusal_of_text(text, locations)
+    assert message.startswith(start)
+    assert part in message
+
+
+OPENCV_NAMES = ("image_width", "image_height", "camera_matrix", "distortion_coefficients")
+
+
+def write_file_storage(
+    name: str, distortion: np.ndarray[Any, Any], comment: str = "", keys: tuple[str, ...] = OPENCV_NAMES
+) -> None:
     """What OpenCV's own calibration program writes, with its other values and its comment."""
     storage = cv2.FileStorage(name, cv2.FILE_STORAGE_WRITE)
     storage.write("calibration_time", 'Sat Nov 21 2026 "<&>"')
     storage.write("nr_of_frames", 20)
-    storage.write("image_width", 640)
-    storage.write("image_height", 480)
+    storage.write(keys[0], 640)
+    storage.write(keys[1], 480)
     storage.write("flags", 0)
     if comment:
         storage.writeComment(comment)
     storage.write("fisheye_model", 0)
-    storage.write("camera_matrix", np.array(K))
-    storage.write("distortion_coefficients", distortion)
+    storage.write(keys[2], np.array(K))
+    storage.write(keys[3], distortion)
     storage.write("per_view_reprojection_errors", np.array([[0.2], [np.nan]], np.float32))
     storage.startWriteStruct("grid", cv2.FileNode_SEQ)
     storage.write("", 1.5)
@@ -77,6 +197,20 @@ def test_what_opencv_writes(ending: str, comment: str, shape: tuple[int, ...], l
     write_file_storage(f"c.{ending}", np.array(DISTORTION).reshape(shape), comment)
     assert (comment in Path(f"c.{ending}").read_text()) == bool(comment) or not comment
     assert read(f"c.{ending}", locations) == WANTED
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        ("image_Width", "image_Height", "Camera_Matrix", "Distortion_Coefficients"),
+        ("imageWidth", "imageHeight", "cameraMatrix", "distCoeffs"),
+        ("width", "height", "mtx", "dist"),
+        ("width", "height", "K", "D"),
+    ],
+)
+def test_the_keys_of_other_calibration_programs(keys: tuple[str, ...], locations: Locations) -> None:
+    write_file_storage("c.yaml", np.array(DISTORTION), keys=keys)
+    assert read("c.yaml", locations) == WANTED
 
 
 @pytest.mark.parametrize("ending", ["json", "xml"])

@@ -37,45 +37,17 @@ def test_a_duplicate_key_is_refused_at_any_depth_with_both_lines(text, first, se
     assert refusal(text) == f"f.yaml:{second}: duplicate key '{key}', first at line {first}; remove one"
 
 
-def test_equal_keys_of_different_mappings_are_fine():
-    assert parse_yaml("a: {x: 1}\nb: {x: 1, a: 2}\n", "f").data == {"a": {"x": 1}, "b": {"x": 1, "a": 2}}
-
-
 @pytest.mark.parametrize(
-    ("text", "number"),
+    ("text", "wanted"),
     [
-        ("1e-3", 0.001),
-        ("1.568e-5", 1.568e-5),
-        ("+1E6", 1e6),
-        ("-2.5e+3", -2500.0),
-        (".5", 0.5),
-        ("-.5", -0.5),
-        ("5.", 5.0),
-        ("0.0", 0.0),
-        (".inf", math.inf),
-        ("-.Inf", -math.inf),
+        *(("1e-3", 0.001), ("1.568e-5", 1.568e-5), ("+1E6", 1e6), ("-2.5e+3", -2500.0), (".5", 0.5), ("-.5", -0.5)),
+        *(("5.", 5.0), ("0.0", 0.0), (".inf", math.inf), ("-.Inf", -math.inf), (".nan", math.nan)),
+        *(("10", 10), ("-7", -7), ("+7", 7), ("010", 10), ("08", 8), ("0", 0)),
+        *(("true", True), ("False", False), ("~", None), ("null", None), ("", None), ("'1'", "1"), ('"true"', "true")),
     ],
 )
-def test_floats_are_read_as_people_write_them(text, number):
-    value = value_of(text)
-    assert value == number
-    assert type(value) is float
-
-
-def test_not_a_number_is_a_float():
-    assert math.isnan(value_of(".nan"))
-
-
-@pytest.mark.parametrize(("text", "number"), [("10", 10), ("-7", -7), ("+7", 7), ("010", 10), ("08", 8), ("0", 0)])
-def test_integers_are_decimal(text, number):
-    value = value_of(text)
-    assert value == number
-    assert type(value) is int
-
-
-@pytest.mark.parametrize(("text", "value"), [("true", True), ("False", False), ("~", None), ("null", None), ("", None)])
-def test_booleans_and_null_have_their_own_words(text, value):
-    assert value_of(text) is value
+def test_scalars_are_read_by_the_core_schema(text, wanted):
+    assert repr(value_of(text)) == repr(wanted), "the type counts too"
 
 
 @pytest.mark.parametrize(
@@ -92,10 +64,6 @@ def test_what_only_old_yaml_would_convert_stays_text(text):
     assert value_of(text if text != "-" else "'-'") == text
 
 
-def test_quoted_numbers_and_words_stay_text():
-    assert parse_yaml("a: '1'\nb: \"true\"\nc: 'null'\n", "f").data == {"a": "1", "b": "true", "c": "null"}
-
-
 @pytest.mark.parametrize("text", ["base: &b {x: 1}\nother: *b\n", "a: &a [*a]\n", "a: &a 1\nb: [2,\n *a]\n"])
 def test_aliases_are_refused_with_their_line(text):
     message = refusal(text)
@@ -103,17 +71,9 @@ def test_aliases_are_refused_with_their_line(text):
     assert message.startswith(f"f.yaml:{text[: text.index('*')].count(chr(10)) + 1}: ")
 
 
-def test_an_anchor_that_nothing_refers_to_does_no_harm():
-    assert parse_yaml("a: &unused 1\n", "f").data == {"a": 1}
-
-
 def test_a_bomb_of_nested_aliases_is_refused_at_once():
     bomb = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 40))
     assert refusal(bomb).startswith("f.yaml:2: ")
-
-
-def test_a_merge_key_is_not_merged():
-    assert parse_yaml("<<: {a: 1}\n", "f").data == {"<<": {"a": 1}}
 
 
 @pytest.mark.parametrize("text", ["\ta: 1\n", "a:\n\tb: 1\n", "a:\tb: c\n"])
@@ -167,10 +127,6 @@ def test_tags_that_run_code_or_do_not_fit_are_refused(tagged):
     assert "not valid YAML" in refusal(f"key: {tagged}\n")
 
 
-def test_a_set_at_the_top_is_no_mapping():
-    assert "must be a mapping" in refusal("!!set {a, b}\n")
-
-
 @given(st.one_of(st.binary(max_size=60), st.text(max_size=60)))
 def test_any_input_gives_a_mapping_or_a_config_error(text):
     try:
@@ -210,16 +166,10 @@ def test_the_place_of_what_is_not_there_is_that_of_the_nearest_around_it():
 def test_an_overridden_value_forgets_its_line_and_those_inside_it():
     document = parse_yaml("a:\n  b: {c: 1}\n  d: 2\n", "f.yaml")
     document.set(("a", "b"), {"c": 5}, "--b")
-    assert document.data == {"a": {"b": {"c": 5}, "d": 2}}
+    document.set(("new", "inner"), 7, "--new")
+    assert document.data == {"a": {"b": {"c": 5}, "d": 2}, "new": {"inner": 7}}
     assert document.place(("a", "b", "c")) == "--b"
     assert document.place(("a", "d")) == "f.yaml:3"
-
-
-def test_an_override_makes_the_mappings_above_it():
-    document = parse_yaml("a: 1\nlist: [{x: 1}]\n", "f.yaml")
-    document.set(("b", "c", "d"), 2, "--d")
-    document.set(("list", 0, "x"), 7, "--x")
-    assert document.data == {"a": 1, "b": {"c": {"d": 2}}, "list": [{"x": 7}]}
 
 
 @pytest.mark.parametrize("value", ["5", "text", "", "true"])
@@ -259,11 +209,3 @@ def test_dumped_data_reads_back_the_same(data):
     back = parse_yaml(dump_yaml(data), "f").data
     assert back == data
     assert repr(back) == repr(data), "types and the order of keys count too"
-
-
-def test_tuples_are_dumped_as_lists_and_shared_values_are_written_out():
-    shared = (1.0, 2.0)
-    assert parse_yaml(dump_yaml({"a": shared, "b": [shared, shared]}), "f").data == {
-        "a": [1.0, 2.0],
-        "b": [[1.0, 2.0], [1.0, 2.0]],
-    }

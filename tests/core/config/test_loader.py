@@ -2,9 +2,10 @@ from typing import Any
 
 import pytest
 
-from yamsim_cli.core.config.loader import KINDS, load_config, model_of, parse_config, validate_file
-from yamsim_cli.core.config.program_task import ProgramTask
+from yamsim_cli.core.config.loader import KINDS, REVISION, load_config, model_of, parse_config, validate_file
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.config.robot_names import families, model_named, revised
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.documents.document import dump_yaml
 from yamsim_cli.core.errors import ConfigError, UsageError, YamsimError
@@ -73,11 +74,6 @@ def test_every_shipped_config_is_valid_and_survives_being_written_down(kind, nam
     if kind not in BY_NAME:
         again = parse_config(model, dump_yaml(config.model_dump(mode="json")), "resolved.yaml", locations)
         assert again == config
-
-
-def test_every_kind_has_a_shipped_config():
-    # Revisions are of arms that somebody measured.
-    assert {kind for kind, _ in SHIPPED} == set(KINDS) - {"revisions"}
 
 
 def test_a_datasets_own_config_needs_no_other_file_but_its_robots(config, locations, repository, tmp_path):
@@ -173,12 +169,6 @@ def test_an_unknown_branch_of_a_union_names_the_valid_ones(puck):
     assert all(f"'{branch}'" in message for branch in ("capsule", "cylinder", "ring"))
 
 
-def test_a_union_without_its_discriminator_says_which_key_is_missing(puck):
-    message = refusal(puck, "type: cylinder, ", "")
-    assert "collision[0]" in message
-    assert "'type'" in message
-
-
 def test_the_branch_is_no_part_of_the_key_path(puck):
     message = refusal(puck, "centre: [0, 0, 0.01]", "centre: [0, 0, high]")
     assert "collision[0].centre[2]: 'high' is not valid" in message
@@ -220,15 +210,6 @@ def test_a_fault_in_a_referenced_file_is_placed_in_that_file(tmp_path, record, l
     message = refusal(record, {"rig: single": f"rig: {rig}"})
     assert message.startswith(f"{rig}:")
     assert "rig.arms[0].side: 'middle' is not valid: must be 'left' or 'right'" in message
-
-
-def test_a_flag_overrides_the_file(record):
-    config = record(None, {("seed",): ("--seed", 7), ("image", "jpeg_quality"): ("--jpeg-quality", 33)})
-    assert (config.seed, config.image.jpeg_quality) == (7, 33)
-
-
-def test_a_flag_names_another_config(record):
-    assert record(None, {("render",): ("--quality", "high")}).render != record().render
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -285,17 +266,6 @@ def test_a_check_across_several_keys_needs_no_value_in_its_message(tmp_path, loc
     message = refusal(validate_file, model_of("scenes"), path, locations)
     assert "safety_plane 1.0 m must lie below the table's top" in message
     assert "{" not in message
-
-
-def test_faults_of_the_yaml_itself_come_through(tmp_path, locations):
-    path = tmp_path / "twice.yaml"
-    path.write_text("seed: 1\nseed: 2\n")
-    assert "twice.yaml:2: duplicate key 'seed'" in refusal(load_config, RecordConfig, "record", str(path), locations)
-
-
-def test_an_unknown_name_lists_the_configs(locations):
-    message = refusal(load_config, ProgramTask, "tasks", "pickplaec", locations)
-    assert message.startswith("unknown task 'pickplaec'; did you mean 'pickplace'? valid: ")
 
 
 @pytest.mark.parametrize(
@@ -375,10 +345,6 @@ def test_what_a_number_or_a_list_has_to_look_like(tmp_path, locations, old, new,
     assert "tuple" not in found
 
 
-def test_the_parts_of_a_point_are_named(puck):
-    assert "mesh.origin: 0 is not valid: give [x, y, z]" in refusal(puck, "origin: [0, 0, 0]", "origin: 0")
-
-
 @pytest.mark.parametrize("kind", ["randomization", "rigs", "scenes", "objects", "quality", "record", "tasks"])
 @pytest.mark.parametrize("wanted", ["tasks", "rigs", "objects", "randomization"])
 def test_a_config_of_another_kind_is_recognized(kind, wanted, locations):
@@ -399,3 +365,54 @@ def test_a_randomization_given_as_a_task_names_the_flag(record, locations):
     text = refusal(load_config, RecordConfig, "record", path, locations, {("seed",): ("--seed", 1)})
     assert text.startswith(f"{path}: is of the kind 'randomization', to judge by its keys")
     assert message.startswith(f"--task: task: {path}: is of the kind 'randomization'")
+
+
+def _rig(name: str, locations: Locations, revision: str | None = None) -> RigConfig:
+    overrides = {} if revision is None else {(REVISION,): ("--revision", revision)}
+    return load_config(RigConfig, "rigs", name, locations, overrides)
+
+
+def test_a_family_means_its_newest_revision(locations: Locations) -> None:
+    assert list(families(locations)) == ["big_yam", "yam", "yam_pro", "yam_ultra"]
+    assert model_named("yam_ultra", locations) == "yam_ultra_v2"
+    assert model_named("yam", locations) == "yam_v1"
+    assert model_named("i2rt_yam", locations) == "i2rt_yam"
+    assert revised("yam_v1", "menagerie", locations) == "i2rt_yam"
+
+
+@pytest.mark.parametrize(
+    ("name", "model", "gripper"),
+    [
+        ("yam_pro+linear_4310", "yam_pro_v1", "linear_4310"),
+        ("yam_ultra_v1+crank_4310", "yam_ultra_v1", "crank_4310"),
+        ("big_yam+flexible_4310", "big_yam_v1", "flexible_4310"),
+    ],
+)
+def test_a_robot_and_a_gripper_are_a_rig(name: str, model: str, gripper: str, locations: Locations) -> None:
+    (arm,) = _rig(name, locations).arms
+    assert (arm.model.name, arm.gripper.name, arm.prefix) == (model, gripper, "")
+
+
+def test_a_revision_is_put_in_for_every_arm(locations: Locations) -> None:
+    assert _rig("yam+linear_4310", locations, "menagerie").arms[0].model.name == "i2rt_yam"
+    station = _rig("yam_station_linear_4310_d405", locations, "menagerie")
+    assert [arm.model.name for arm in station.arms] == ["i2rt_yam"] * 2
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("yamm+linear_4310", "unknown robot 'yamm'; did you mean 'yam'"),
+        ("yam+linear_431", "unknown gripper 'linear_431'; did you mean 'linear_4310'"),
+        ("i2rt_yam+flexible_4310", "gripper 'flexible_4310' does not fit 'i2rt_yam'; that carries: crank, linear_4310"),
+    ],
+)
+def test_what_does_not_go_together_is_told_in_one_line(name: str, told: str, locations: Locations) -> None:
+    with pytest.raises(ConfigError, match=told) as caught:
+        _rig(name, locations)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_revision_lists_those_there_are(locations: Locations) -> None:
+    with pytest.raises(UsageError, match="--revision: yam has no revision 'v7'; valid: menagerie, v1"):
+        _rig("yam+linear_4310", locations, "v7")

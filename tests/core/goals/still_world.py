@@ -57,9 +57,6 @@ class StillWorld:
         middle = np.array(self.places[thing])
         return middle - SIZE / 2, middle + SIZE / 2
 
-    def speed(self, thing: str) -> float:
-        return 0.0 if thing in self.places else float("nan")
-
     def touching(self, one: str, other: str) -> bool:
         return (one, other) in self.touches or (other, one) in self.touches
 

@@ -148,13 +148,6 @@ def test_not_turns_it_round(name: str) -> None:
     assert judge(goal, near_miss, CAST).reached
 
 
-def test_what_a_hand_holds_rests_on_nothing() -> None:
-    held = StillWorld(ON_PLATE.places, touches=ON_PLATE.touches, held={"cup": frozenset({"left", "right"})})
-    verdict = judge(Goal.model_validate({"on": {"thing": "cup", "surface": "plate"}}), held, CAST)
-    assert not verdict.reached
-    assert "left and the right hand" in verdict.worst.detail
-
-
 @pytest.mark.parametrize(
     ("marks", "touches", "held", "said"),
     [

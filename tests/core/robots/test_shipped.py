@@ -16,7 +16,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.robots.models import ArmModel, Gripper
-from yamsim_cli.core.robots.robot import Robot, assemble, widest_joints
+from yamsim_cli.core.robots.robot import Robot, assemble
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.session import Session
 
@@ -81,20 +81,3 @@ def test_grippers_change_nothing_of_the_links_before_the_flange() -> None:
         one, other = crank.body(f"link_{k}"), linear.body(f"link_{k}")
         for key in ("pos", "quat", "mass", "ipos", "iquat", "inertia", "gravcomp"):
             np.testing.assert_array_equal(getattr(one, key), getattr(other, key), err_msg=f"link_{k} {key}")
-
-
-def test_an_unknown_gripper_may_let_joints_go_as_far_as_any() -> None:
-    joints = widest_joints(load_config(ArmModel, "robots", "i2rt_yam", WHERE))
-    assert [joint.range for joint in joints[:4]] == [
-        (-2.61799, 3.14159),
-        (0, 3.66519),
-        (0, 3.66519),
-        (-1.69297, 1.5708),
-    ]
-
-
-def test_the_drives_are_told_apart() -> None:
-    """Joints 1 to 3 have the slow, strong drive. Source: DAMIAO's and I2RT's figures, as in model.yaml."""
-    joints = shipped("i2rt_yam", "crank").joints
-    assert [joint.reported_rad_s for joint in joints] == [10] * 3 + [30] * 3
-    assert joints[0].motor_rad_s == pytest.approx(52.5 / 60 * 2 * np.pi)

@@ -12,9 +12,15 @@ from yamsim_cli.core.attempt.engine import demonstrate
 from yamsim_cli.core.attempt.simulators import Simulators
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.task_proof.checks import check_near_misses, check_open_fingers, check_reach, check_still
-from yamsim_cli.core.task_proof.proof import prove, require_proof
-from yamsim_cli.core.task_proof.tasks_there import task_there, tasks_there
+from yamsim_cli.core.task_proof.catalog import task_there, tasks_there
+from yamsim_cli.core.task_proof.proof import (
+    check_near_misses,
+    check_open_fingers,
+    check_reach,
+    check_still,
+    prove,
+    require_proof,
+)
 
 
 @pytest.fixture(scope="module")

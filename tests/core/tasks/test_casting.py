@@ -59,12 +59,6 @@ def test_no_object_is_drawn_twice_while_others_are_left(three: Session) -> None:
     assert casts[0].of("cube") == ("cube_1", "cube_2", "cube_3")
 
 
-def test_what_is_said_is_said_in_training(three: Session) -> None:
-    task = three.config.task
-    said = {draw_phrasing(task, EpisodeJob(0, k)) for k in range(20)}
-    assert said == set(task.phrasings.training)
-
-
 def _outline(T: Array) -> Array:
     """Points (n, 2) along the edge of the block's outline, seen from above."""
     (x0, y0, _), (x1, y1, _) = BLOCK

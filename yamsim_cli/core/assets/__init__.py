@@ -1,33 +1,25 @@
-"""Meshes that yamsim does not ship: which files they are, where they are kept, and how they are fetched.
+"""Meshes that yamsim does not ship: their lock, their store, and their sources.
 
-Reading needs `load_lock` and `AssetStore.resolve` and never touches the network; only `fetch` and `fetch_missing` do.
+Only `fetch` and `fetch_missing` use the network; `load_lock` and `AssetStore.resolve` read files.
 """
 
-from .fetch import FetchedSet, FetchReport, default_sources, fetch
-from .first_use import fetch_missing
-from .lock import Archive, AssetLock, AssetSet, LockedFile, Reduction
-from .made import load_lock
-from .own_sets import about_own, is_own, publish_own, resolve_own
-from .reduced import ReducedSet, find_reduced, make_reduced
-from .sources import AssetSource, FetchProgress, SourceError
-from .store import AssetStore, FileState, FileStatus
+from .fetch import FetchReport, default_sources, fetch, fetch_missing
+from .lock import AssetLock, AssetSet, LockedFile, Reduction, load_lock
+from .reduction import ReducedSet, find_reduced, make_reduced
+from .sources import FetchProgress, SourceError
+from .store import AssetStore, FileStatus, is_own, publish_own, resolve_own
 
 __all__ = [
-    "Archive",
     "AssetLock",
     "AssetSet",
-    "AssetSource",
     "AssetStore",
     "FetchProgress",
     "FetchReport",
-    "FetchedSet",
-    "FileState",
     "FileStatus",
     "LockedFile",
     "ReducedSet",
     "Reduction",
     "SourceError",
-    "about_own",
     "default_sources",
     "fetch",
     "fetch_missing",

@@ -1,4 +1,4 @@
-"""Run another program for a source: quietly, with time limits, leaving no process behind."""
+"""Run another program with time limits and without output, and leave no process behind."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from .sources import SourceError
 
-_POLL_S = 0.1
+_POLL_S = 0.1  # s, between two looks at the child
 _PR_SET_PDEATHSIG = 1  # of prctl(2)
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded here: a new child may take no locks
 
@@ -30,9 +30,9 @@ class ChildResult:
 
 
 def python_call(function: str, *arguments: str | int) -> list[str]:
-    """The command that calls one of our functions, named as `core.package.module.function`, in a Python of its own.
+    """The command that calls `function`, such as `core.package.module.function`, in another Python process.
 
-    -P keeps whatever lies in the current folder from being imported.
+    -P keeps files in the current folder from being imported.
     """
     module, _, name = function.rpartition(".")
     root = str(Path(__file__).resolve().parents[3])
@@ -43,22 +43,22 @@ def python_call(function: str, *arguments: str | int) -> list[str]:
 def run_child(
     command: Sequence[str], scratch: Path, *, limit_s: float, idle_s: float, watch: Callable[[], int] | None = None
 ) -> ChildResult:
-    """What a program wrote, once it has ended; at a limit, it is ended with everything that it started.
+    """Run a program to its end; at a time limit, kill the program and its children.
 
     Args:
         command: the program and its arguments; it inherits the environment.
-        scratch: folder where its output is collected, so that no full pipe can block it.
+        scratch: folder for files with its output, so that no full pipe can block it.
         limit_s: longest time in all, s.
-        idle_s: longest time in which `watch` may not change, s: so a dead line is given up early, and a slow one not.
-        watch: tells how far the program is; called ten times a second.
+        idle_s: longest time without a change of `watch`, s: a dead line is given up early, and a slow one is not.
+        watch: returns the progress of the program; called ten times a second.
 
     Raises:
-        SourceError: it could not be started, or a limit was reached.
+        SourceError: the program could not be started, or a limit was reached.
     """
     out, err = scratch / "stdout.txt", scratch / "stderr.txt"
     with out.open("wb") as stdout, err.open("wb") as stderr:
         try:
-            # In a session of its own it can be ended with its children, and Ctrl-C in the terminal does not reach it.
+            # A session of its own can be killed as a whole, and Ctrl-C in the terminal does not reach it.
             child = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -79,7 +79,7 @@ def run_child(
 
 
 def _end_with_parent(parent: int) -> None:
-    """Have the kernel kill this process, a new child, when its parent ends, even if that is killed."""
+    """Have the kernel kill this process, a new child, when its parent ends for any reason."""
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:

@@ -1,28 +1,27 @@
-"""Brings missing sets into the store: each source is asked in turn, and what it gives is verified and published."""
+"""Fetch missing asset sets into the store: every set from the first source that gives the locked files."""
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import ResourceError
-from .archives import PinnedArchives
+from ..files import exclusive_lock
+from .downloads import MadeHere, Menagerie, PinnedArchives
 from .lock import AssetLock, AssetSet
-from .made import MadeHere
-from .menagerie import Menagerie
 from .sources import AssetSource, FetchProgress, SourceError, no_progress
 from .store import AssetStore, MismatchError
 
-# A report's source of a set that was already there.
-STORE = "store"
+STORE = "store"  # the source, in a report, of a set that was in the store before
 
 
 @dataclass(frozen=True)
 class FetchedSet:
-    """A set that is now in the store: its name, the source it came from (`"store"` if it was there), and its folder."""
+    """A set in the store: its name, its source (`"store"` if it was there before), and its folder."""
 
     name: str
     source: str
@@ -31,13 +30,13 @@ class FetchedSet:
 
 @dataclass(frozen=True)
 class FetchReport:
-    """Every set that was asked for, in the lock's order."""
+    """Every requested set, in the lock's order."""
 
     sets: tuple[FetchedSet, ...]
 
 
 def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
-    """The sources beyond the store itself, the most official first."""
+    """The sources, the most official first."""
     return MadeHere(lock.made), Menagerie(), PinnedArchives(lock.archives)
 
 
@@ -50,24 +49,18 @@ def fetch(
     *,
     stop_at_failure: bool = False,
 ) -> FetchReport:
-    """Where each of the named sets is in the store, after those that are missing were fetched.
+    """Fetch the named sets that are not in the store. A set is published whole or not at all.
 
-    Without names, these are all sets that are not on demand.
-
-    Sets that are there and verify are left alone, and take no network. Two processes may fetch at once: one does the
-    work, the other waits and finds it done. A set is published whole or not at all.
+    Of two processes that fetch at once, one does the work and the other waits.
 
     Args:
-        lock: the sets that there are.
-        names: names of sets in `lock`; all of them if empty.
-        store: where the sets go.
-        sources: asked in this order, for each set, until one gives it.
-        progress: told of bytes as they arrive.
-        stop_at_failure: do not try further sets after one that no source gave.
+        names: names of sets in `lock`; if empty, all sets that are not on demand.
+        sources: tried in this order for each set.
+        stop_at_failure: skip all sets after one that no source gives.
 
     Raises:
         UsageError: a name is not in the lock.
-        ResourceError: the store cannot be written to, or no source could give a set; the others are published.
+        ResourceError: the store cannot be written to, or no source gives a set; the other sets are published.
     """
     wanted = lock.select(names)
     found = {assets.name: store.resolve(assets) for assets in wanted}
@@ -75,22 +68,16 @@ def fetch(
     missing = [assets for assets in wanted if assets.name not in sets]
     failures = []
     if missing:
-        try:
-            with store.writing() as staging:
-                for assets in missing:
-                    try:
-                        sets[assets.name] = _obtain(assets, lock, store, sources, staging, progress)
-                    except SourceError as error:
-                        failures.append(f"{assets.name} ({error})")
-                        if stop_at_failure:
-                            break
-                if not failures:
-                    store.failure_mark.unlink(missing_ok=True)
-        except OSError as error:
-            raise ResourceError(
-                f"cannot write to the asset store {store.root}: {error.strerror or error}; free some space, or set "
-                "YAMSIM_ASSETS to a folder that can be written to"
-            ) from error
+        with store.writing() as staging:
+            for assets in missing:
+                try:
+                    sets[assets.name] = _obtain(assets, lock, store, sources, staging, progress)
+                except SourceError as error:
+                    failures.append(f"{assets.name} ({error})")
+                    if stop_at_failure:
+                        break
+            if not failures:
+                store.failure_mark.unlink(missing_ok=True)
     if failures:
         raise ResourceError(
             f"could not fetch {', '.join(failures)}; check the network and run `yamsim assets fetch` again, or copy "
@@ -107,9 +94,9 @@ def _obtain(
     staging: Path,
     progress: FetchProgress,
 ) -> FetchedSet:
-    """One set, published from the first source that gives the locked files; the caller holds the store for writing."""
+    """Publish a set from the first source that gives the locked files; to be called within `store.writing`."""
     if (present := store.resolve(assets)) is not None:
-        # Another process fetched it while we waited for the store.
+        # Another process fetched the set while this one waited for the store.
         return FetchedSet(assets.name, STORE, present)
     reasons = []
     for source in sources:
@@ -126,7 +113,7 @@ def _obtain(
 
 
 def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-    """The files that one source gives. Its scratch folder is removed, and an OSError counts as the source's failure."""
+    """The files that a source gives; an OSError counts as the source's failure."""
     try:
         scratch.mkdir()
         return source.read(assets, scratch, progress)
@@ -134,3 +121,56 @@ def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchP
         raise SourceError(str(error)) from error
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+FAILURE_VALID_S = 3600.0  # s, after a failed download, how long later commands do not try again
+IDLE_S = 7.0  # s, longest time without a byte; with Menagerie's probe of 2 s, a download without network ends in 10 s
+ARCHIVE_S = 300.0  # s, longest time for one archive of 33 MB at most: 110 kB/s is enough
+MENAGERIE_S = 30.0  # s, longest time for the 5 MB of Menagerie's model; the pinned archive is tried after it
+
+_LOCK = ".first-use"
+
+
+def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
+    """Fetch sets for a command that shows them, and stop at the first failure.
+
+    A failure is noted in the store: for `FAILURE_VALID_S`, no source on the network is tried again.
+
+    Raises:
+        ResourceError: a set could not be fetched, now or within `FAILURE_VALID_S`.
+    """
+    try:
+        store.root.mkdir(parents=True, exist_ok=True)
+        with exclusive_lock(store.root / _LOCK):
+            if made := [name for name in names if name in lock.made]:
+                fetch(lock, made, store, (MadeHere(lock.made),))
+            if downloaded := [name for name in names if name not in lock.made]:
+                _download(lock, downloaded, store, progress)
+    except OSError as error:
+        raise ResourceError(f"cannot write to the asset store {store.root}: {error.strerror or error}") from error
+
+
+def _download(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
+    absent = [name for name in names if store.resolve(lock.sets[name]) is None]
+    if not absent:
+        return
+    if _failed_lately(store):
+        raise ResourceError("fetching them failed less than an hour ago; run `yamsim assets fetch` to try again now")
+    sources = (Menagerie(limit_s=MENAGERIE_S), PinnedArchives(lock.archives, idle_s=IDLE_S, limit_s=ARCHIVE_S))
+    try:
+        fetch(lock, absent, store, sources, progress, stop_at_failure=True)
+    except ResourceError:
+        with contextlib.suppress(OSError):
+            store.failure_mark.touch()
+        raise
+
+
+def _failed_lately(store: AssetStore) -> bool:
+    lock = store.root / _LOCK
+    try:
+        # Both times are from the file system's clock, which can differ from the machine's clock.
+        lock.touch()
+        age_s = lock.stat().st_mtime - store.failure_mark.stat().st_mtime
+    except OSError:
+        return False
+    return 0 <= age_s < FAILURE_VALID_S

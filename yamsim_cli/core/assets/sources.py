@@ -1,4 +1,4 @@
-"""The protocol of a source of meshes, and its errors and progress."""
+"""The protocol of the sources of asset sets."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from .lock import AssetSet
 
 
 class SourceError(Exception):
-    """Why one source could not give a set, in a few words; `fetch` collects these and tries the next source."""
+    """A source cannot give a set; `fetch` collects the reasons and tries the next source."""
 
 
 class FetchProgress(Protocol):
-    """Called with how far a download is, in bytes, from the thread that called `fetch`; the lock gives the total."""
+    """Called with the progress of a download in bytes, from the thread that called `fetch`."""
 
     def __call__(self, label: str, done_bytes: int, total_bytes: int, /) -> None:
-        """Take note; must return quickly."""
+        """Show the progress; must return quickly."""
 
 
 def no_progress(label: str, done_bytes: int, total_bytes: int) -> None:
@@ -24,27 +24,21 @@ def no_progress(label: str, done_bytes: int, total_bytes: int) -> None:
 
 
 class AssetSource(Protocol):
-    """A place that meshes can come from. It is not trusted: the store verifies every byte."""
+    """An untrusted source of meshes: the store verifies every byte."""
 
     @property
     def name(self) -> str:
         """The source's name in reports and errors."""
 
     def offers(self, assets: AssetSet) -> bool:
-        """Whether the source may have this set; without I/O."""
+        """Whether the source may have the set; without I/O."""
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """The set's files.
+        """File name -> content of the set's files.
 
         Args:
-            assets: the set to get.
-            scratch: an empty folder for this set, deleted afterwards. Its parent is kept until all sets of the fetch
-                are read.
-            progress: told of the bytes as they arrive.
-
-        Returns:
-            File name -> content.
+            scratch: an empty folder, deleted afterwards. Its parent exists until all sets of the fetch are read.
 
         Raises:
-            SourceError: it cannot give the set.
+            SourceError: the source cannot give the set.
         """

@@ -1,4 +1,4 @@
-"""Loads a config by name or file into a checked model. Errors name the file, the key, the value and what is valid."""
+"""Loads configs by name or file. Errors name the file, the key, the value and what would be valid."""
 
 from __future__ import annotations
 
@@ -45,11 +45,9 @@ KINDS: Mapping[str, type[Config]] = {
     "revisions": Dynamics,
 }
 
-# The key by which an override asks for another revision of a rig's robots; between a robot's name and its gripper's.
-REVISION = "revision"
-# The key by which one puts how an arm moves over the arms of a rig that it is of.
-ROBOT = "robot"
-_JOINED = "+"
+REVISION = "revision"  # the override's key below a rig that replaces the revision of its robots
+ROBOT = "robot"  # the override's key below a rig that adds identified dynamics to its arms
+_JOINED = "+"  # between the names of a robot and its gripper
 _DYNAMICS = "revisions"
 
 C = TypeVar("C", bound=Config)
@@ -58,18 +56,14 @@ Check = Callable[[Config], None]
 
 
 def model_of(kind: str) -> type[Config]:
-    """The model of a kind of config.
-
-    Raises:
-        ConfigError: there is no such kind.
-    """
+    """The model of a kind of config. Raises ConfigError if no kind has that name."""
     if kind not in KINDS:
         raise ConfigError(f"unknown kind of config {kind!r}; {suggest(kind, KINDS)}")
     return KINDS[kind]
 
 
 def _require_task_kind(document: Document) -> None:
-    """Make sure that a task's `kind`, which decides the keys that it may have, is a known one."""
+    """Make sure that a task's `kind` is known."""
     kind = document.data.get("kind")
     valid = (PROGRAM, *OLDER_KINDS)
     if kind is not None and kind not in valid:
@@ -89,23 +83,22 @@ def load_config(
     overrides: Mapping[KeyPath, tuple[str, Any]] | None = None,
     check: Check | None = None,
 ) -> C:
-    """One config, loaded, with its references filled in, and checked.
+    """Load and validate a config with its references resolved.
 
     Args:
-        model: the model it must fit.
         kind: folder under `configs/`.
         name: a config's name, or the path of a file, see `Locations.config_file`.
-        overrides: key path -> (what set it, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
-        check: of what only floors above know; it raises a `ConflictError`.
+        overrides: key path -> (origin, value), such as `("image", "jpeg_quality"): ("--jpeg-quality", 90)`.
+        check: a further check, which raises a `ConflictError`.
 
     Raises:
-        ConfigError: it is not valid; the message has file, line, key path, value and what would be valid.
-        UsageError: the same, where the value at fault came by a flag or keyword in `overrides`.
+        ConfigError: the config is not valid; the message has file, line, key path, value and what would be valid.
+        UsageError: likewise, for a value that a flag or keyword in `overrides` gave.
     """
     document = _named(model, kind, name, locations)
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
-    # References are resolved between the two passes, so that a flag may reach inside a config named by another flag.
+    # References are resolved between two passes: a flag can change a value inside a config that another flag names.
     changes = overrides or {}
     for path, (place, value) in changes.items():
         if len(path) == 1 and path[-1] not in (REVISION, ROBOT):
@@ -115,7 +108,7 @@ def load_config(
         if path[-1] == REVISION:
             _revise(document, path[:-1], value, place, locations)
         elif path[-1] == ROBOT:
-            _move_as(document, path[:-1], value, place, locations)
+            _add_dynamics(document, path[:-1], value, place, locations)
         elif len(path) > 1:
             document.set(path, value, place)
     flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
@@ -125,23 +118,21 @@ def load_config(
 def validate_file(
     model: type[C], path: Path, locations: Locations, *, as_recorded: bool = False, check: Check | None = None
 ) -> C:
-    """A file's config, checked against a model; for `as_recorded` see `parse_config`, for `check` and what it raises
-    `load_config`.
-    """
+    """Validate a config in a file, see `parse_config` and `load_config`."""
     return _check(model, _read(model, path), locations, as_recorded=as_recorded, check=check)
 
 
 def parse_config(model: type[C], text: str, source: str, locations: Locations, *, as_recorded: bool = False) -> C:
-    """The config in YAML text, checked against a model. Raises as `load_config`.
+    """Validate a config in YAML text. Raises as `load_config`.
 
     Args:
-        as_recorded: the config is a dataset's own. Its values may be implausible, since it was recorded with them.
+        as_recorded: accept implausible values, since the config is that of a recorded dataset.
     """
     return _check(model, parse_yaml(text, source), locations, as_recorded=as_recorded)
 
 
 def _named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
-    """The document that a name means. Raises as `Locations.config_file`."""
+    """The document of a named config. Raises as `Locations.config_file`."""
     if kind == "rigs" and _JOINED in name and not name.endswith((".yaml", ".yml")):
         return _joined(name)
     if kind == robot_names.ARMS:
@@ -150,7 +141,7 @@ def _named(model: type[Config], kind: str, name: str, locations: Locations) -> D
 
 
 def _joined(name: str) -> Document:
-    """A rig of one arm by the names of its robot and its gripper: `yam_pro+linear_4310`."""
+    """The rig of one arm named by its robot and its gripper: `yam_pro+linear_4310`."""
     robot, _, gripper = name.partition(_JOINED)
     document = parse_yaml("{}", f"rig {name}")
     arm = {"name": "arm1", "side": "right", "model": robot, "gripper": gripper}
@@ -159,7 +150,7 @@ def _joined(name: str) -> Document:
 
 
 def _revise(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
-    """Put another revision of its family in for each arm of the rig at `path`."""
+    """Replace the model of each arm of the rig at `path` by another revision of its family."""
     for k, (model, _) in _arms(document, path).items():
         try:
             name = robot_names.revised(model, str(revision), locations)
@@ -168,8 +159,8 @@ def _revise(document: Document, path: KeyPath, revision: str, place: str, locati
         document.set((*path, "arms", k, "model"), name, place)
 
 
-def _move_as(document: Document, path: KeyPath, files: Sequence[str], place: str, locations: Locations) -> None:
-    """Put each of one's dynamics in for the arms of the rig at `path` that it is of: by their model and their side."""
+def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place: str, locations: Locations) -> None:
+    """Add the dynamics in each file to the arms of the rig at `path` with its model and side."""
     for file in files:
         try:
             dynamics = _named(Dynamics, _DYNAMICS, file, locations)
@@ -179,10 +170,10 @@ def _move_as(document: Document, path: KeyPath, files: Sequence[str], place: str
             raise ConfigError(instead)
         base, side = _base(dynamics), dynamics.data.get("side")
         arms = _arms(document, path)
-        meant = [k for k, (model, on) in arms.items() if model == base and side in (None, on)]
-        for k in meant:
+        matching = [k for k, (model, on) in arms.items() if model == base and side in (None, on)]
+        for k in matching:
             document.graft((*path, "arms", k, "dynamics"), dynamics)
-        if not meant:
+        if not matching:
             there = " and ".join(dict.fromkeys(f"{model!r} on the {on}" for model, on in arms.values()))
             raise (UsageError if is_setting(place) else ConfigError)(
                 f"{place}: {file} is of {base!r}{f' on the {side}' if side else ''}, and the rig has {there}; choose "
@@ -191,7 +182,7 @@ def _move_as(document: Document, path: KeyPath, files: Sequence[str], place: str
 
 
 def _arms(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
-    """Number of an arm of the rig at `path` -> its robot model, and its side."""
+    """Index of each arm of the rig at `path` -> its robot model and its side."""
     rig: Any = document.data
     for key in path:
         rig = rig[key]
@@ -215,14 +206,14 @@ def _read(model: type[Config], path: Path) -> Document:
 
 
 def _upgrade(task: dict[str, Any]) -> None:
-    """Write a task of an older kind as one of today's, in place."""
+    """Upgrade a task of an older kind in place."""
     upgraded = upgrade_task(task)
     task.clear()
     task.update(upgraded)
 
 
 def _other_kind(model: type[Config], document: Document) -> str | None:
-    """An error message if, judging by its keys, the file holds another kind of config; else None."""
+    """An error message if the file's keys are those of another kind of config; else None."""
     kind = next((kind for kind, known in KINDS.items() if known is model), None)
     if kind is None or (instead := kind_instead(KINDS, kind, document.data)) is None:
         return None
@@ -255,7 +246,6 @@ def _check(
     except ConflictError as error:
         place, message = explain_conflict(document, error, flags or {})
         cause = error
-    # A bad value that came by a flag is a fault of the command line, not of any config.
     kind = UsageError if is_setting(place) else ConfigError
     raise kind(f"{place}: {message}") from cause
 
@@ -268,7 +258,7 @@ def _references(model: type[Config]) -> Iterator[tuple[str, str, type[Config]]]:
 
 
 def _resolve_references(model: type[Config], document: Document, path: KeyPath, locations: Locations) -> None:
-    """Replace the names of other configs by their content, in place."""
+    """Replace references to other configs by their content, in place."""
     here: Any = document.data
     for key in path:
         here = here[key]
@@ -279,7 +269,7 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
         named = {(*path, name): here.get(name)} if items is None else {(*path, name, k): v for k, v in enumerate(items)}
         for inner, value in named.items():
             if isinstance(value, str):
-                _put_in(document, inner, kind, target, value, locations)
+                _graft_reference(document, inner, kind, target, value, locations)
             if isinstance(value, str | dict):
                 _resolve_references(target, document, inner, locations)
     for name, info in model.model_fields.items():
@@ -298,7 +288,7 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
                     _resolve_references(part, document, inner, locations)
 
 
-def _put_in(
+def _graft_reference(
     document: Document, path: KeyPath, kind: str, target: type[Config], name: str, locations: Locations
 ) -> None:
     """Replace the name of a config at `path` by its content."""
@@ -314,7 +304,7 @@ def _put_in(
 
 
 def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Locations) -> str:
-    """The robot model of a file of dynamics, which is named in its place at `path` and put in beside it."""
+    """Add the dynamics in a file beside the `model` at `path`, and return the name of their robot model."""
     key = (*path[:-1], "dynamics")
     try:
         dynamics = _named(Dynamics, _DYNAMICS, file, locations)
@@ -325,8 +315,10 @@ def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Loca
 
 
 def _base(dynamics: Document) -> str:
-    """The robot model that one's dynamics are of."""
+    """The robot model of identified dynamics."""
     base = dynamics.data.get("base")
     if not isinstance(base, str):
-        raise ConfigError(f"{dynamics.place(('base',))}: base: {base!r} is no robot model; name the one it is of")
+        raise ConfigError(
+            f"{dynamics.place(('base',))}: base: {base!r} is no robot model; name the model of these dynamics"
+        )
     return base

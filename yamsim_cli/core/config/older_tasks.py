@@ -1,4 +1,4 @@
-"""Tasks of the kinds `pickplace` and `handover`, as they were written before, as programs."""
+"""Upgrades tasks of the former kinds `pickplace` and `handover` to the kind `program`."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from .program_task import PROGRAM
 
 _ROLES = ("object", "target")
 
-# For so long at the end the object has to lie on its target, s.
-_HOLDS = 0.25
+_HOLD_S = 0.25  # s, for which the object has to lie on its target
 
-# Placeholders that have another name now.
-_WORDS = {"{preposition}": "{target.preposition}", "{giving}": "{first_arm}", "{taking}": "{second_arm}"}
+# Former placeholder -> placeholder.
+_PLACEHOLDERS = {"{preposition}": "{target.preposition}", "{giving}": "{first_arm}", "{taking}": "{second_arm}"}
 
-# What has no counterpart: skills plan heights, ticks and the exchange for themselves.
-_GONE = ("heights", "exchange")
+# Keys without a counterpart: skills plan heights and the exchange.
+_DROPPED = ("heights", "exchange")
 
-# kind -> what those tasks have in common, and steps between picking up and putting down.
+# Kind -> keys of all its tasks, and steps between picking and placing.
 _KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
     "pickplace": ({"rig": "single", "arms": "one", "time_limit_s": 20.0}, []),
     "handover": (
@@ -27,26 +26,24 @@ _KINDS: Mapping[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
     ),
 }
 
-
-#: The kinds of tasks that are upgraded.
 OLDER_KINDS = tuple(_KINDS)
 
 
 def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A task's mapping as one of the kind `program`; one of any other kind than `pickplace` and `handover` as it is.
+    """A task's mapping as the kind `program`; a task of any other kind than `OLDER_KINDS` is returned unchanged.
 
-    It does the same with the same things in the same regions, spoken of in the same words. Not kept: the least distance
-    between the two origins, the heights and ticks of the plan, the points of the exchange, and the largest height and
-    speed of the object at the end. Keys that such a task never had are kept, so that validation names them.
+    Things, regions and phrasings are kept. Dropped are the least distance between the two origins, the heights and
+    ticks of the plan, the points of the exchange, and the largest final height and speed of the object. Unknown keys
+    are kept, so that validation names them.
 
     Args:
-        data: as in a task's file, or as a dataset's config has it, with its objects spelled out.
+        data: from a task's file, or from a dataset's config, where objects are mappings.
     """
     kind = data.get("kind")
     if not isinstance(kind, str) or kind not in _KINDS:
         return dict(data)
     common, between = _KINDS[kind]
-    old = {key: value for key, value in data.items() if key not in (*_GONE, "kind")}
+    old = {key: value for key, value in data.items() if key not in (*_DROPPED, "kind")}
     objects = {role: old.pop(role) for role in _ROLES if role in old}
     upgraded = {
         "kind": PROGRAM,
@@ -55,7 +52,7 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
         "things": {role: {"of": item, "named": "object"} for role, item in objects.items()},
         "starts": _starts(old.pop("sampling", {}), second=kind == "handover"),
         "phrasings": {"training": [_worded(old.pop("language_prompt"))] if "language_prompt" in old else []},
-        "goal": {"on": _on(old.pop("success", {})), "for_s": _HOLDS},
+        "goal": {"on": _on(old.pop("success", {})), "for_s": _HOLD_S},
         "expert": [
             {"pick": {"thing": "object", "arm": "first"}},
             *between,
@@ -73,7 +70,7 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _starts(box: Mapping[str, Any], *, second: bool) -> dict[str, Any]:
-    """Where both start, the target before the other arm if `second`."""
+    """Starts of object and target; with `second`, the target starts before the second arm."""
     region = {key: box[key] for key in ("x", "y") if key in box}
     if "clearance" in box:
         region["apart"] = box["clearance"]
@@ -88,6 +85,6 @@ def _on(success: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _worded(text: str) -> str:
-    for old, new in _WORDS.items():
+    for old, new in _PLACEHOLDERS.items():
         text = text.replace(old, new)
     return text

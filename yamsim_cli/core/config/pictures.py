@@ -1,4 +1,4 @@
-"""What recorded pictures are, and what rendering them may cost."""
+"""Size and rendering quality of recorded pictures."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ..documents.base import Config, Name
+from ..documents.base import Config, Name, omit_default
 from ..documents.units import Within
 
 
@@ -17,25 +17,23 @@ class ImageConfig(Config):
     jpeg_quality: int = Field(ge=1, le=100)
 
 
-# How far shadows reach unless a quality says otherwise, m.
-SHADOW_REACH = 0.8
+SHADOW_REACH = 0.8  # m, default of `RenderConfig.shadow_reach_m`
 
 
 class RenderConfig(Config):
-    """A quality: how good pictures are, and so what they cost.
+    """Rendering quality.
 
     Attributes:
-        multisamples: samples a pixel, which smooth edges on a GPU; 0 for none.
-        supersampling: pictures are rendered this many times as wide and high, and averaged. That smooths the edges of
-            shadows too, and costs less without a GPU than 4 samples a pixel do.
+        multisamples: samples per pixel, which smooth edges on a GPU; 0 for none.
+        supersampling: factor by which pictures are rendered wider and higher, and then averaged. This also smooths
+            edges of shadows, and costs less without a GPU than 4 samples per pixel.
         shadow_map_px: edge of the shadow map in texels; 0 for no shadows.
-        shadow_lights: how many of the scene's lights cast shadows, the first ones first. Each renders everything twice
-            more.
-        shadow_reach_m: how far from the middle of an arm's base and table shadows reach: the nearer, the finer they are
-            rendered, and what stands farther off casts none.
-        reduced_meshes: show meshes with fewer faces where they are to be had, see `core.assets.reduction`.
-        reflections: let what reflects reflect: it renders everything once more.
-        slices: faces around what is round, where it is shown as a primitive.
+        shadow_lights: the number of the scene's lights that cast shadows. Each renders the scene twice more.
+        shadow_reach_m: radius of the region with shadows around the middle between an arm's base and the table. A
+            smaller radius gives finer shadows.
+        reduced_meshes: whether meshes are shown with fewer faces, see `core.assets.reduction`.
+        reflections: whether surfaces reflect, which renders the scene once more.
+        slices: faces around round primitives.
     """
 
     name: Name = "custom"
@@ -43,14 +41,11 @@ class RenderConfig(Config):
     supersampling: float = Field(ge=1, le=4)
     shadow_map_px: int = Field(ge=0, le=8192)
     shadow_lights: int = Field(ge=0, le=8)
-    # Left out where it is what it was before it could be chosen, so that older datasets say what they always said.
-    shadow_reach_m: Annotated[
-        FiniteFloat, Within("m", 0.2, 5), Field(exclude_if=lambda reach: reach == SHADOW_REACH)
-    ] = SHADOW_REACH
+    shadow_reach_m: Annotated[FiniteFloat, Within("m", 0.2, 5), omit_default(SHADOW_REACH)] = SHADOW_REACH
     reduced_meshes: bool
     reflections: bool
     slices: int = Field(ge=8, le=128, multiple_of=4)
 
     def fine_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """Width and height (px) in which pictures of a size are rendered."""
+        """Width and height (px) of supersampled pictures."""
         return round(size[0] * self.supersampling), round(size[1] * self.supersampling)

@@ -1,4 +1,4 @@
-"""How a policy from elsewhere calls what it sees and what it answers, and in which units and order."""
+"""How a policy of another program names its observations and actions, and their units and order."""
 
 from __future__ import annotations
 
@@ -9,28 +9,25 @@ from pydantic import Field, field_validator, model_validator
 from ..documents.base import Config, ConflictError, Name
 from ..documents.units import Within
 
-# The key of a part of a message, as somebody else's program has it: `observation.images.top`.
+# A key in a message of another program, such as `observation.images.top`.
 Key = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./]*$", max_length=100)]
 Dtype = Literal["float32", "float64"]
 Fit = Literal["stretch", "pad"]
 Layout = Literal["rows", "channels"]
 
-# A camera that a policy may be shown, by its name in `core.policies.base.IMAGES`, or one of a station's own.
-CameraName = Name
-
-# What a constant of a message may be.
+CameraName = Name  # of a camera in `core.policies.base.IMAGES`, or of a station's camera
 Constant = bool | int | float | str
 
 
 class PictureMapping(Config):
-    """A picture as a policy wants it.
+    """A picture in the format of a policy.
 
     Attributes:
-        cameras: which camera it is: the first of these that the rig has.
-        size_px: width and height; as it is rendered if left out.
-        fit: "stretch" fills that size, whatever becomes of the sides; "pad" keeps them and adds black.
+        cameras: the first of these cameras that the rig has gives the picture.
+        size_px: width and height; as rendered if left out.
+        fit: "stretch" changes the aspect ratio to fill that size; "pad" keeps it and adds black.
         layout: "rows" for (height, width, 3), "channels" for (3, height, width).
-        optional: left out where there is no such camera, or where a checkpoint does not ask for it.
+        optional: whether the picture is left out where the rig has no such camera, or a checkpoint has no such input.
     """
 
     cameras: tuple[CameraName, ...] = Field(min_length=1)
@@ -41,21 +38,21 @@ class PictureMapping(Config):
 
 
 class StateMapping(Config):
-    """A row of numbers: the arms' joints and grippers, or where things are."""
+    """A row of numbers: the arms' joints and grippers, or the poses of things."""
 
     key: Key
     dtype: Dtype = "float32"
 
 
 class ActionsMapping(Config):
-    """The rows of numbers that a policy answers with, one for each action: (actions, numbers), or one row alone.
+    """Actions in the answer of a policy: (actions, numbers), or one row.
 
     Attributes:
         key: of the rows in the answer.
-        weld: after all drives, a number for each arm says whether its weld is to hold: from 0.5 on.
-        hz: actions a second.
-        period_ms_key: of a number in the answer, ms, which goes before `hz` where it is there and above 0.
-        done_key: of a truth value in the answer: nothing comes after these actions.
+        weld: whether each row has, after all drives, a number for each arm that turns its weld on from 0.5.
+        hz: actions per second.
+        period_ms_key: key of the period of the actions in the answer, ms, which overrides `hz` where it is above 0.
+        done_key: key of a truth value in the answer that ends the trial after these actions.
     """
 
     key: Key = "actions"
@@ -66,20 +63,20 @@ class ActionsMapping(Config):
 
 
 class PolicyConfig(Config):
-    """What a policy from elsewhere calls things, and in which units and order.
+    """Names, units and order of a policy's observations and actions.
 
     Attributes:
-        arms: the order of the arms in the state and in actions; "all" for those of any rig, the left one first. Of each
-            arm come its joints in rad, and then its gripper.
+        arms: the order of the arms in the state and in actions; "all" for all arms of a rig, the left one first. Each
+            arm has its joints in rad, and then its gripper.
         gripper: "share" for 0 closed .. 1 open, "metres" for the opening of one finger.
-        environment_state: where things are, see `core.policies.environment_state`; a checkpoint that does not ask is
-            not told.
+        environment_state: poses of things, see `core.policies.environment_state`; not sent to a checkpoint without this
+            input.
         images: key -> picture.
-        images_under: a key that holds all pictures; at the top of the message if left out.
-        prompt: key of the task in words.
+        images_under: key of a mapping with all pictures; if left out, the pictures are at the top of the message.
+        prompt: key of the prompt.
         time: key of the time since the trial's start, s.
         seed: key of the trial's seed.
-        constants: key -> what is sent with every observation.
+        constants: key -> value that is sent with every observation.
     """
 
     name: Name
@@ -96,7 +93,7 @@ class PolicyConfig(Config):
     actions: ActionsMapping
 
     @model_validator(mode="after")
-    def _each_key_once(self) -> PolicyConfig:
+    def _keys_are_unique(self) -> PolicyConfig:
         pictures = [] if self.images_under else [(key, ("images", key)) for key in self.images]
         places: list[tuple[str | None, tuple[str, ...]]] = [
             (self.state.key if self.state else None, ("state", "key")),
@@ -118,7 +115,7 @@ class PolicyConfig(Config):
 
     @field_validator("arms", mode="after")
     @classmethod
-    def _each_once(cls, value: Any) -> Any:
+    def _arms_are_unique(cls, value: Any) -> Any:
         if isinstance(value, tuple) and (not value or len(set(value)) < len(value)):
             raise ValueError("name each arm once")
         return value

@@ -1,4 +1,4 @@
-"""Domain randomization: what may vary from one attempt to the next, and by how much."""
+"""Domain randomization: ranges of what varies between attempts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
-from ..documents.base import Config, ConflictError, Name, Positive, Range, Reference, ordered
+from ..documents.base import OMIT_NONE, Config, ConflictError, Name, Positive, Range, Reference, ordered
 from ..documents.units import ReachRange, Within
 from .things.thing import ObjectConfig
 
@@ -39,8 +39,8 @@ class LightRanges(Config):
 
     Attributes:
         intensity: range of the factor on a light's colour.
-        tint: by what share each of red, green and blue may differ from that factor.
-        tilt_deg: by how much a light's direction may turn, degrees; its position turns with it.
+        tint: largest relative deviation of red, green and blue from that factor.
+        tilt_deg: largest rotation of a light's direction, degrees; its position turns with it.
     """
 
     intensity: Factor
@@ -49,14 +49,14 @@ class LightRanges(Config):
 
 
 class HeadlightRanges(Config):
-    """Ranges of the factors on the light that the camera itself sheds, and on the light from all around."""
+    """Ranges of the factors on the camera's headlight and on the ambient light."""
 
     diffuse: Factor
     ambient: Factor
 
 
 class CameraRanges(Config):
-    """The scene camera's pose: how far it may be off along each axis (m), and turned about each axis (degrees)."""
+    """The scene camera's pose: largest shift along each axis (m) and rotation about each axis (degrees)."""
 
     position: Annotated[FiniteFloat, Within("m", 0, 1)]
     rotation_deg: float = Field(ge=0, le=20)
@@ -66,10 +66,10 @@ class SurfaceRanges(Config):
     """The looks of the table or the floor.
 
     Attributes:
-        saturation, value: ranges of its colours' saturation and value; the hue may be any.
-        contrast: by how much a pattern's second colour is lighter or darker than the first, in `value`.
-        textures: texture -> its weight: how likely it is beside the others. A checkered floor is made of tiles and
-            costs nothing. Other patterns are looked up for every pixel, see docs/recording.md for the cost.
+        saturation, value: ranges of the colours' saturation and value; the hue is arbitrary.
+        contrast: range of the difference between the two colours of a pattern, in `value`.
+        textures: texture -> its weight, that is its relative probability. A checkered floor is made of tiles and costs
+            nothing; other patterns cost rendering time, see docs/recording.md.
     """
 
     saturation: Share
@@ -82,7 +82,7 @@ class LookRanges(Config):
     """The objects' looks.
 
     Attributes:
-        hue_deg: by how much a colour's hue may turn either way, degrees.
+        hue_deg: largest change of a colour's hue, degrees.
         saturation, value: ranges of the factors on a colour's saturation and value.
         specular, shininess: ranges of these properties of an object's surface.
     """
@@ -95,13 +95,13 @@ class LookRanges(Config):
 
 
 class Distractors(Config):
-    """Objects that stand on the table and have no part in the task. They do not move, and nothing ever touches them.
+    """Objects on the table that have no part in the task. They do not move, and nothing touches them.
 
     Attributes:
         objects: the objects to choose from; each is chosen at most once.
-        count: how many stand there at least and at most. There are fewer where no free place is found.
-        x, y: where on the table they may stand, m.
-        clearance: smallest distance (m) to everything that moves, during the whole episode, and to each other.
+        count: the least and the largest number of distractors; fewer where no free place is found.
+        x, y: ranges of their places on the table, m.
+        clearance: smallest distance (m) from each other and, during the whole episode, from everything that moves.
     """
 
     objects: Annotated[tuple[ObjectConfig, ...], Reference("objects")] = Field(min_length=1, max_length=20)
@@ -111,18 +111,18 @@ class Distractors(Config):
     clearance: Annotated[FiniteFloat, Within("m", 1e-4, 1)]
 
     @model_validator(mode="after")
-    def _are_stiff(self) -> Distractors:
+    def _are_rigid(self) -> Distractors:
         for k, item in enumerate(self.objects):
             if item.cloth is not None:
-                raise ConflictError(f"{item.name!r} is cloth, and distractors are stiff; take another", ("objects", k))
+                raise ConflictError(f"{item.name!r} is cloth, and distractors are rigid; take another", ("objects", k))
         return self
 
 
 class PictureRanges(Config):
-    """What a camera and its cable do to a picture.
+    """Image noise of a camera and its cable.
 
     Attributes:
-        brightness: what is added to every pixel, as a share of the largest value; sampled for each picture.
+        brightness: added to every pixel, as a share of the largest value; sampled for each picture.
         contrast: factor on the difference from mid grey; sampled for each picture.
         noise: standard deviation of Gaussian noise, of 255; sampled for each attempt.
         salt_pepper: share of pixels that turn white or black; sampled for each attempt.
@@ -135,14 +135,14 @@ class PictureRanges(Config):
 
 
 class ArmRanges(Config):
-    """How arms act and are read, drawn for each arm; each draw is added to what the arm's own dynamics say.
+    """Dynamics of arms, sampled for each arm and added to the arm's own dynamics.
 
     Attributes:
-        command_delay_ms: how much later commands act.
-        sensor_delay_ms: how much older what encoders read is.
-        sensor_noise_rad: standard deviation of what a joint reads.
-        encoder_step_rad: between two values that an encoder can read.
-        gravity_error: by how many times a joint's weight its gravity compensation gives too much; drawn for each joint.
+        command_delay_ms: delay between a command and its effect.
+        sensor_delay_ms: age of the encoders' readings.
+        sensor_noise_rad: standard deviation of a joint's reading.
+        encoder_step_rad: resolution of the encoders.
+        gravity_error: error of the gravity compensation as a factor of the joint's weight; sampled for each joint.
     """
 
     command_delay_ms: Annotated[tuple[_Delay, _Delay], AfterValidator(ordered)] = (0.0, 0.0)
@@ -153,17 +153,16 @@ class ArmRanges(Config):
 
 
 class RandomizationConfig(Config):
-    """What varies between attempts, and by how much; a part that is left out does not vary.
+    """Ranges of what varies between attempts; a part that is left out does not vary.
 
-    Each part samples from a random stream of its own, so that leaving one out does not change the others.
+    Each part samples from a random stream of its own, so that leaving a part out does not change the others.
 
     Attributes:
         mass: range of the factor on each object's mass.
         friction: range of the factor on the friction of each object and of the table. Of all parts only mass, friction
             and arm_dynamics act in physics.
-        lens_deg: range of what is added to the scene camera's field of view, degrees.
-        arm_dynamics: how late arms act, how they are read, and how their gravity compensation errs. Older configs do
-            not say it.
+        lens_deg: range of the change of the scene camera's field of view, degrees.
+        arm_dynamics: delays, noise and gravity compensation of arms.
     """
 
     name: Name = "none"
@@ -178,7 +177,7 @@ class RandomizationConfig(Config):
     objects: LookRanges | None = None
     distractors: Distractors | None = None
     picture: PictureRanges | None = None
-    arm_dynamics: Annotated[ArmRanges | None, Field(exclude_if=lambda found: found is None)] = None
+    arm_dynamics: Annotated[ArmRanges | None, OMIT_NONE] = None
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Real recordings: how others call an arm's joints in them, and what a dataset of imported ones says of itself."""
+"""Real recordings: the names of joints in other programs, and the config of a dataset of imported recordings."""
 
 from __future__ import annotations
 
@@ -12,54 +12,54 @@ from .rig import RigConfig
 GripperUnit = Literal["metres", "share", "closed_share"]
 
 _Side = Annotated[str, Field(pattern="^(left|right|only)$")]
-_Called = Annotated[str, Field(min_length=1, max_length=200)]
+_ForeignName = Annotated[str, Field(min_length=1, max_length=200)]
 
 
 class ArmNames(Config):
-    """An arm's columns, as somebody else calls them.
+    """Names of an arm's columns in another program.
 
     Attributes:
         joints: from the base to the flange, rad.
-        gripper: left out where there is none.
+        gripper: None for an arm without one.
     """
 
-    joints: Annotated[tuple[_Called, ...], Field(min_length=1)]
-    gripper: _Called | None = None
+    joints: Annotated[tuple[_ForeignName, ...], Field(min_length=1)]
+    gripper: _ForeignName | None = None
 
 
 class ArmTopics(Config):
-    """An arm's topics in a file of messages, as somebody else calls them; fields are `<topic>.<field>`.
+    """Names of an arm's topics in another program's file of messages.
 
     Attributes:
-        state, action: whose field `field` has the joints, as measured and as commanded, rad.
-        gripper_state, gripper_action: whose field `field` begins with the gripper.
+        state, action: topics whose field `field` has the measured and the commanded joints, rad.
+        gripper_state, gripper_action: topics whose field `field` begins with the gripper.
     """
 
-    state: _Called
-    action: _Called | None = None
-    gripper_state: _Called | None = None
-    gripper_action: _Called | None = None
+    state: _ForeignName
+    action: _ForeignName | None = None
+    gripper_state: _ForeignName | None = None
+    gripper_action: _ForeignName | None = None
 
 
 class RecordingNames(Config):
-    """How a family of recordings calls its arms.
+    """Names in recordings of another program.
 
     Attributes:
-        arms: `left` and `right`, or `only` of one arm -> names of its columns, measured and commanded alike.
-        topics: the same -> its topics, of files of messages; one of the two.
-        field: the field of a topic's messages that has the numbers.
-        prompt_topic, prompt_field: where the task is told in words.
-        cameras: topic of compressed video -> what the camera is called here.
+        arms: `left` and `right`, or `only` for one arm -> names of its columns, measured and commanded alike.
+        topics: instead of `arms`, for files of messages: the same keys -> the arm's topics.
+        field: the field of a topic's messages with the numbers.
+        prompt_topic, prompt_field: topic and field of the prompt.
+        cameras: topic of compressed video -> name of the camera in yamsim.
         gripper: `metres` of one finger, `share` 0 closed .. 1 open, or `closed_share` 0 open .. 1 closed.
     """
 
     name: Name
     arms: dict[_Side, ArmNames] = Field(default_factory=dict)
     topics: dict[_Side, ArmTopics] = Field(default_factory=dict)
-    field: _Called = "position"
-    prompt_topic: _Called | None = None
-    prompt_field: _Called = "text"
-    cameras: dict[_Called, Name] = Field(default_factory=dict)
+    field: _ForeignName = "position"
+    prompt_topic: _ForeignName | None = None
+    prompt_field: _ForeignName = "text"
+    cameras: dict[_ForeignName, Name] = Field(default_factory=dict)
     gripper: GripperUnit = "share"
 
     @model_validator(mode="after")
@@ -73,10 +73,10 @@ class RealConfig(Config):
     """`config.yaml` of a dataset of imported recordings.
 
     Attributes:
-        source: that nothing of it was simulated.
-        rig: whose arms were recorded.
-        imported: from which format.
-        gripper: the unit in which the recordings had grippers; here they are metres.
+        source: `real`, for data that is not simulated.
+        rig: the recorded rig.
+        imported: the format of the recordings.
+        gripper: the unit of grippers in the recordings; the dataset has metres.
     """
 
     source: Literal["real"]

@@ -1,77 +1,76 @@
-"""A recording: everything that decides its bytes, and how many workers make them."""
+"""The config of a recording: everything that decides its bytes, and the number of workers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, cast
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from ..documents.base import Config, ConflictError, Name, Reference
+from ..documents.base import OMIT_NONE, Config, ConflictError, Name, Reference, omit_default
 from ..documents.units import as_recorded
+from ..robots.stops import beyond_stops
 from ..shown_meshes import PATTERN
-from .holding import check_fingers, check_friction
 from .pictures import ImageConfig, RenderConfig
 from .program_task import GraspKind as GraspKind
 from .program_task import ProgramTask, Start
 from .randomization import RandomizationConfig
 from .rig import ArmConfig, RigConfig
 from .scene import SceneConfig, Table
-from .starts import check_start, common_start
+from .things.thing import ObjectConfig
 
-# What recordings call the camera of their scene.
-SCENE_CAMERA = "scene_camera"
+SCENE_CAMERA = "scene_camera"  # the name of the scene's camera in recordings
 
-# What frames hold of the actions: what all drives and the weld are told; or also `state` and `action` as real YAM
-# stations record them, which are of each arm its joints and how far its gripper is open, as a share.
+# Actions in frames: the commands of all drives and of the weld; with "joints" also `state` and `action` as real YAM
+# stations record them: for each arm its joints and the opening of its gripper as a share.
 ActionKind = Literal["drives", "joints"]
 Side = Literal["left", "right"]
+
+_RIGS_WITH_PADS = ("single_linear", "yam_station_linear_4310_d405")  # suggested: a rig of one arm, and of two
 
 
 class RecordConfig(Config):
     """What `yamsim record` and `yamsim trials` run.
 
     Attributes:
-        arm: which of two arms does the task, or begins it; a rig's only arm does it in any case.
-        grasp: "weld" holds the object by a constraint switched on at the grasp, as the lab's magnet does; "contact" by
-            friction between a gripper's pads alone; "cloth_constraint", which tasks with cloth have and no others, by
-            friction, and cloth by a constraint where both fingers close on it, see `core.sim.cloth`. If left out, it is
-            the first of those that the task has.
-        episodes: how many successful episodes to record, or trials to run.
-        workers: how many processes; it never changes the data.
-        action: "joints" records `state` and `action` too, see `core.dataset.lowdim.frame_data`.
-        seed: with an attempt's number, decides everything random in it.
+        arm: which of two arms does the task, or begins it; the only arm of a rig always does.
+        grasp: "weld" holds things by a constraint switched on at the grasp, as the lab's magnet does; "contact" by
+            friction between a gripper's pads alone. "cloth_constraint", for all tasks with cloth and no others, holds
+            things by friction, and cloth by a constraint where both fingers close on it, see `core.sim.cloth`. If left
+            out, the first grasp of the task.
+        episodes: the number of successful episodes to record, or of trials to run.
+        workers: the number of processes; the data does not depend on it.
+        action: "joints" also records `state` and `action`, see `core.dataset.lowdim.frame_data`.
+        seed: with an attempt's number, decides everything random in the attempt.
         wrist: also record the wrist camera.
-        cameras: which cameras to record, in order. Left out: those of the station, and of the wrists, where the rig has
-            cameras of its own; else the scene's, and with `wrist` those of the arms that act.
+        cameras: which cameras to record, in order. If left out: where the rig has cameras of its own, these and the
+            wrist cameras; else the scene's, and with `wrist` those of the acting arms.
         boards: also show the base boards and their mounts, as they are on a real arm.
-        randomization: what differs between episodes beside where things start.
+        randomization: what varies between episodes besides the starts of things.
         truth: also record ground truth for every image, see `core.dataset.truth_files`.
-        meshes: asset set -> what is shown of it, see `core.shown_meshes`. The recorder notes it, whatever a file says;
-            None in datasets from before it did.
+        meshes: asset set -> the meshes that are shown, see `core.shown_meshes`. Written by the recorder, whatever a
+            file has; None in datasets without this entry.
     """
 
     rig: Annotated[RigConfig, Reference("rigs")]
     scene: Annotated[SceneConfig, Reference("scenes")]
     task: Annotated[ProgramTask, Reference("tasks")]
-    # Left out where it is the default, so that datasets of one arm say what they always said.
-    arm: Annotated[Side, Field(exclude_if=lambda side: side == "right")] = "right"
-    # None only before validation, which puts the task's own there.
+    arm: Annotated[Side, omit_default("right")] = "right"
+    # Validation replaces None by the task's default.
     grasp: GraspKind = Field(default=cast(GraspKind, None), validate_default=True)
-    action: Annotated[ActionKind, Field(exclude_if=lambda kind: kind == "drives")] = "drives"
+    action: Annotated[ActionKind, omit_default("drives")] = "drives"
     episodes: int = Field(default=500, ge=1, le=1_000_000)
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
     wrist: bool
-    cameras: Annotated[tuple[Name, ...] | None, Field(min_length=1, exclude_if=lambda cameras: cameras is None)] = None
+    cameras: Annotated[tuple[Name, ...] | None, Field(min_length=1), OMIT_NONE] = None
     boards: bool = False
     truth: bool = False
     image: ImageConfig
     render: Annotated[RenderConfig, Reference("quality")]
     randomization: Annotated[RandomizationConfig, Reference("randomization")] = RandomizationConfig()
-    meshes: Annotated[
-        Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None, Field(exclude_if=lambda meshes: meshes is None)
-    ] = None
+    meshes: Annotated[Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None, OMIT_NONE] = None
 
     @field_validator("grasp", mode="before")
     @classmethod
@@ -79,11 +78,11 @@ class RecordConfig(Config):
         if given is not None:
             return given
         task = info.data.get("task")
-        # A task that is not valid is reported, so that it does not matter what stands here.
+        # An invalid task is reported in any case, so that any value will do here.
         return task.valid_grasps[0] if isinstance(task, ProgramTask) else "contact"
 
     @model_validator(mode="after")
-    def _complete(self) -> RecordConfig:
+    def _task_fits_the_scene(self) -> RecordConfig:
         for part in ("table", "scene_camera"):
             if getattr(self.scene, part) is None:
                 raise ConflictError(
@@ -102,7 +101,7 @@ class RecordConfig(Config):
         return self
 
     @model_validator(mode="after")
-    def _has_the_cameras(self) -> RecordConfig:
+    def _rig_has_the_cameras(self) -> RecordConfig:
         there = (SCENE_CAMERA, *self.rig.camera_names)
         for name in self.cameras or ():
             if name not in there:
@@ -116,7 +115,7 @@ class RecordConfig(Config):
         return self
 
     @model_validator(mode="after")
-    def _has_the_arm(self) -> RecordConfig:
+    def _rig_has_the_arm(self) -> RecordConfig:
         if self.arm != "right" and self.arm not in (sides := [arm.side for arm in self.rig.arms]):
             raise ConflictError(
                 f"arm {self.arm!r}: rig {self.rig.name!r} has only a {sides[0]} one; leave `arm` out",
@@ -126,12 +125,12 @@ class RecordConfig(Config):
         return self
 
     @model_validator(mode="after")
-    def _says_which_arms(self) -> RecordConfig:
+    def _fill_in_the_arms(self) -> RecordConfig:
         first, second = (self.rig.arms[k].side for k in (self.first_arm, self.second_arm))
         return self.model_copy(update={"task": self.task.done_by(first, second)})
 
     @model_validator(mode="after")
-    def _can_be_held(self) -> RecordConfig:
+    def _arms_can_grasp(self) -> RecordConfig:
         if self.grasp not in (valid := self.task.valid_grasps):
             raise ConflictError(
                 f"task {self.task.name!r} cannot be done with grasp {self.grasp!r}; it has "
@@ -140,14 +139,14 @@ class RecordConfig(Config):
                 ("task",),
             )
         if self.grasp == "weld":
-            # What the task picks up is known to `core.skills.checked`.
+            # `core.skills.checked` knows the things that the task picks up, and checks them.
             check_fingers(self.rig, self.acting_arms, {})
         else:
-            check_friction(self.grasp, self.rig, self.acting_arms)
+            _check_pads(self.grasp, self.rig, self.acting_arms)
         return self
 
     @model_validator(mode="after")
-    def _actions_say_all(self) -> RecordConfig:
+    def _actions_are_complete(self) -> RecordConfig:
         if self.action == "joints" and self.grasp == "weld":
             raise ConflictError(
                 "action 'joints' has no place for a weld, and grasp is 'weld'; use grasp 'contact', with a gripper "
@@ -158,47 +157,46 @@ class RecordConfig(Config):
         return self
 
     @model_validator(mode="after")
-    def _starts(self, info: ValidationInfo) -> RecordConfig:
+    def _start_is_valid(self, info: ValidationInfo) -> RecordConfig:
         given = self.task.start_joints
         if given is None:
-            start = common_start(self.task.name, self.acting_arms)
-            # So that a recording says where its arms started.
+            start = _common_start(self.task.name, self.acting_arms)
             return self.model_copy(update={"task": self.task.model_copy(update={"start_joints": start})})
-        check_start(self.task.name, self.rig, self.acting_arms, given, recorded=as_recorded(info))
+        _check_start(self.task.name, self.rig, self.acting_arms, given, stops=not as_recorded(info))
         return self
 
     @property
     def start_joints(self) -> tuple[float, ...]:
-        """Joints of the arms that do the task when it starts, rad."""
-        assert self.task.start_joints is not None  # completed when the config was loaded
+        """Joints of the acting arms at the start, rad."""
+        assert self.task.start_joints is not None  # filled in by `_start_is_valid`
         return self.task.start_joints
 
     @property
     def table(self) -> Table:
-        """The table, as wide as the rig needs it."""
+        """The table, widened for the rig."""
         table = self.surroundings.table
-        assert table is not None  # checked when the config was loaded
+        assert table is not None  # checked by `_task_fits_the_scene`
         return table
 
     @property
     def surroundings(self) -> SceneConfig:
-        """The scene, as wide as the rig needs it."""
+        """The scene, widened for the rig."""
         return self.scene.for_span(self.rig.span)
 
     @property
     def acting(self) -> tuple[int, ...]:
-        """Numbers, in the rig, of the arms that do the task: the one that begins it is first."""
+        """Indices in the rig of the arms that do the task, the one that begins first."""
         alone = self.task.arms == "one" or self.second_arm == self.first_arm
         return (self.first_arm,) if alone else (self.first_arm, self.second_arm)
 
     @property
     def first_arm(self) -> int:
-        """Number, in the rig, of the arm that does the task, or begins it."""
+        """Index in the rig of the arm that does the task, or begins it."""
         return next((k for k, arm in enumerate(self.rig.arms) if arm.side == self.arm), 0)
 
     @property
     def second_arm(self) -> int:
-        """Number, in the rig, of the other arm; of a lone arm the same."""
+        """Index in the rig of the other arm; of the same one in a rig of one arm."""
         return len(self.rig.arms) - 1 - self.first_arm
 
     @property
@@ -212,12 +210,12 @@ class RecordConfig(Config):
 
     @property
     def acting_arms(self) -> tuple[ArmConfig, ...]:
-        """The same arms themselves."""
+        """The arms at the indices `acting`."""
         return tuple(self.rig.arms[k] for k in self.acting)
 
     @property
     def acting_scene_arms(self) -> tuple[int, ...]:
-        """The same, by their numbers in a compiled scene and in recordings: the left one of two is 0."""
+        """Indices of the acting arms in compiled scenes and recordings, where the left one of two arms is 0."""
         return tuple(self.rig.recorded.index(k) for k in self.acting)
 
     @property
@@ -232,10 +230,90 @@ class RecordConfig(Config):
 
     @property
     def wrist_arms(self) -> tuple[ArmConfig, ...]:
-        """The arms whose wrist cameras are recorded, the left one first."""
+        """The arms whose wrist cameras are recorded, the left arm first."""
         arms = (self.rig.arms[k] for k in self.rig.recorded)
         return tuple(arm for arm in arms if arm.wrist_camera_name in self.recorded_cameras)
 
     def data_config(self) -> dict[str, Any]:
-        """Everything that decides an episode's bytes, as plain data: how many there are and who makes them does not."""
+        """Everything that decides an episode's bytes, as plain data."""
         return self.model_dump(mode="json", exclude={"episodes", "workers"})
+
+
+def check_fingers(
+    rig: RigConfig, arms: Sequence[ArmConfig], items: Mapping[tuple[str | int, ...], ObjectConfig]
+) -> None:
+    """Make sure that the acting arms have fingers, and that the things that they pick up fit between the fingers.
+
+    Args:
+        items: key path in the recording's config -> a thing that is picked up by a weld.
+
+    Raises:
+        ConflictError: an arm cannot grasp a thing.
+    """
+    for arm in arms:
+        fingers = arm.gripper.fingers
+        if fingers is None:
+            raise ConflictError(
+                f"{arm.name} of rig {rig.name!r} has the gripper {arm.gripper.name}, which has no fingers to "
+                "pick anything up with; use another gripper, or another arm",
+                ("rig",),
+                ("arm",),
+            )
+        for path, item in items.items():
+            if item.grasp is None:
+                raise ConflictError(
+                    f"object {item.name!r} has no `grasp`, so it cannot be picked up by a weld",
+                    path,
+                    ("grasp",),
+                    ("task",),
+                )
+            if item.grasp.opening > fingers.full_opening:
+                raise ConflictError(
+                    f"object {item.name!r} is too wide to be picked up: {2000 * item.grasp.opening:.0f} mm, and "
+                    f"gripper {arm.gripper.name} of rig {rig.name!r} opens {2000 * fingers.full_opening:.0f} mm; "
+                    "it can still be a target or a distractor",
+                    path,
+                    ("rig",),
+                    ("task",),
+                )
+
+
+def _check_pads(grasp: GraspKind, rig: RigConfig, arms: Sequence[ArmConfig]) -> None:
+    for arm in arms:
+        if arm.gripper.fingers is None or not arm.gripper.fingers.pads:
+            raise ConflictError(
+                f"grasp {grasp!r} needs a gripper with pads, and {arm.name} of rig {rig.name!r} has "
+                f"{arm.gripper.name}; use --rig {_RIGS_WITH_PADS[len(rig.arms) > 1]}, or grasp: weld",
+                ("grasp",),
+                ("rig",),
+            )
+
+
+def _common_start(task: str, arms: Sequence[ArmConfig]) -> tuple[float, ...]:
+    """The start joints that the models of all acting arms agree on, rad."""
+    robots = [arm.robot for arm in arms]
+    starts = {robot.start for robot in robots}
+    if len(starts) > 1:
+        raise ConflictError(
+            f"task {task!r} has no start_joints, and its arms {', '.join(r.model for r in robots)} "
+            "would start differently; give start_joints that suit both",
+            ("task", "start_joints"),
+            ("task",),
+            ("rig",),
+        )
+    return starts.pop()
+
+
+def _check_start(task: str, rig: RigConfig, arms: Sequence[ArmConfig], given: Sequence[float], *, stops: bool) -> None:
+    """Make sure that the acting arms have as many joints as are given, and, with `stops`, reach them."""
+    for arm in arms:
+        robot, where = arm.robot, (("task", "start_joints"), ("task",), ("rig",))
+        if len(given) != robot.dof:
+            raise ConflictError(
+                f"task {task!r} has {len(given)} start_joints, and {arm.name} of rig {rig.name!r} "
+                f"({robot.model}) has {robot.dof} joints; give one for each of {', '.join(robot.joint_names)}, or "
+                "leave start_joints out",
+                *where,
+            )
+        if stops and (fault := beyond_stops(arm.name, robot, np.array(given), 0.0)):
+            raise ConflictError(f"task {task!r}: start_joints: {fault}", *where)

@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from ..documents.base import Config, ConflictError, Name, Quaternion, Reference
+from ..documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Reference
 from ..documents.units import Heading, PlacePoint, Within, as_recorded
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
@@ -26,32 +26,31 @@ from ..robots.dynamics import Dynamics
 from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_of
 from ..robots.robot import Robot, assemble
 
-# On a printed mount, in the base mesh's frame. So near to that frame's origin is the arm: less was given in metres.
-_OnMount = Annotated[FiniteFloat, Within("mm", -2000, 2000)]
-_LEAST_MM = 1.0
+_OnMount = Annotated[FiniteFloat, Within("mm", -2000, 2000)]  # a coordinate of a printed mount
+_MIN_MM = 1.0  # smallest distance from the base and extent of a mount: smaller values were probably given in m
 
 
-def _clear_of_the_arm(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
-    if 0 < math.hypot(*value) < _LEAST_MM and not as_recorded(info):
+def _off_the_base(value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
+    if 0 < math.hypot(*value) < _MIN_MM and not as_recorded(info):
         meant = ", ".join(f"{1000 * part:g}" for part in value)
         raise ValueError(f"lies {math.hypot(*value):.2g} mm from the base; is it in m? Then give [{meant}]")
     return value
 
 
-def _thick(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+def _extended(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
     low, high = value
-    if high - low < _LEAST_MM and not as_recorded(info):
+    if high - low < _MIN_MM and not as_recorded(info):
         meant = f"; is it in m? Then give [{1000 * low:g}, {1000 * high:g}]" if high > low else ""
-        raise ValueError(f"a mount is at least {_LEAST_MM:g} mm wide, and this is {high - low:.3g}{meant}")
+        raise ValueError(f"a mount is at least {_MIN_MM:g} mm wide, and this is {high - low:.3g}{meant}")
     return value
 
 
-_BoardPoint = Annotated[tuple[_OnMount, _OnMount, _OnMount], AfterValidator(_clear_of_the_arm)]
-_Side = Annotated[tuple[_OnMount, _OnMount], AfterValidator(_thick)]
+_BoardPoint = Annotated[tuple[_OnMount, _OnMount, _OnMount], AfterValidator(_off_the_base)]
+_Side = Annotated[tuple[_OnMount, _OnMount], AfterValidator(_extended)]
 
 
 class BasePose(Config):
-    """A base's pose: position in metres, heading in degrees about +z."""
+    """Pose of a base: position (m) and heading about +z (degrees)."""
 
     position: PlacePoint = (0.0, 0.0, 0.0)
     yaw_deg: Heading = 0.0
@@ -66,8 +65,8 @@ class BoardConfig(Config):
     """A fiducial board beside an arm's base.
 
     Attributes:
-        marker_length_mm: as printed; measure yours and set it.
-        gap_mm: between markers, as printed.
+        marker_length_mm: edge of a marker as measured on the print.
+        gap_mm: between markers as measured on the print.
         position_mm, quat: of the `board` frame (origin at the centre, z out of the paper) in the base mesh's frame.
     """
 
@@ -83,7 +82,7 @@ class BoardConfig(Config):
 
     @property
     def board(self) -> Board:
-        """Its measures, in metres."""
+        """The board, in m."""
         return Board(
             self.name,
             self.first_id,
@@ -104,8 +103,8 @@ class MountConfig(Config):
     """The printed plate that carries a board, in the base mesh's frame.
 
     Attributes:
-        stl: the user's own mesh (millimetres, base mesh's frame); without, a plain plate of the same outline is drawn.
-        x_mm, y_mm, z_mm: the outline's extent; `mirror_x` mirrors it, or the mesh, at x = 0.
+        stl: the user's mesh (mm, base mesh's frame); if left out, a plain plate of the same outline is drawn.
+        x_mm, y_mm, z_mm: extent of the outline; `mirror_x` mirrors the outline or the mesh at x = 0.
     """
 
     name: str
@@ -116,7 +115,7 @@ class MountConfig(Config):
     z_mm: _Side
 
 
-# Robots are written down by their names alone: whoever reads them looks them up.
+# Configs have robots by their names.
 _BY_NAME = (
     PlainSerializer(lambda robot: robot.name, return_type=str, when_used="json"),
     WithJsonSchema({"type": "string"}),
@@ -128,14 +127,15 @@ class ArmConfig(Config):
 
     Attributes:
         name: unique in the rig.
-        side: which hand it is; names its wrist camera.
-        prefix: put before every name of the arm's in a scene, such as `arm2_`; unique in the rig.
-        model: a folder of `robot_models/`. In a rig's file it may also be the file of one's dynamics, which names it.
-        dynamics: how this arm moves otherwise than its model.
-        gripper: a folder of `robot_models/grippers/`, one that fits the model.
-        grasp_offset: height of `grasp_site` over the flange along the gripper in metres; None keeps the gripper's.
-        base: where the base stands, from its place in the rig.
-        wrist_camera: the gripper's own, if it has one and the rig says none.
+        side: of the arm; its wrist camera is named after the side.
+        prefix: of all names of the arm in a scene, such as `arm2_`; unique in the rig.
+        model: a folder of `robot_models/`. A rig's file may also name a file of identified dynamics, which names the
+            model.
+        dynamics: identified dynamics of this arm.
+        gripper: a folder of `robot_models/grippers/` that fits the model.
+        grasp_offset: height of `grasp_site` over the flange along the gripper, m; the gripper's if left out.
+        base: pose of the base relative to the arm's place in the rig.
+        wrist_camera: the gripper's camera if left out.
     """
 
     name: Name
@@ -143,7 +143,7 @@ class ArmConfig(Config):
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
     model: Annotated[ArmModel, Reference("robots"), *_BY_NAME]
     gripper: Annotated[Gripper, Reference("grippers"), *_BY_NAME]
-    dynamics: Annotated[Dynamics | None, Reference("revisions"), Field(exclude_if=lambda found: found is None)] = None
+    dynamics: Annotated[Dynamics | None, Reference("revisions"), OMIT_NONE] = None
     base: BasePose = BasePose()
     grasp_offset: Annotated[FiniteFloat, Within("m", 0.01, 0.5)] | None = None
     wrist_camera: WristCamera
@@ -157,20 +157,20 @@ class ArmConfig(Config):
 
     @property
     def T_board_in_base(self) -> Array:
-        """Pose (4, 4) of the `board` frame in the base frame, of an arm that has a board."""
+        """Pose (4, 4) of the `board` frame in the base frame, for an arm with a board."""
         assert self.board is not None
         return self.robot.T_base_mesh @ self.board.T_in_base_mesh
 
     @model_validator(mode="before")
     @classmethod
-    def _grippers_camera(cls, data: Any) -> Any:
+    def _default_wrist_camera(cls, data: Any) -> Any:
         gripper = data.get("gripper") if isinstance(data, dict) else None
         if isinstance(gripper, dict) and data.get("wrist_camera") is None and gripper.get("wrist_camera") is not None:
             return {**data, "wrist_camera": gripper["wrist_camera"]}
         return data
 
     @model_validator(mode="after")
-    def _fits(self) -> ArmConfig:
+    def _parts_fit(self) -> ArmConfig:
         if self.dynamics is not None:
             try:
                 self.dynamics.check(self.model)
@@ -191,21 +191,21 @@ class ArmConfig(Config):
 
     @property
     def wrist_camera_name(self) -> str:
-        """The name its wrist camera's images are recorded under."""
+        """The name of the wrist camera's recorded images."""
         return self.wrist_camera.name or f"{self.side}_wrist_camera"
 
 
 class RigCamera(Config):
-    """A camera that stands still beside a rig's arms.
+    """A fixed camera of a station.
 
     Attributes:
-        name: under which its images are recorded.
-        arm: name of the arm in whose base it is given; left out, in `world`.
-        position, quat: of its OpenCV frame (x right, y down, z forward), m.
+        name: of the recorded images.
+        arm: name of the arm in whose base frame the pose is given; if left out, in `world`.
+        position, quat: of the camera's OpenCV frame (x right, y down, z forward), m.
         fovy_deg: vertical field of view.
-        modes: image sizes for which that is another.
-        housing: what is drawn of it, `robot_models/cameras/<housing>.xml`, in that frame.
-        mesh_sets: the asset sets that the housing takes meshes from.
+        modes: image sizes with another field of view.
+        housing: the visual model `robot_models/cameras/<housing>.xml`, in the camera's frame.
+        mesh_sets: the asset sets of the housing's meshes.
     """
 
     name: Name
@@ -227,44 +227,44 @@ class RigConfig(Config):
 
     Attributes:
         margin: distance between the places of neighbouring arms along world y, m. The places are centred on the world's
-            origin, the first arm the rightmost.
-        cameras: those of the station itself. With any, recordings have them and every wrist camera, and not the
+            origin; the first arm is the rightmost.
+        cameras: fixed cameras of the station. With any, recordings have these and every wrist camera, and not the
             scene's.
     """
 
     name: Name
     margin: Annotated[FiniteFloat, Within("m", 0, 3)] = 0.0
     arms: tuple[ArmConfig, ...] = Field(min_length=1, max_length=2)
-    cameras: Annotated[tuple[RigCamera, ...], Field(exclude_if=lambda cameras: not cameras)] = ()
+    cameras: Annotated[tuple[RigCamera, ...], OMIT_EMPTY] = ()
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the station's cameras, then of the wrist cameras, the left one's first."""
+        """Names of the station's cameras, then of the wrist cameras, the left arm's first."""
         return (*(camera.name for camera in self.cameras), *(self.arms[k].wrist_camera_name for k in self.recorded))
 
     def T_cam_in_world(self, camera: RigCamera) -> Array:
-        """Pose (4, 4) of a station's camera, in OpenCV's convention."""
+        """Pose (4, 4) of a station's camera in OpenCV's convention."""
         T = pose_from_quat(camera.position, camera.quat)
         bases = {arm.name: self.T_base_in_world(k) for k, arm in enumerate(self.arms)}
         return T if camera.arm is None else bases[camera.arm] @ T
 
     @property
     def span(self) -> float:
-        """Distance between the places of the outermost arms, m; 0 for a lone one."""
+        """Distance between the places of the outermost arms, m; 0 for one arm."""
         return (len(self.arms) - 1) * self.margin
 
     @property
     def recorded(self) -> tuple[int, ...]:
-        """Numbers of the arms in the order in which recordings hold them: the left one first."""
+        """Indices of the arms in the order of recordings: the left arm first."""
         return tuple(sorted(range(len(self.arms)), key=lambda k: self.arms[k].side))
 
     @property
     def drives(self) -> int:
-        """How many drives each arm has: one for each joint, and its gripper's if it has fingers."""
+        """The number of drives of each arm: of its joints, and of its gripper if that has fingers."""
         return len(self.arms[0].robot.drives)
 
     def place_y(self, arm: int) -> float:
-        """Where an arm's place is along world y, m."""
+        """Position of an arm's place along world y, m."""
         return (arm - (len(self.arms) - 1) / 2) * self.margin
 
     def T_base_in_world(self, arm: int) -> Array:
@@ -272,7 +272,7 @@ class RigConfig(Config):
         return pose((0.0, self.place_y(arm), 0.0)) @ self.arms[arm].base.T
 
     @model_validator(mode="after")
-    def _distinct(self) -> RigConfig:
+    def _arms_go_together(self) -> RigConfig:
         for one, other in itertools.combinations(self.arms, 2):
             for key in ("name", "prefix", "side"):
                 if getattr(one, key) == getattr(other, key):

@@ -1,4 +1,4 @@
-"""Which robots there are: families of arms, their revisions, and grippers."""
+"""Families of arms and their revisions."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..resources import Locations
 
 ARMS, GRIPPERS = "robots", "grippers"
 
-# Family -> revision -> model. Revisions that are numbered come last, the newest at the end.
+# Family -> revision -> model. Numbered revisions come last, the newest at the end.
 Families = Mapping[str, Mapping[str, str]]
 
 
 def families(locations: Locations) -> Families:
-    """Every family whose models say that they are of it, see `ArmModel`.
+    """All families of arms, see `ArmModel`.
 
     Raises:
-        ConfigError: a model cannot be read, or two of a family call their revision alike.
+        ConfigError: a model cannot be read, or two models of a family have the same revision.
     """
     found, faults = valid_families(locations)
     for fault in faults.values():
@@ -28,10 +28,10 @@ def families(locations: Locations) -> Families:
 
 
 def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigError]]:
-    """The families of all valid models, and model -> fault for the others.
+    """The families of all valid models, and model -> fault of each invalid one.
 
-    Of two models that are the same revision, the less important root's is valid: a user's file is at fault, and not a
-    shipped one.
+    Of two models with the same revision, the one in the later root is valid: the fault is the user's file's, not the
+    shipped one's.
     """
     found: dict[str, dict[str, str]] = {}
     faults: dict[str, ConfigError] = {}
@@ -61,7 +61,7 @@ def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigE
 
 
 def model_named(name: str, locations: Locations) -> str:
-    """The model that a name means: a model's own, or the newest revision of a family.
+    """The model of that name, or the newest revision of the family of that name.
 
     Raises:
         ConfigError: there is neither.
@@ -76,11 +76,7 @@ def model_named(name: str, locations: Locations) -> str:
 
 
 def revised(model: str, revision: str, locations: Locations) -> str:
-    """Another revision of a model's family.
-
-    Raises:
-        ConfigError: there is none of that name.
-    """
+    """Another revision of a model's family. Raises ConfigError if there is no such revision."""
     for family, revisions in families(locations).items():
         if model in (family, *revisions.values()):
             if revision not in revisions:

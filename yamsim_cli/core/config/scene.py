@@ -13,7 +13,7 @@ from .things.thing import Contact
 
 
 class Table(Config):
-    """The work surface, a box: its centre and half-size (m), and what share of the light it mirrors."""
+    """The work surface, a box: centre and half-size (m), and the share of light that it mirrors."""
 
     position: PlacePoint
     half_size: tuple[Size, Size, Size]
@@ -27,7 +27,7 @@ class Table(Config):
         return self.position[2] + self.half_size[2]
 
     def widened(self, by: float) -> Table:
-        """The same table, wider along world y by `by` metres."""
+        """The table, wider along world y by `by` metres."""
         x, y, z = self.half_size
         return self.model_copy(update={"half_size": (x, y + by / 2, z)})
 
@@ -36,8 +36,8 @@ class Light(Config):
     """A directional light: the direction in which it shines, and its colour.
 
     Attributes:
-        castshadow: whether it casts shadows in pictures of other programs. In yamsim's own pictures the quality decides
-            how many lights do.
+        castshadow: whether the light casts shadows in other programs. In yamsim's pictures, the quality decides how
+            many lights cast shadows.
     """
 
     direction: Vector
@@ -46,12 +46,11 @@ class Light(Config):
     castshadow: bool = False
 
 
-# Metres that the scene camera moves back for each metre that the scene gets wider.
-_STEP_BACK = 0.5
+_STEP_BACK = 0.5  # m that the scene camera moves back for each m by which the scene is widened
 
 
 class FixedCamera(Config):
-    """A camera that stands still in `world`: its position and the point it looks at (m); image up is world up."""
+    """A camera in `world`: its position and the point that it looks at (m); image up is world up."""
 
     position: PlacePoint
     look_at: PlacePoint
@@ -64,7 +63,7 @@ class FixedCamera(Config):
         return self
 
     def stepped_back(self, by: float) -> FixedCamera:
-        """The same camera, `by` metres farther from the point that it looks at."""
+        """The camera, `by` metres farther from the point that it looks at."""
         away = 1 + by / math.dist(self.position, self.look_at)
         x, y, z = (at + away * (p - at) for p, at in zip(self.position, self.look_at, strict=True))
         return self.model_copy(update={"position": (x, y, z)})
@@ -75,10 +74,10 @@ class SceneConfig(Config):
 
     Attributes:
         table: the work surface; without one, a rig stands on the floor.
-        safety_plane: height of the floor in `world`, m; it catches what falls.
+        safety_plane: height of the floor in `world`, m.
         floor_rgba: the two colours of the floor's tiles.
-        sky: the two colours between which the sky changes.
-        scene_camera: the camera that recordings are made with.
+        sky: the two colours of the sky's gradient.
+        scene_camera: the camera of recordings.
     """
 
     name: Name
@@ -101,9 +100,7 @@ class SceneConfig(Config):
         return self
 
     def for_span(self, span: float) -> SceneConfig:
-        """These surroundings of one arm, fitted to arms `span` metres apart: a wider table, and a scene camera so far
-        back that it sees all of it.
-        """
+        """The scene for arms `span` metres apart: a wider table, and a scene camera that sees all of it."""
         if not span:
             return self
         return self.model_copy(

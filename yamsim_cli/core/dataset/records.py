@@ -81,7 +81,7 @@ class MeasureRecord(Record):
 
     @property
     def is_distance(self) -> bool:
-        """Whether the margin is a distance from the centre of a surface, see `goals.predicates.on`."""
+        """Whether the margin is a distance from the centre of a surface, see `goals.predicates.On`."""
         return self.unit == "m" and self.what.startswith("on(")
 
 

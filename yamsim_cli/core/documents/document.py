@@ -1,7 +1,6 @@
-"""Strict YAML: it refuses duplicate keys, reads numbers and booleans as people write them, and keeps values' lines.
+"""Strict YAML by the core schema of YAML 1.2, without duplicate keys, with the line of each value.
 
-PyYAML's own loader keeps the last of two equal keys, reads `1e-3` as text, and `on` and `yes` as true. This one follows
-the core schema of YAML 1.2 instead.
+PyYAML's own loader keeps the last of two equal keys, and reads `1e-3` as text, and `on` and `yes` as true.
 """
 
 from __future__ import annotations
@@ -18,8 +17,7 @@ from ..errors import ConfigError
 
 KeyPath = tuple[str | int, ...]
 
-# Configs are written by hand; anything larger is a mistake, or an attack by repeated aliases.
-_MAX_BYTES = 1_000_000
+_MAX_BYTES = 1_000_000  # of a config; a larger file is a mistake or an attack
 
 _INT = re.compile(r"^[-+]?[0-9]+$")
 _FLOAT = re.compile(
@@ -28,7 +26,7 @@ _FLOAT = re.compile(
 
 
 def is_setting(place: str) -> bool:
-    """Whether a value came by a flag, `--arm`, or by a keyword, `arm=`, and not from a file."""
+    """Whether the place of a value is a flag, `--arm`, or a keyword, `arm=`, and not a file."""
     return place.startswith("--") or place.endswith("=")
 
 
@@ -72,14 +70,14 @@ def _float(text: str) -> float:
 
 
 def number_or_text(text: str) -> int | float | str:
-    """The number that a plain word stands for in YAML, or the word itself."""
+    """A plain word of YAML as a number, else the word."""
     if _INT.fullmatch(text):
         return int(text)
     return _float(text) if _FLOAT.fullmatch(text) else text
 
 
 def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    # OpenCV's FileStorage tags its matrices. They are mappings of rows, cols, dt and data, or of sizes, dt and data.
+    # OpenCV's FileStorage tags its matrices, mappings of rows, cols, dt and data, or of sizes, dt and data.
     return loader.construct_mapping(node, deep=True)
 
 
@@ -90,7 +88,7 @@ _Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
 
 
 class _Dumper(yaml.SafeDumper):
-    """A safe dumper that quotes every text that YAML 1.1 or 1.2 would read as something else."""
+    """A safe dumper that quotes text that YAML 1.1 or 1.2 would read as another type."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012  (PyYAML's own name)
         first: [*theirs, *_Loader.yaml_implicit_resolvers.get(first, [])]
@@ -99,7 +97,7 @@ class _Dumper(yaml.SafeDumper):
 
 
 def _represent_text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
-    # A NEL (U+0085) survives only inside double quotes: elsewhere it is a line break.
+    # Outside double quotes, NEL (U+0085) is a line break.
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"' if "\x85" in text else None)
 
 
@@ -108,11 +106,11 @@ _Dumper.add_representer(str, _represent_text)
 
 @dataclass
 class Document:
-    """Plain data, and the place that each value came from.
+    """Plain data with the place of each value.
 
     Attributes:
         data: nested dicts, lists and scalars.
-        source: the file, or its stand-in in messages.
+        source: the file, or a name for messages.
         places: key path -> "file:line" or "--flag".
     """
 
@@ -121,7 +119,7 @@ class Document:
     places: dict[KeyPath, str] = field(default_factory=dict)
 
     def place(self, path: KeyPath) -> str:
-        """The place where the value at `path` was written, or the nearest mapping or list around it."""
+        """The place of the value at `path`, or of the nearest mapping or list around it."""
         while path and path not in self.places:
             path = path[:-1]
         return self.places.get(path, self.source)
@@ -134,12 +132,12 @@ class Document:
                 target = target.setdefault(key, {}) if isinstance(target, dict) else target[key]
             target[path[-1]] = value
         except TypeError:
-            return  # There is no mapping where one must be. Checking the document reports that.
+            return  # a mapping is missing, which validation reports
         self.places = {known: where for known, where in self.places.items() if known[: len(path)] != path}
         self.places[path] = place
 
     def graft(self, path: KeyPath, other: Document) -> None:
-        """Put another document in at `path`, with the places that its values came from."""
+        """Insert another document at `path`, with the places of its values."""
         self.set(path, other.data, other.source)
         self.places.update({path + inner: where for inner, where in other.places.items()})
 
@@ -148,18 +146,14 @@ def load_yaml(path: Path) -> Document:
     """The content of a YAML file whose top level is a mapping.
 
     Raises:
-        ConfigError: the file is unreadable, is no YAML, has a duplicate key, is no mapping at the top, holds several
-            documents, or is larger than 1 MB.
+        ConfigError: the file is unreadable, larger than 1 MB or no YAML, or has a duplicate key, another top level than
+            a mapping, or several documents.
     """
     return parse_yaml(read_config(path), str(path))
 
 
 def read_config(path: Path) -> bytes:
-    """A config file's bytes.
-
-    Raises:
-        ConfigError: unreadable, or larger than 1 MB.
-    """
+    """A config file's bytes. Raises ConfigError if the file is unreadable, or larger than 1 MB."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -170,10 +164,10 @@ def read_config(path: Path) -> bytes:
 
 
 def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Document:
-    """The content of YAML text, or of JSON, which YAML includes. Raises as `load_yaml`.
+    """The content of YAML or JSON text. Raises as `load_yaml`.
 
     Args:
-        source, language: how messages name it.
+        source, language: names of the file and of its format in messages.
     """
     document = Document({}, source)
     try:
@@ -197,7 +191,7 @@ def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Docume
 
 
 def _refuse_further_documents(loader: _Loader, source: str, language: str) -> None:
-    """Refuse a second document. A closing line `---`, as `ros2 topic echo` prints after each message, begins none."""
+    """Refuse a second document; a final line `---`, as of `ros2 topic echo`, begins none."""
     while loader.check_node():
         node = loader.get_node()
         if node is not None and not (isinstance(node, yaml.ScalarNode) and node.value == ""):
@@ -206,14 +200,14 @@ def _refuse_further_documents(loader: _Loader, source: str, language: str) -> No
 
 
 def _without_opencv_header(text: str | bytes) -> str | bytes:
-    """The text with OpenCV's first line `%YAML:1.0`, which is not valid YAML, as a comment; line numbers stay."""
+    """The text with OpenCV's first line `%YAML:1.0`, which is no valid YAML, as a comment."""
     if isinstance(text, bytes):
         return b"#" + text if text.startswith(b"%YAML:") else text
     return "#" + text if text.startswith("%YAML:") else text
 
 
 def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
-    """Note each value's line and refuse duplicate and non-text keys."""
+    """Record the line of each value, and refuse keys that are duplicate or no text."""
     document.places[path] = f"{document.source}:{node.start_mark.line + 1}"
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}
@@ -234,7 +228,7 @@ def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
 
 
 def dump_yaml(data: Mapping[str, Any]) -> str:
-    """YAML text of plain data, in the given order. `parse_yaml` reads the same data back."""
+    """YAML text of plain data in the given order, which `parse_yaml` reads back."""
     text: str = yaml.dump(
         _plain(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
     )
@@ -242,7 +236,7 @@ def dump_yaml(data: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """The data with tuples as lists: YAML's safe dumper knows no tuples."""
+    """The data with tuples as lists, since YAML's safe dumper refuses tuples."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""One line on what is wrong with a config: where, the value, and what would be valid."""
+"""Error messages of invalid configs: one line with the place, the value and what would be valid."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from ..errors import counted, suggest
 from .base import Config, ConflictError, ordered
 from .document import Document, KeyPath, is_setting
 
-# How the names of a union's branches begin where no key of the document tells them apart.
-BRANCH = "<"
+BRANCH = "<"  # first character of a union's branch names where no key of the document tells the branches apart
 
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 
@@ -23,22 +22,22 @@ _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 def explain(
     model: type[Config], document: Document, error: ValidationError, flags: Mapping[KeyPath, str]
 ) -> tuple[str, str]:
-    """The place of the first fault, and one line on it that also says how many more there are.
+    """The place of the first fault, and one line about it with the number of further faults.
 
     Args:
-        flags: key path -> the flag that gave the value there.
+        flags: key path -> the flag that gave the value.
     """
     found = error.errors(include_url=False)
-    # Pydantic reports a list with a faulty item as too short, too. Only the fault inside says what to mend.
+    # Pydantic also reports a list with a faulty item as too short.
     inside = {detail["loc"][:depth] for detail in found for depth in range(len(detail["loc"]))}
-    # A mistyped key shows up twice, as unknown and as missing; the place where it stands comes first.
+    # A mistyped key is reported as unknown and as missing; the unknown key comes first.
     details = sorted(
         (detail for detail in found if detail["loc"] not in inside), key=lambda detail: detail["type"] == "missing"
     )
     first = details[0]
     path: KeyPath = tuple(key for key in first["loc"] if not _is_tag(document.data, first["loc"], key))
     if first["type"] == "missing" and isinstance(path[-1], int):
-        # The list is too short: the fault is the list's, not the missing item's.
+        # The fault of a list that is too short is the list's.
         path = path[:-1]
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     fault = first.get("ctx", {}).get("error")
@@ -51,19 +50,19 @@ def explain(
 
 
 def explain_conflict(document: Document, error: ConflictError, flags: Mapping[KeyPath, str]) -> tuple[str, str]:
-    """The same of values that do not go together and that no model knows of."""
+    """Like `explain`, for a conflict that no model checks."""
     path, place = _culprit(document, list(error.paths), flags)
     return place, str(error) if is_setting(place) else f"{dotted(path) or 'config'}: {error}"
 
 
 def kind_instead(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[str, Any]) -> str | None:
-    """The other kind of config that a file holds, judging by its keys; None where they may well be of the wanted kind.
+    """The kind of config whose keys a file has, if not the wanted one; None if the keys fit the wanted kind.
 
     Args:
         kinds: kind -> its model.
     """
     keys = set(data) - {"name"}
-    # Several kinds share some keys, so at least half of them have to be the wanted kind's, and one that it requires.
+    # Kinds share some keys: at least half of the keys, and a required one, have to be those of the wanted kind.
     fields = kinds[wanted].model_fields
     required = {name for name, info in fields.items() if info.is_required()} - {"name"}
     if 2 * len(keys & set(fields)) >= len(keys) and (keys & required or not required):
@@ -88,7 +87,7 @@ def mapped_to(annotation: Any) -> Any:
 
 
 def dotted(path: KeyPath) -> str:
-    """A key path as people write it: `arms[0].board`."""
+    """A key path as text, such as `arms[0].board`."""
     text = ""
     for key in path:
         text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
@@ -98,7 +97,7 @@ def dotted(path: KeyPath) -> str:
 def _culprit(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, str]) -> tuple[KeyPath, str]:
     """Path and place of the first value that a flag gave, or else of the first value."""
     for path in paths:
-        # A flag may give one item where the path is of an item of a list.
+        # A flag for a single item also stands for the item of a list.
         for whole in (path, path[:-1]) if path and isinstance(path[-1], int) else (path,):
             if whole in flags:
                 return whole, flags[whole]
@@ -127,14 +126,14 @@ def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:
 
 
 def _commas(values: list[Any], detail: ErrorDetails) -> str:
-    """A hint for a list with twice as many items as wanted: decimal commas split its numbers. Empty for any other."""
+    """A hint for a list whose numbers decimal commas split in two; empty for any other list."""
     wanted = detail.get("ctx", {}).get("max_length")
     whole = all(isinstance(value, int) for value in values[1::2])
     return "; a number has a decimal point, not a comma" if wanted and len(values) == 2 * wanted and whole else ""
 
 
 def _shape(model: type[Config], path: KeyPath) -> str:
-    """The form of the list that a path needs, such as "[low, high]"; "a list" where that is not fixed."""
+    """The form of the list at a path, such as "[low, high]"; "a list" if the length is not fixed."""
     for annotation, metadata in _annotations_at(model, path):
         parts = get_args(annotation) if get_origin(annotation) is tuple else ()
         if not parts or Ellipsis in parts:
@@ -146,7 +145,7 @@ def _shape(model: type[Config], path: KeyPath) -> str:
 
 
 def _annotations_at(model: type[Config], path: KeyPath) -> Iterable[tuple[Any, tuple[Any, ...]]]:
-    """Each annotation that applies at a path, without its metadata, and the metadata."""
+    """Each annotation at a path, and its metadata."""
     if not path or isinstance(path[-1], int):
         return
     for candidate in _models_at(model, path[:-1]):
@@ -173,7 +172,7 @@ def _plain(annotation: Any) -> Any:
 
 
 def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
-    """Whether a part of pydantic's location names a union's branch and no key of the document."""
+    """Whether a part of pydantic's location is the name of a union's branch, and no key of the document."""
     if isinstance(key, str) and key.startswith(BRANCH):
         return True
     here = data
@@ -205,7 +204,7 @@ def _models_at(model: type[BaseModel], path: KeyPath) -> list[type[BaseModel]]:
 
 
 def _inside(annotation: Any, key: str) -> Iterator[Any]:
-    """The annotations of what stands under a key."""
+    """The annotations of a key's values."""
     if (values := mapped_to(annotation)) is not None:
         yield values
     for model in models_in(annotation):

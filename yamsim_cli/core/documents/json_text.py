@@ -1,4 +1,4 @@
-"""JSON text of results, for stdout and for reports."""
+"""JSON text of results."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import numpy as np
 
 
 def json_text(data: Mapping[str, Any]) -> str:
-    """Return a result as indented JSON that ends in a newline.
+    """Indented JSON with a newline at the end.
 
-    NumPy's scalars and arrays become numbers, booleans and lists, paths become text, and numbers that are not finite
-    become null.
+    NumPy's scalars and arrays become numbers, booleans and lists; paths become text; infinities and NaN become null.
 
     Raises:
         TypeError: a value has no JSON form.
@@ -24,7 +23,6 @@ def json_text(data: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """The same value of types that JSON knows, as far as there are such."""
     if isinstance(value, np.generic | np.ndarray):
         return _plain(value.tolist())
     if isinstance(value, PurePath):

@@ -1,7 +1,6 @@
 """Quantities with a unit and plausible bounds: a value far outside was probably given in another unit.
 
-The bounds are wide. They refuse values that nobody means, and allow unusual ones. Configs of datasets are not held to
-them, see `AS_RECORDED`.
+The configs of recorded datasets may have values beyond these bounds, see `AS_RECORDED`.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ from pydantic_core import CoreSchema, core_schema
 
 from .base import ordered
 
-# The validation context of a dataset's own config, whose values stay valid whatever the bounds are now.
+# The validation context of a recorded dataset's config, whose values stay valid when bounds change.
 AS_RECORDED: Mapping[str, bool] = {"as_recorded": True}
 
-# Unit -> the units that people give in its place -> what one of those is in the first.
-_MISTAKEN: Mapping[str, Mapping[str, float]] = {
+# Unit -> unit given by mistake -> its size in the right unit.
+_MISTAKEN_UNITS: Mapping[str, Mapping[str, float]] = {
     "m": {"mm": 1e-3, "cm": 1e-2},
     "mm": {"m": 1e3},
     "m/s": {"mm/s": 1e-3},
@@ -43,10 +42,10 @@ class Within:
     or_zero: bool = False
 
     def check(self, value: float, info: ValidationInfo | None = None) -> float:
-        """The value itself.
+        """The value, unchanged.
 
         Raises:
-            ValueError: it lies outside the bounds; the text names the unit that was probably meant.
+            ValueError: the value is out of bounds; the text names the unit that was probably given.
         """
         if self._holds(value) or as_recorded(info):
             return value
@@ -56,7 +55,7 @@ class Within:
         return self.low <= value <= self.high or (self.or_zero and value == 0)
 
     def _meant(self, value: float) -> str:
-        others = {name: value * factor for name, factor in _MISTAKEN.get(self.unit, {}).items()}
+        others = {name: value * factor for name, factor in _MISTAKEN_UNITS.get(self.unit, {}).items()}
         fitting = [f"is it in {name}? Then give {meant:.4g}" for name, meant in others.items() if self._holds(meant)]
         return "".join(f"; {text}" for text in fitting)
 
@@ -69,12 +68,12 @@ class Within:
 
 
 def as_recorded(info: ValidationInfo | None) -> bool:
-    """Whether a dataset's own config is being checked, which was recorded with these values."""
+    """Whether the config of a recorded dataset is being validated."""
     return info is not None and info.context == AS_RECORDED
 
 
 def _not_in_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
-    """The range itself, unless its ends are an eighth, a quarter, half or the whole of a turn in radians."""
+    """Refuse a range whose ends are an eighth, a quarter, half or all of a turn in radians."""
     turns = [2 * math.pi / k for k in (1, 2, 4, 8)]
     ends = [abs(end) for end in value if end]
     if not ends or as_recorded(info) or not all(min(abs(end - turn) for turn in turns) < 0.004 for end in ends):
@@ -85,24 +84,15 @@ def _not_in_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[f
     )
 
 
-# A coordinate in a station, m.
-Place = Annotated[FiniteFloat, Within("m", -10, 10)]
-# The size of something in a station, m.
-Size = Annotated[FiniteFloat, Within("m", 1e-3, 10)]
-# A coordinate in the frame of a thing on a table, m.
-Offset = Annotated[FiniteFloat, Within("m", -1, 1)]
-# A gap, or a height above something, m.
-Distance = Annotated[FiniteFloat, Within("m", 0, 1)]
-# A part of a whole.
+Place = Annotated[FiniteFloat, Within("m", -10, 10)]  # a coordinate in a station
+Size = Annotated[FiniteFloat, Within("m", 1e-3, 10)]  # of something in a station
+Offset = Annotated[FiniteFloat, Within("m", -1, 1)]  # a coordinate in the frame of a thing
+Distance = Annotated[FiniteFloat, Within("m", 0, 1)]  # a gap, or a height above something
 Share = Annotated[FiniteFloat, Within("of 1", 0, 1)]
 Heading = Annotated[FiniteFloat, Within("degrees", -360, 360)]
-# The angle from a picture's top to its bottom. Every such angle in radians lies below the lower bound.
-FieldOfView = Annotated[FiniteFloat, Within("degrees", 4, 179)]
-# A joint's angle: none turns more than once around from its zero.
+FieldOfView = Annotated[FiniteFloat, Within("degrees", 4, 179)]  # vertical; every value in radians is below the bound
 JointAngle = Annotated[FiniteFloat, Within("rad", -2 * math.pi, 2 * math.pi)]
-
-# A coordinate of things that an arm is to reach, in the frame of the arm's place, m.
-Reach = Annotated[FiniteFloat, Within("m", -2.5, 2.5)]
+Reach = Annotated[FiniteFloat, Within("m", -2.5, 2.5)]  # a coordinate in the reach of an arm, relative to its place
 
 PlacePoint = tuple[Place, Place, Place]
 OffsetPoint = tuple[Offset, Offset, Offset]

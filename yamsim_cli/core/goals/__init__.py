@@ -1,1 +1,1 @@
-"""When a task is done: predicates over the world, each with its margin in numbers, and goals made of them."""
+"""Goals of tasks: predicates over a world, each with its margin."""

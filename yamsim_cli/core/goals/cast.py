@@ -1,4 +1,4 @@
-"""Who plays which role in an attempt."""
+"""Which things play which roles."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ class Cast:
     """The things of an attempt by the roles that a task gives them.
 
     Attributes:
-        things: role -> names of the things that play it, in order. A role that one thing plays gives it its own name.
-        kinds: thing -> which config it was made of, such as `cup`.
-        sizes: thing -> by how much its lengths differ from the config's, a factor; none where roles have one size.
+        things: role -> names of the things that play it, in order. The only thing of a role is called as the role.
+        kinds: thing -> the name of its object config, such as `cup`.
+        sizes: thing -> scale factor of its lengths; empty where roles have one size.
     """
 
     things: Mapping[str, tuple[str, ...]]
@@ -21,7 +21,7 @@ class Cast:
     sizes: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, role: str) -> tuple[str, ...]:
-        """The things that play a role, or the one thing of that very name."""
+        """The things that play a role; any other name stands for the thing of that name."""
         return self.things.get(role) or (role,)
 
     def one(self, role: str) -> str:
@@ -29,10 +29,9 @@ class Cast:
         return self.of(role)[0]
 
     def pairs(self, role: str, other: str) -> Iterator[tuple[str, str]]:
-        """Every thing of a role with the thing of another role that it belongs to.
+        """Each thing of a role with its counterpart of another role.
 
-        Where as many play the one as the other, the first belongs to the first and so on; else all belong to the other
-        role's first.
+        Roles with equally many things are paired in order; else every thing is paired with the other role's first.
         """
         ones, others = self.of(role), self.of(other)
         if len(ones) == len(others):

@@ -1,4 +1,4 @@
-"""Whether a goal can be reached at all, as far as its clauses tell."""
+"""Goals that contradict themselves."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from .predicates import Predicate
 Path = tuple[str | int, ...]
 Impossible = Callable[[Predicate], str | None]
 
-_MOST = 12  # different predicates; goals with more are not checked, since each one doubles the combinations
+_MAX_PREDICATES = 12  # goals with more are not checked, since each predicate doubles the combinations
 
 
 def contradiction(goal: Clause, impossible: Impossible = lambda predicate: None) -> tuple[Path, str] | None:
-    """Where a goal contradicts itself, and how; None if it can be reached as far as its clauses tell.
+    """Key path and description of a goal's contradiction; None if its clauses can all hold.
 
     Args:
-        impossible: why a predicate can never hold; None where it may.
+        impossible: why a predicate can never hold; None where it can.
     """
-    # Predicates with a mapping among their arguments have no hash, so each is known by its text.
+    # Predicates with a mapping among their arguments have no hash, so `repr` identifies each.
     found = {repr(predicate): (path, predicate) for path, predicate in goal.predicates()}
-    if len(found) > _MOST:
+    if len(found) > _MAX_PREDICATES:
         return None
     predicates = {key: predicate for key, (_, predicate) in found.items()}
-    why = {key: said for key, predicate in predicates.items() if (said := impossible(predicate))}
+    why = {key: reason for key, predicate in predicates.items() if (reason := impossible(predicate))}
     if _reachable(goal, predicates, set(why)):
         return None
     if why and _reachable(goal, predicates, set()):
@@ -46,7 +46,7 @@ def _reachable(goal: Clause, predicates: dict[str, Predicate], never: set[str]) 
 
 
 def _truths(predicates: dict[str, Predicate], never: set[str]) -> Iterator[dict[str, bool]]:
-    """The combinations of predicates that may hold at once."""
+    """The combinations of predicates that can hold at once."""
     for holding in itertools.product((True, False), repeat=len(predicates)):
         truth = dict(zip(predicates, holding, strict=True))
         true = [key for key in predicates if truth[key]]
@@ -56,7 +56,7 @@ def _truths(predicates: dict[str, Predicate], never: set[str]) -> Iterator[dict[
 
 
 def _exclude(one: Predicate, other: Predicate) -> bool:
-    """Whether one needs a thing in a hand, and the other needs the same thing in none."""
+    """Whether one predicate needs a thing in a hand, and the other needs the same thing in no hand."""
     return {one.IN_HAND, other.IN_HAND} == {True, False} and _thing(one) == _thing(other)
 
 

@@ -1,4 +1,4 @@
-"""What came of asking a predicate."""
+"""By what margin a predicate holds or fails."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Measure:
-    """How far a predicate is from changing its answer.
+    """By what margin a predicate holds or fails.
 
     Attributes:
-        what: the predicate as asked, such as `on(cup, plate)`.
-        margin: zero or more where it holds, less where it does not; in units of `unit`.
-        unit: "m", "deg", "share", or "" for one that either holds or does not, with margins 0 and -1.
+        what: the predicate with its arguments, such as `on(cup, plate)`.
+        margin: zero or more where the predicate holds, negative where it fails; in units of `unit`.
+        unit: "m", "deg", "share", or "" for a predicate without degrees, whose margins are 0 and -1.
         detail: the figures behind the margin, for a person.
     """
 
@@ -29,11 +29,11 @@ class Measure:
 
 
 def either(what: str, holds: bool, detail: str = "") -> Measure:
-    """The measure of a predicate that knows no degrees."""
+    """The measure of a predicate without degrees."""
     return Measure(what, 0.0 if holds else -1.0, "", detail)
 
 
 def worst(measures: Sequence[Measure]) -> Measure:
-    """The measure with the least margin; of those that fail, the first."""
+    """The first measure that fails, else the measure with the least margin."""
     failing = [measure for measure in measures if not measure.holds]
     return failing[0] if failing else min(measures, key=lambda measure: measure.margin)

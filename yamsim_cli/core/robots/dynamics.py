@@ -1,4 +1,4 @@
-"""How one arm moves otherwise than its model: what `yamsim identify` writes, and what simulations then follow."""
+"""Identified dynamics of one arm, which replace values of its model: written by `yamsim identify`."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _Milliseconds = Annotated[FiniteFloat, Within("ms", 0, 500)]
 
 
 class JointDynamics(Config):
-    """How one joint moves; what is left out is as the model says.
+    """Dynamics of one joint; values that are left out are the model's.
 
     Attributes:
-        armature: of its motor at the joint, kg m2.
-        damping: passive, beside that of the drive, N m s/rad.
+        armature: of the motor at the joint, kg m2.
+        damping: passive damping, besides that of the drive, N m s/rad.
         frictionloss: Coulomb friction, N m.
-        kp, kv: gains of its drive, N m/rad and N m s/rad.
-        offset_rad: what the encoder reads where the drive holds the joint at 0.
-        gravity_factor: how many times the joint's weight its gravity compensation makes up for; 1 is exactly.
+        kp, kv: gains of the drive, N m/rad and N m s/rad.
+        offset_rad: the encoder's reading where the drive holds the joint at 0.
+        gravity_factor: gravity compensation as a factor of the joint's weight; 1 is exact.
     """
 
     armature: Annotated[FiniteFloat, Within("kg m2", 0, 100)] | None = None
@@ -38,16 +38,16 @@ class Dynamics(Config):
     """A named revision of a robot model: of one arm, as it was measured.
 
     Attributes:
-        revision: what it is called.
-        base: the robot model that it is a revision of.
-        side: of which arms of a rig it is, `left` or `right`; left out, of all that have the model.
-        source: what it was identified from, in a few words.
-        joints: joint -> how it moves. Others move as the model says.
-        command_delay_ms: how long after it was told a command acts.
-        sensor_delay_ms: how old what the encoders read is.
-        sensor_noise_rad: standard deviation of what a joint reads.
-        encoder_step_rad: between two values that an encoder can read; 0 for any.
-        tip_mass_g: at the site `pinch_site`, beside what the model weighs; no gravity compensation knows of it.
+        revision: name of the revision.
+        base: the robot model of which this is a revision.
+        side: `left` or `right`: the arms of a rig with these dynamics; if left out, all arms of the model.
+        source: the data of the identification, in a few words.
+        joints: joint -> its dynamics; other joints keep those of the model.
+        command_delay_ms: delay between a command and its effect.
+        sensor_delay_ms: age of the encoders' readings.
+        sensor_noise_rad: standard deviation of a joint's reading.
+        encoder_step_rad: resolution of the encoders; 0 for continuous readings.
+        tip_mass_g: mass at the site `pinch_site` in addition to the model's, without gravity compensation.
     """
 
     revision: Name
@@ -62,18 +62,18 @@ class Dynamics(Config):
     tip_mass_g: Annotated[FiniteFloat, Within("g", 0, 5000)] = 0.0
 
     def __hash__(self) -> int:
-        """Equal ones say the same; the mapping inside could not be hashed."""
+        """Hash the JSON, since the mapping inside has no hash."""
         return hash(self.model_dump_json())
 
     def joint(self, name: str) -> JointDynamics:
-        """How a joint moves."""
+        """The dynamics of a joint."""
         return self.joints.get(name, JointDynamics())
 
     def check(self, arm: ArmModel) -> None:
-        """Hold it to the arm that it is to be of.
+        """Make sure that these are dynamics of an arm.
 
         Raises:
-            ValueError: it is of another, or names a joint that the arm has not.
+            ValueError: the dynamics are of another model, or name a joint that the arm lacks.
         """
         if self.base != arm.name:
             raise ValueError(f"revision {self.revision!r} is one of {self.base!r}, and the arm is {arm.name!r}")

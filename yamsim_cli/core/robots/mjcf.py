@@ -1,4 +1,4 @@
-"""An arm's MJCF with a gripper's put into its flange: one model, as if it had been written so."""
+"""Merges the MJCF of a gripper into the flange of an arm's MJCF."""
 
 from __future__ import annotations
 
@@ -9,53 +9,52 @@ from pathlib import PurePosixPath
 from ..errors import ConfigError
 from ..geometry.se3 import pose_from_quat, quat_from_rotation
 from ..untrusted.refusals import RefusedError
-from .finray.chain import grow
-from .mjcf_file import root_of
-from .models import ArmModel, Fit, Gripper, JointChange, Mjcf, Placement
+from .dynamics import Dynamics, JointDynamics
+from .finray.chain import add_fingers, get_section
+from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, root_of
 
-Element = ElementTree.Element
-
-# What of a gripper's MJCF comes along, beside its body and its classes.
+# Sections of a gripper's MJCF that are merged into the arm's, besides its body and its classes.
 _SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
-# What only an arm's may say. Keyframes fit one model alone: whoever composes a scene writes its own.
-_ARMS_OWN = ("option", "size", "visual", "statistic", "custom")
+# Sections that only an arm may have. There are no keyframes, since a keyframe fits one model only.
+_ARM_SECTIONS = ("option", "size", "visual", "statistic", "custom")
 
-# Elements that read other files or run code of others, which an arm's or a gripper's MJCF may not have.
-# `mjcf_file.read_mjcf` has replaced each <include> before.
+# Elements that read files or load plugins, which MJCFs of robots may not have. Includes are expanded before.
 _NOT_READ = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
 
-# Sites that every gripper has: where the fingers meet, and the frame of recorded poses.
+# Sites of every gripper: where the fingers meet, and the frame of recorded poses.
 _SITES = ("pinch_site", "grasp_site")
 
-# Where sections outside `worldbody` name a body.
+# Attributes outside `worldbody` that name a body.
 _BODY_KEYS = ("body", "body1", "body2")
 
-# Key of a joint's change -> the element that has it, and as which attribute.
-_CHANGES = {
+# Key of a joint's values -> element and attribute.
+_ATTRIBUTES = {
     "range": ("joint", "range"),
     "armature": ("joint", "armature"),
+    "damping": ("joint", "damping"),
     "frictionloss": ("joint", "frictionloss"),
     "kp": ("drive", "kp"),
     "kv": ("drive", "kv"),
     "torque": ("drive", "forcerange"),
 }
+_TIP_SITE = "pinch_site"
+_POINT_INERTIA = 1e-9  # kg m2, of a point mass, since MuJoCo needs an inertia above 0
 
 
 def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
-    """The whole MJCF of an arm with a gripper.
+    """The MJCF of an arm with a gripper.
 
-    The gripper's classes carry its name before their own, so that both files may call theirs alike. An asset that both
-    have in the same words is one.
+    The gripper's default classes get the gripper's name as prefix. Assets that are equal in both files are merged.
 
     Raises:
-        ConfigError: a file is no MJCF of this kind, or the two do not go together.
+        ConfigError: a file is no MJCF of a robot, or the two contradict each other.
     """
     root, hand = parse(arm.mjcf), parse(gripper.mjcf)
     if gripper.finray is not None:
         for foot in gripper.finray.feet:
             body(hand, foot, gripper.mjcf)
-        grow(hand, gripper.name, gripper.finray)
-    _check_sections(root, arm.mjcf, (*_SECTIONS, *_ARMS_OWN))
+        add_fingers(hand, gripper.name, gripper.finray)
+    _check_sections(root, arm.mjcf, (*_SECTIONS, *_ARM_SECTIONS))
     _check_sections(hand, gripper.mjcf, _SECTIONS)
     if (ours := _attributes(root, "compiler")) != (theirs := _attributes(hand, "compiler")):
         raise ConfigError(f"{gripper.mjcf.file}: <compiler> says {theirs}, and {arm.mjcf.file} {ours}; make them equal")
@@ -69,7 +68,7 @@ def with_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
     _add(root, hand, "default")
     _add_assets(root, hand, arm.mjcf, gripper.mjcf)
     for one, other in fit.excludes:
-        _section(root, "contact").append(Element("exclude", {"body1": one, "body2": other}))
+        get_section(root, "contact").append(Element("exclude", {"body1": one, "body2": other}))
     for section in _SECTIONS[1:]:
         _add(root, hand, section)
     _change_joints(root, arm, fit.joints)
@@ -80,7 +79,7 @@ def parse(mjcf: Mjcf) -> Element:
     """The root element of an MJCF.
 
     Raises:
-        ConfigError: it is none, declares entities, or names files other than meshes of its sets.
+        ConfigError: the text is no MJCF, declares entities, or names files other than meshes of its sets.
     """
     try:
         root = root_of(mjcf.text)
@@ -93,7 +92,7 @@ def parse(mjcf: Mjcf) -> Element:
 
 
 def _check_files(root: Element, mjcf: Mjcf) -> None:
-    """Make sure that MuJoCo opens no file by itself: meshes of asset sets are all that an MJCF may name."""
+    """Make sure that MuJoCo opens no file by itself: the only files that an MJCF may name are meshes of asset sets."""
     for element in root.iter():
         if element.tag in _NOT_READ:
             raise ConfigError(f"{mjcf.file}: <{element.tag}> is not read here; write what it stands for into this file")
@@ -110,11 +109,7 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
 
 
 def body(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """The body of that name.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The body of that name. Raises ConfigError if there is no such body."""
     bodies = {found.get("name", ""): found for found in root.iter("body")}
     if name not in bodies:
         raise ConfigError(f"{mjcf.file}: has no body {name!r}; its bodies: {', '.join(bodies) or 'none'}")
@@ -122,11 +117,7 @@ def body(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 
 def joint(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """The joint of that name, not an equality between joints.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The joint of that name in `worldbody`. Raises ConfigError if there is no such joint."""
     joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
     if name not in joints:
         raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")
@@ -137,7 +128,7 @@ def drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
     """The position drive of a joint.
 
     Raises:
-        ConfigError: it has none, or several, or one of another kind.
+        ConfigError: the joint has not exactly one drive, a <position> with a name.
     """
     found = [element for element in _parts(root, "actuator") if element.get("joint") == joint]
     if len(found) != 1 or found[0].tag != "position" or not found[0].get("name"):
@@ -146,7 +137,7 @@ def drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Numbers as an attribute, so that they read back as they are."""
+    """Numbers as an attribute, without loss of precision."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in values)
 
 
@@ -169,7 +160,7 @@ def _attributes(root: Element, tag: str) -> dict[str, str]:
 
 
 def _gripper_frame(hand: Element, mjcf: Mjcf) -> Element:
-    """The gripper's one body."""
+    """The only body of a gripper's `worldbody`."""
     bodies = list(_parts(hand, "worldbody"))
     if len(bodies) != 1 or bodies[0].tag != "body" or not bodies[0].get("name"):
         raise ConfigError(f"{mjcf.file}: <worldbody> must hold one body with a name, the gripper's frame, and no more")
@@ -195,14 +186,14 @@ def _check_sites(frame: Element, mjcf: Mjcf) -> None:
 
 
 def _check_names(root: Element, frame: Element, arms: Mjcf, grippers: Mjcf) -> None:
-    taken = {
+    used = {
         (element.tag, element.get("name"))
         for part in _parts(root, "worldbody")
         for element in part.iter()
         if element.get("name")
     }
     for element in (part for child in frame for part in child.iter()):
-        if (element.tag, element.get("name")) in taken:
+        if (element.tag, element.get("name")) in used:
             raise ConfigError(
                 f"{grippers.file}: {arms.file} too has a {element.tag} {element.get('name')!r}; rename it"
             )
@@ -225,7 +216,7 @@ def _rename_body(hand: Element, name: str, new: str) -> None:
 
 
 def _fill(flange: Element, frame: Element, mount: Placement) -> None:
-    """Put what is in the gripper's frame into the flange."""
+    """Move the content of the gripper's frame into the flange."""
     inside = Element("frame")
     if childclass := frame.get("childclass"):
         inside.set("childclass", childclass)
@@ -247,7 +238,7 @@ def _fill(flange: Element, frame: Element, mount: Placement) -> None:
 
 
 def _move(inertial: Element, mount: Placement) -> None:
-    """Give an inertial of the gripper's frame in the flange's."""
+    """Transform an inertial from the gripper's frame into the flange's."""
     place, turn = (
         [float(number) for number in inertial.get(key, default).split()]
         for key, default in (("pos", "0 0 0"), ("quat", "1 0 0 0"))
@@ -257,12 +248,6 @@ def _move(inertial: Element, mount: Placement) -> None:
     inertial.set("quat", numbers(quat_from_rotation(T[:3, :3])))
 
 
-def _section(root: Element, tag: str) -> Element:
-    """The section of that name, made where there is none."""
-    found = root.find(tag)
-    return ElementTree.SubElement(root, tag) if found is None else found
-
-
 def _parts(root: Element, section: str) -> Iterator[Element]:
     for found in root.findall(section):
         yield from found
@@ -270,7 +255,7 @@ def _parts(root: Element, section: str) -> Iterator[Element]:
 
 def _add(root: Element, hand: Element, section: str) -> None:
     if parts := list(_parts(hand, section)):
-        _section(root, section).extend(parts)
+        get_section(root, section).extend(parts)
 
 
 def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> None:
@@ -278,7 +263,7 @@ def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> Non
     for element in _parts(hand, "asset"):
         same = known.get((element.tag, element.get("name")))
         if same is None:
-            _section(root, "asset").append(element)
+            get_section(root, "asset").append(element)
         elif same.attrib != element.attrib:
             raise ConfigError(
                 f"{grippers.file}: <{element.tag}> {element.get('name')!r} is not as in {arms.file}; rename it"
@@ -286,31 +271,54 @@ def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> Non
 
 
 def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChange]) -> None:
-    """Write the joints' stops, and what else a gripper changes."""
+    """Write the joints' stops and a gripper's changes of joints into the MJCF."""
     names = [limits.name for limits in arm.joints]
     for name in changes:
         if name not in names:
             raise ConfigError(f"{arm.name}: a gripper changes joint {name!r}; its joints: {', '.join(names)}")
     for limits in arm.joints:
-        parts = {"joint": joint(root, limits.name, arm.mjcf), "drive": drive(root, limits.name, arm.mjcf)}
-        if "range" in parts["joint"].attrib:
+        if "range" in joint(root, limits.name, arm.mjcf).attrib:
             raise ConfigError(
                 f"{arm.mjcf.file}: joint {limits.name!r} has a range; model.yaml has it, leave it out here"
             )
         change = changes.get(limits.name, JointChange())
-        said = change.model_copy(update={"range": change.range or limits.range})
-        for key, (part, attribute) in _CHANGES.items():
-            value = getattr(said, key)
-            if value is not None:
-                values = (-value, value) if key == "torque" else value if isinstance(value, tuple) else (value,)
-                parts[part].set(attribute, numbers(values))
+        _set_joint(root, arm, limits.name, change.model_copy(update={"range": change.range or limits.range}))
+
+
+def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dynamics) -> None:
+    """Write an arm's dynamics into its MJCF with a gripper, as far as MJCF has attributes for them.
+
+    Gravity factors, offsets, sensors and delays have none. Scenes apply delays when they are stepped.
+
+    Raises:
+        ConfigError: there is a mass at the tip, and no site for it.
+    """
+    for limits in arm.joints:
+        _set_joint(root, arm, limits.name, dynamics.joint(limits.name))
+    if not dynamics.tip_mass_g:
+        return
+    for parent in root.iter():
+        for site in parent.findall("site"):
+            if site.get("name") == _TIP_SITE:
+                body = ElementTree.SubElement(parent, "body", {"name": "tip_mass", "pos": site.get("pos", "0 0 0")})
+                mass, inertia = numbers((dynamics.tip_mass_g / 1000,)), numbers([_POINT_INERTIA] * 3)
+                ElementTree.SubElement(body, "inertial", {"pos": "0 0 0", "mass": mass, "diaginertia": inertia})
+                return
+    raise ConfigError(f"{gripper.mjcf.file}: has no site {_TIP_SITE!r}, where tip_mass_g is to be")
+
+
+def _set_joint(root: Element, arm: ArmModel, name: str, values: JointChange | JointDynamics) -> None:
+    """Write the values of a joint that are not None."""
+    parts = {"joint": joint(root, name, arm.mjcf), "drive": drive(root, name, arm.mjcf)}
+    for key, (part, attribute) in _ATTRIBUTES.items():
+        value = getattr(values, key, None)
+        if value is not None:
+            written = (-value, value) if key == "torque" else value if isinstance(value, tuple) else (value,)
+            parts[part].set(attribute, numbers(written))
 
 
 def coupling(root: Element, one: str, other: str) -> float:
-    """By how much the first of two joints moves when the second moves by 1, by an equality; 1 if there is none.
-
-    Equalities with a constant or a curve are none of fingers.
-    """
+    """The ratio of the positions of two joints that an equality couples linearly; 1 without an equality."""
     for element in _parts(root, "equality"):
         factor = float(element.get("polycoef", "0 1 0 0 0").split()[1])
         match element.get("joint1"), element.get("joint2"):

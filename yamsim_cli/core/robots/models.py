@@ -1,8 +1,9 @@
-"""What `robot_models/` says of an arm and of a gripper, in `model.yaml` and `gripper.yaml`, each with its MJCF."""
+"""Configs of arms and grippers: `model.yaml` and `gripper.yaml` in `robot_models/`, each with its MJCF."""
 
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Annotated
 
@@ -17,26 +18,33 @@ from pydantic import (
     model_validator,
 )
 
-from ..documents.base import Config, ConflictError, Name, Quaternion, Vector, ordered
-from ..documents.document import Document, load_yaml
+from ..documents.base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, Quaternion, Vector, ordered
+from ..documents.document import Document, load_yaml, read_config
 from ..documents.units import FieldOfView, JointAngle, Offset, OffsetPoint, Within
 from ..errors import ConfigError
 from ..geometry.se3 import Array, pose_from_quat
-from .finray.parameters import FinRay
-from .mjcf_file import read_mjcf
+from ..untrusted.includes import with_includes
+from ..untrusted.jail import Folder
+from ..untrusted.refusals import RefusedError
+from .finray.finger import FinRay
 
-# Names in an MJCF.
+Element = ElementTree.Element
+
+# Refusal codes of an include that names no file of the folder.
+_OUTSIDE_CODES = ("outside", "missing", "not-a-file")
+
+# A name in an MJCF.
 Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]
 _Range = Annotated[tuple[JointAngle, JointAngle], AfterValidator(ordered)]
 _Opening = Annotated[FiniteFloat, Within("m", 1e-4, 0.5)]
 
 
 class Mjcf(Config):
-    """An MJCF file beside a YAML, held whole, so that a robot needs no file wherever its config goes.
+    """The content of an MJCF file beside a YAML, so that a worker on another machine needs no file.
 
     Attributes:
-        file: its path.
-        text: the MJCF, with what the file includes.
+        file: the path.
+        text: the MJCF with its includes expanded.
         includes: whether the file includes others, so that lines of `text` are not lines of the file.
     """
 
@@ -45,7 +53,7 @@ class Mjcf(Config):
     includes: bool = False
 
 
-def _named(value: object) -> object:
+def _refuse_content(value: object) -> object:
     if isinstance(value, str):
         raise ValueError(
             "a robot or a gripper is named, not spelled out: put its folder into robot_models/ and name that"
@@ -55,17 +63,17 @@ def _named(value: object) -> object:
 
 MjcfFile = Annotated[
     Mjcf,
-    BeforeValidator(_named),
+    BeforeValidator(_refuse_content),
     PlainSerializer(lambda mjcf: mjcf.file, return_type=str, when_used="json"),
     WithJsonSchema({"type": "string"}),
 ]
 
 
 class JointLimits(Config):
-    """One joint.
+    """The limits of a joint.
 
     Attributes:
-        range: between its stops, rad.
+        range: between the stops, rad.
         motor_rpm: the motor's no-load speed at the joint, revolutions a minute.
         reported_rad_s: the fastest motion that the drive can report, rad/s.
     """
@@ -82,13 +90,13 @@ class JointLimits(Config):
 
 
 class JointChange(Config):
-    """What is otherwise at a joint than the arm's own files say; what is left out stays.
+    """Values of a joint that replace those of the arm's files.
 
     Attributes:
-        range: between its stops, rad.
-        kp, kv: gains of its drive, N m/rad and N m s/rad.
-        torque: the most that its drive gives, N m.
-        armature: of its motor at the joint, kg m2.
+        range: between the stops, rad.
+        kp, kv: gains of the drive, N m/rad and N m s/rad.
+        torque: largest torque of the drive, N m.
+        armature: of the motor at the joint, kg m2.
         frictionloss: Coulomb friction, N m.
     """
 
@@ -113,12 +121,12 @@ class Placement(Config):
 
 
 class Fit(Config):
-    """How a gripper sits on an arm, and what the arm is otherwise with it.
+    """How a gripper is mounted on an arm, and what it changes there.
 
     Attributes:
-        mount: of the gripper's frame in the flange's.
-        joints: joint -> what is otherwise there.
-        excludes: pairs of bodies that pass through each other with this gripper.
+        mount: pose of the gripper's frame in the flange's.
+        joints: joint -> changed values.
+        excludes: pairs of bodies that do not collide with this gripper.
     """
 
     mount: Placement = Placement()
@@ -127,14 +135,14 @@ class Fit(Config):
 
 
 class CameraMode(Config):
-    """One of a camera's image sizes (width, height in pixels), and its field of view there."""
+    """An image size (width, height in pixels) of a camera, and the field of view in this size."""
 
     size_px: tuple[Annotated[int, Field(ge=16, le=4096)], Annotated[int, Field(ge=16, le=4096)]]
     fovy_deg: Annotated[FieldOfView, Field(gt=1, lt=179)]
 
 
 Fovy = Annotated[FieldOfView, Field(gt=1, lt=179)]
-Modes = Annotated[tuple[CameraMode, ...], Field(exclude_if=lambda modes: not modes)]
+Modes = Annotated[tuple[CameraMode, ...], OMIT_EMPTY]
 
 
 class WristCamera(Config):
@@ -142,8 +150,8 @@ class WristCamera(Config):
 
     Attributes:
         fovy_deg: vertical field of view.
-        modes: image sizes for which that is another.
-        name: under which its images are recorded; left out, `<side>_wrist_camera`.
+        modes: image sizes with another field of view.
+        name: of the recorded images; if left out, `<side>_wrist_camera`.
     """
 
     position: OffsetPoint
@@ -151,7 +159,7 @@ class WristCamera(Config):
     y_axis: Vector
     fovy_deg: Fovy
     modes: Modes = ()
-    name: Annotated[Name | None, Field(exclude_if=lambda name: name is None)] = None
+    name: Annotated[Name | None, OMIT_NONE] = None
 
     def fovy(self, size: tuple[int, int]) -> float:
         """Vertical field of view of images of a size (width, height), degrees."""
@@ -163,32 +171,65 @@ def fovy_of(size: tuple[int, int], fovy_deg: float, modes: tuple[CameraMode, ...
     return next((mode.fovy_deg for mode in modes if mode.size_px == size), fovy_deg)
 
 
+def _read_mjcf(path: Path) -> dict[str, object]:
+    """The values of the `Mjcf` of a file, with its includes expanded.
+
+    Raises:
+        ConfigError: the file cannot be read, is no XML, or includes files outside its folder.
+    """
+    data = read_config(path)
+    try:
+        text = data.decode()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8: {error.reason}") from error
+    if "<include" not in text:
+        return {"file": str(path), "text": text}
+    folder = path.parent.resolve()
+    try:
+        root = with_includes(data, Folder(folder), folder, root_of)
+    except RefusedError as error:
+        mend = f"; an <include> names an MJCF below {path.parent}" if error.code in _OUTSIDE_CODES else ""
+        raise ConfigError(f"{path}: {error}{mend}") from error
+    return {"file": str(path), "text": ElementTree.tostring(root, encoding="unicode"), "includes": True}
+
+
+def root_of(data: str | bytes) -> Element:
+    """The root element of an XML text. Raises RefusedError if the text is no XML, or declares entities."""
+    text = data if isinstance(data, str) else data.decode(errors="replace")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise RefusedError("xml-entities", "declares a document type, which no MJCF needs; remove it")
+    try:
+        return ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise RefusedError("damaged", f"not valid XML: {error}") from error
+
+
 class _InAFolder(Config):
-    """A config that is a folder: named after it, and with an MJCF beside its YAML."""
+    """A config that is named after its folder, and has an MJCF beside its YAML."""
 
     name: Name
     mjcf: MjcfFile
     source: str | None = None
 
     def __hash__(self) -> int:
-        """Equal ones have the same text; mappings inside could not be hashed."""
+        """Hash the MJCF, since the mappings inside have no hash."""
         return hash((self.name, self.mjcf.text))
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """The YAML with its MJCF read in.
+        """The YAML with the content of its MJCF.
 
         Raises:
-            ConfigError: either cannot be read, or the name is not the folder's.
+            ConfigError: a file cannot be read, or the name is not the folder's.
         """
         document = load_yaml(path)
         name = path.absolute().parent.name
         if document.data.setdefault("name", name) != name:
-            said = document.data["name"]
-            raise ConfigError(f"{document.place(('name',))}: name: {said!r} lies in folder {name!r}; leave it out")
+            given = document.data["name"]
+            raise ConfigError(f"{document.place(('name',))}: name: {given!r} lies in folder {name!r}; leave it out")
         file = document.data.get("mjcf")
         if isinstance(file, str):
-            document.data["mjcf"] = read_mjcf(path.with_name(file))
+            document.data["mjcf"] = _read_mjcf(path.with_name(file))
         return document
 
 
@@ -196,19 +237,19 @@ class ArmModel(_InAFolder):
     """A robot model: an arm without its gripper.
 
     Attributes:
-        name: of its folder, `robot_models/<name>/`; need not be said.
-        source: where its figures are from, in a few words.
-        mjcf: the file beside with the arm's bodies up to the flange and a position drive for each joint. Joints' stops
-            are written into it.
+        name: of the folder, `robot_models/<name>/`; may be left out.
+        source: origin of the figures, in a few words.
+        mjcf: the file beside the YAML with the arm's bodies up to the flange and a position drive for each joint, and
+            without the joints' stops.
         base: the body whose frame is the arm's base frame.
         flange: the last body, which turns with the last joint; a gripper becomes part of it.
-        base_mesh: the frame in which boards and mounts are given, in the base frame.
-        mesh_sets: the asset sets that the MJCF takes meshes from.
+        base_mesh: pose of the frame of boards and mounts in the base frame.
+        mesh_sets: the asset sets of the MJCF's meshes.
         joints: from the base to the flange.
         home: the joints at rest, rad.
-        start: the joints from which a task starts that does not say its own, rad; home if left out.
-        grippers: gripper -> how it fits. A gripper's own file may say so instead.
-        family, revision: whose revision it is, and which; a rig may name the family and means the newest one.
+        start: the joints at the start of tasks without `start_joints`, rad; home if left out.
+        grippers: gripper -> how it fits, unless the gripper's file has this.
+        family, revision: the family of the model, and its revision; the name of a family means its newest revision.
     """
 
     base: Part
@@ -247,14 +288,13 @@ class Fingers(Config):
     """Two fingers that one drive opens and closes.
 
     Attributes:
-        joints: of the left and the right finger: slides, coupled by an equality of the MJCF where they are to move
-            together.
-        bodies: of the left and the right finger, on these joints. What hangs on a finger belongs to it.
-        drive: the actuator that moves the left finger's joint; it is told that finger's opening, m.
-        range: of one finger between its stops, m; 0 is closed. It is written into the MJCF.
-        full_opening: how far one finger opens in use, m.
-        start_opening: of one finger when a task starts, m; as far as it opens if left out.
-        radius: half of a finger's width near its tip, m: what it needs beside an object when it comes down.
+        joints: slide joints of the left and the right finger, which an equality of the MJCF may couple.
+        bodies: of the left and the right finger, on these joints. Their child bodies belong to the finger.
+        drive: the actuator of the left finger's joint; its command is that finger's opening, m.
+        range: of one finger between its stops, m; 0 is closed. The MJCF has no range.
+        full_opening: largest opening of one finger in use, m.
+        start_opening: of one finger when a task starts, m; `full_opening` if left out.
+        radius: half of a finger's width near its tip, m: the space that it needs beside an object.
         pads: whether the fingers can hold an object by friction.
     """
 
@@ -285,16 +325,16 @@ class Gripper(_InAFolder):
     """A gripper, which becomes part of an arm's flange.
 
     Attributes:
-        name: of its folder, `robot_models/grippers/<name>/`; need not be said.
-        source: where its figures are from, in a few words.
-        mjcf: the file beside with one body: the gripper's frame. What is in it is put into the flange; an `inertial`
-            there is that of flange and gripper together. Equalities, excludes and actuators come along. The site
-            `pinch_site` lies where the fingers meet, z into the grasp, y along the closing direction.
-        mesh_sets: the asset sets that the MJCF takes meshes from.
-        fingers: left out of a gripper that has none.
-        finray: the soft fingers that grow out of two bodies of the MJCF; left out where the MJCF has all there is.
-        wrist_camera: where a rig's arm with this gripper has its camera, unless the rig says another.
-        arms: robot model -> how the gripper fits there. The model's own file may say so instead.
+        name: of the folder, `robot_models/grippers/<name>/`; may be left out.
+        source: origin of the figures, in a few words.
+        mjcf: the file beside the YAML with one body, the gripper's frame, whose content becomes part of the flange; its
+            `inertial` is that of flange and gripper together. Equalities, excludes and actuators join the arm's. The
+            site `pinch_site` lies where the fingers meet, z into the grasp, y along the closing direction.
+        mesh_sets: the asset sets of the MJCF's meshes.
+        fingers: None for a gripper without fingers.
+        finray: soft fingers that are generated on two bodies of the MJCF.
+        wrist_camera: the camera of an arm with this gripper, unless the rig has another.
+        arms: robot model -> how the gripper fits there, unless the model's file has this.
     """
 
     mesh_sets: tuple[Name, ...] = ()
@@ -305,22 +345,16 @@ class Gripper(_InAFolder):
 
 
 def fit(arm: ArmModel, gripper: Gripper) -> Fit:
-    """How a gripper fits an arm.
-
-    Raises:
-        ValueError: it does not, or both files say how.
-    """
+    """How a gripper fits an arm. Raises ValueError if the gripper does not fit, or both files say how."""
     mine, theirs = arm.grippers.get(gripper.name), gripper.arms.get(arm.name)
-    if mine is not None and theirs is not None:
+    if mine and theirs:
         raise ValueError(
             f"{arm.mjcf.file} and {gripper.mjcf.file}: both models say how {gripper.name} fits {arm.name}; keep one"
         )
-    if mine is None and theirs is None:
-        fitting = ", ".join(sorted(arm.grippers)) or "none"
-        raise ValueError(
-            f"gripper {gripper.name!r} does not fit {arm.name!r}; that carries: {fitting}. If yours fits, say so under "
-            "`arms` in its gripper.yaml"
-        )
-    found = mine if mine is not None else theirs
-    assert found is not None
-    return found
+    if found := mine or theirs:
+        return found
+    fitting = ", ".join(sorted(arm.grippers)) or "none"
+    raise ValueError(
+        f"gripper {gripper.name!r} does not fit {arm.name!r}; that carries: {fitting}. If yours fits, say so under "
+        "`arms` in its gripper.yaml"
+    )

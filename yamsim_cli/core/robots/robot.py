@@ -1,4 +1,4 @@
-"""An arm with its gripper: what the scene is built from, and what everything else asks about it."""
+"""An arm with its gripper."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from ..geometry.se3 import Array
 from . import mjcf
 from .dynamics import Dynamics
 from .models import ArmModel, Fingers, Gripper, JointChange, JointLimits, fit
-from .written_dynamics import write_dynamics
 
 
 @dataclass(frozen=True)
@@ -21,18 +20,18 @@ class Robot:
     """An arm with its gripper.
 
     Attributes:
-        model, gripper: their names.
-        xml: the MJCF of both together.
+        model, gripper: names of the arm and the gripper.
+        xml: the merged MJCF of both.
         base: the body whose frame is the arm's base frame.
         flange: the body that turns with the last joint, and carries the gripper.
-        joints: from the base to the flange, with the stops that they have with this gripper.
+        joints: from the base to the flange, with their stops for this gripper.
         joint_drives: the actuators of these joints, in the same order.
-        home, start: the joints at rest, and when a task starts that says nothing else, rad.
-        fingers: None where the gripper has none.
-        finger_signs: whether a finger's joint counts its opening up (1) or down (-1), the left one's first.
-        mesh_sets: the asset sets that the MJCF takes meshes from.
-        T_base_mesh: pose (4, 4) of the frame that boards and mounts are given in, in the base frame.
-        dynamics: how it moves otherwise than its model; what of that an MJCF can say is in `xml`.
+        home, start: joints at rest, and at the start of tasks without `start_joints`, rad.
+        fingers: None for a gripper without fingers.
+        finger_signs: for the left and the right finger, 1 if its joint increases with the opening, else -1.
+        mesh_sets: the asset sets of the MJCF's meshes.
+        T_base_mesh: pose (4, 4) of the frame of boards and mounts in the base frame.
+        dynamics: identified dynamics, as far as MJCF has attributes for them also in `xml`.
     """
 
     model: str
@@ -52,7 +51,7 @@ class Robot:
 
     @property
     def dof(self) -> int:
-        """How many joints the arm has, fingers not counted."""
+        """The number of the arm's joints, without fingers."""
         return len(self.joints)
 
     @property
@@ -62,7 +61,7 @@ class Robot:
 
     @property
     def drives(self) -> tuple[str, ...]:
-        """Names of all drives: one for each joint, and the gripper's where it has one."""
+        """Names of the joints' drives, and of the gripper's if it has fingers."""
         return (*self.joint_drives, *((self.fingers.drive,) if self.fingers else ()))
 
     @property
@@ -73,14 +72,14 @@ class Robot:
 
 @functools.lru_cache(maxsize=64)
 def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) -> Robot:
-    """Put a gripper onto an arm.
+    """Mount a gripper on an arm.
 
     Args:
-        dynamics: how the arm moves otherwise than its model.
+        dynamics: identified dynamics of the arm.
 
     Raises:
-        ValueError: the gripper does not fit there, or the dynamics are another arm's.
-        ConfigError: an MJCF lacks what its YAML names, or the two do not go together.
+        ValueError: the gripper does not fit the arm, or the dynamics are another arm's.
+        ConfigError: an MJCF lacks what its YAML names, or the two contradict each other.
     """
     how = fit(arm, gripper)
     root = mjcf.with_gripper(arm, gripper, how)
@@ -89,7 +88,7 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
     root.set("model", f"{arm.name}_{gripper.name}")
     if dynamics is not None:
         dynamics.check(arm)
-        write_dynamics(root, arm, gripper, dynamics)
+        mjcf.write_dynamics(root, arm, gripper, dynamics)
     ranges = {name: change.range for name, change in how.joints.items() if change.range}
     return Robot(
         model=arm.name,
@@ -110,7 +109,7 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
 
 
 def widest_joints(arm: ArmModel) -> tuple[JointLimits, ...]:
-    """An arm's joints as far as they go with any of the grippers that its own file names."""
+    """An arm's joints with the widest stops of all grippers in its file."""
 
     def widest(joint: JointLimits) -> tuple[float, float]:
         changed = (how.joints.get(joint.name, JointChange()).range for how in arm.grippers.values())
@@ -121,11 +120,7 @@ def widest_joints(arm: ArmModel) -> tuple[JointLimits, ...]:
 
 
 def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, float]:
-    """Write the fingers' stops into the MJCF.
-
-    Returns:
-        What each finger's joint is when both are open by 1 m.
-    """
+    """Write the fingers' stops into the MJCF, and return `Robot.finger_signs`."""
     fingers = gripper.fingers
     assert fingers is not None
     drive = mjcf.drive(root, fingers.joints[0], gripper.mjcf)

@@ -1,4 +1,4 @@
-"""Whether joints from outside can be an arm's: every place where joints come in asks here."""
+"""Checks joints from files, flags and programs against the stops of an arm."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from .robot import Robot
 
 
 def beyond_stops(name: str, robot: Robot, joints: Array, slack: float) -> str | None:
-    """What is wrong with joints (dof,) or (rows, dof) in rad: the first one beyond its stops, at its worst.
+    """An error message for the first joint beyond its stops, with its worst value; None if there is none.
 
     Args:
         name: of the arm, for the message.
-        slack: so far beyond a stop, rad, is still believed.
+        joints: (dof,) or (rows, dof), rad.
+        slack: tolerance beyond a stop, rad.
 
     Returns:
-        Such as "arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees? Then give 1.85"; None if all is well.
+        Such as "arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees? Then give 1.85".
     """
     rows = np.atleast_2d(joints)
     for j, joint in enumerate(robot.joints):

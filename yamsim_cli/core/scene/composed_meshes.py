@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 import mujoco
 
-from ..assets.reduced import REPORT
+from ..assets.reduction import REPORT
 from ..files import sha256_bytes
 from ..resources import Meshes
 from ..shown_meshes import FULL, PRIMITIVES, REDUCED

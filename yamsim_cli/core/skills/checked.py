@@ -7,16 +7,15 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from ..config.holding import check_fingers
 from ..config.program_task import ProgramTask
-from ..config.recording import RecordConfig
+from ..config.recording import RecordConfig, check_fingers
 from ..config.things.thing import ObjectConfig
 from ..documents.base import Config, ConflictError
 from ..geometry.folding import ways_to_fold
 from ..geometry.se3 import Array
 from ..goals.cast import Cast
 from ..goals.contradictions import contradiction
-from ..goals.predicates.hung import Hung
+from ..goals.predicates import Hung
 from ..goals.world import TABLE
 from ..scene.robot import bare_arm
 from .base import Skill

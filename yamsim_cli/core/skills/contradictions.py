@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from ..config.program_task import ProgramTask
 from ..goals.contradictions import contradiction
-from ..goals.predicates import Predicate
-from ..goals.predicates.handed_over import HandedOver
-from ..goals.predicates.on import On
-from ..goals.predicates.was_handed_over import WasHandedOver
+from ..goals.predicates import HandedOver, On, Predicate, WasHandedOver
 from .handover import Handover
 from .program import read_program
 

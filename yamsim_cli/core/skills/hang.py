@@ -10,7 +10,7 @@ import numpy as np
 
 from ..geometry.se3 import Array, inverse, pose, rotation_z
 from ..goals.cast import Cast
-from ..goals.predicates.hung import Hung
+from ..goals.predicates import Hung
 from ..planning.joint_motion import clear, straight
 from ..planning.obstacles import Load
 from ..types import Cause

@@ -1,1 +1,1 @@
-"""Whether a task is what it says: it can be done, and nothing but doing it counts."""
+"""Proofs of tasks, and the files of tasks."""

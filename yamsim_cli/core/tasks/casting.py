@@ -1,4 +1,4 @@
-"""An attempt, sampled: who plays which role, what is said, and where everything starts."""
+"""Samples the cast, the prompt and the starts of an attempt."""
 
 from __future__ import annotations
 
@@ -16,21 +16,20 @@ from ..goals.world import TABLE
 from ..types import EpisodeJob
 from .randomness import Stream, generator
 
-# Tries to find a free place for a thing, and how often all of them are placed anew because one found none.
-_TRIES = 60
-_ROUNDS = 20
+_TRIES = 60  # to find a free place for a thing
+_ROUNDS = 20  # in which all things are placed anew, since one found no place
 
 BlockOf = Callable[[str, Mapping[str, float]], Array]
 
 
 @dataclass(frozen=True)
 class Placed:
-    """Where a thing starts, before it is let down onto what it starts on.
+    """The start of a thing, before it settles.
 
     Attributes:
-        T: its pose (4, 4) in `world`; its height is not settled yet.
-        on: what it starts on: a thing, or `table`.
-        open: part -> how far it is open, a share of its range.
+        T: pose (4, 4) in `world`, whose height is not settled yet.
+        on: the thing below, or `table`.
+        open: part -> share of its range by which it is open.
     """
 
     T: Array
@@ -39,7 +38,7 @@ class Placed:
 
 
 def draw_cast(task: ProgramTask, job: EpisodeJob) -> Cast:
-    """Who plays which role in an attempt."""
+    """The cast of an attempt."""
     rng, drawn, sizes = generator(job, Stream.CAST), dict[str, tuple[int, ...]](), dict[str, float]()
     for role, one in task.things.items():
         numbers: list[int] = []
@@ -52,30 +51,30 @@ def draw_cast(task: ProgramTask, job: EpisodeJob) -> Cast:
 
 
 def draw_phrasing(task: ProgramTask, job: EpisodeJob) -> str:
-    """What is said in an attempt."""
-    said = task.phrasings.training
-    return said[int(generator(job, Stream.PHRASING).integers(len(said)))]
+    """The prompt of an attempt."""
+    prompts = task.phrasings.training
+    return prompts[int(generator(job, Stream.PHRASING).integers(len(prompts)))]
 
 
 def draw_places(
-    task: ProgramTask, cast: Cast, block_of: BlockOf, table: Table, job: EpisodeJob, number: int = 0
+    task: ProgramTask, cast: Cast, box_of: BlockOf, table: Table, job: EpisodeJob, number: int = 0
 ) -> dict[str, Placed] | str:
-    """Where everything starts: thing -> its place, in the order in which they are let down.
+    """Thing -> its start, in the order in which things settle.
 
     Args:
-        block_of: from a thing and how far its parts are open, see `Placed.open`, to the lowest and the highest corner
-            (2, 3), in its own frame, of the block that encloses it, m.
-        number: of the draw, for an attempt whose first ones were of no use.
+        box_of: function of a thing and `Placed.open` to the lowest and the highest corner (2, 3) of the thing's
+            bounding box in its own frame, m.
+        number: of the draw, for an attempt whose first draws were not usable.
 
     Returns:
-        Rather the name of a thing for which there was no room in any of 20 rounds of 60 places.
+        The name of a thing instead, if there was no free place for it in any of 20 rounds of 60 tries.
     """
     if task.arrangements:
         return _arranged(task, cast, job, number)
     rng = generator(job, Stream.PLACES, number)
     missing = ""
     for _ in range(_ROUNDS):
-        found = _round(task, cast, block_of, table, rng)
+        found = _round(task, cast, box_of, table, rng)
         if isinstance(found, dict):
             return found
         missing = found
@@ -83,7 +82,7 @@ def draw_places(
 
 
 def _arranged(task: ProgramTask, cast: Cast, job: EpisodeJob, number: int) -> dict[str, Placed]:
-    """The arrangement whose turn it is: all attempts of a seed go through one random order of them."""
+    """The arrangement of an attempt: all attempts of a seed go through one random order of arrangements."""
     order = generator(EpisodeJob(job.seed, 0), Stream.PLACES).permutation(len(task.arrangements))
     one = task.arrangements[order[(job.attempt + number) % len(order)]]
     return {
@@ -93,13 +92,13 @@ def _arranged(task: ProgramTask, cast: Cast, job: EpisodeJob, number: int) -> di
 
 
 def _round(
-    task: ProgramTask, cast: Cast, block_of: BlockOf, table: Table, rng: np.random.Generator
+    task: ProgramTask, cast: Cast, box_of: BlockOf, table: Table, rng: np.random.Generator
 ) -> dict[str, Placed] | str:
     placed: dict[str, Placed] = {}
     for role, start in task.starts.items():
         on = TABLE if start.on == TABLE else cast.one(start.on)
         for name in cast.of(role):
-            found = _place(start, on, name, placed, block_of, table, rng)
+            found = _place(start, on, name, placed, box_of, table, rng)
             if found is None:
                 return name
             placed[name] = found
@@ -111,28 +110,28 @@ def _place(
     on: str,
     name: str,
     placed: Mapping[str, Placed],
-    block_of: BlockOf,
+    box_of: BlockOf,
     table: Table,
     rng: np.random.Generator,
 ) -> Placed | None:
-    """A free place for a thing; None if none was found."""
+    """A free place for a thing, or None."""
     T_on = pose((0.0, 0.0, table.top)) if on == TABLE else placed[on].T
-    beside = [outline(block_of(other, there.open), there.T) for other, there in placed.items() if there.on == on]
+    neighbours = [outline(box_of(other, there.open), there.T) for other, there in placed.items() if there.on == on]
     for _ in range(_TRIES):
         x, y = rng.uniform(*start.x), rng.uniform(*start.y)
         turn = math.radians(rng.uniform(*start.yaw_deg))
         attitude = start.attitudes[int(rng.integers(len(start.attitudes)))]
         R = T_on[:3, :3] @ rotation_z(turn) @ _attitude(attitude, rng.uniform(0.0, 2 * math.pi))
         opened = {part: float(rng.uniform(*share)) for part, share in start.open.items()}
-        # The outline's middle comes to lie there, and not the origin, which may be at an end.
-        block = block_of(name, opened)
-        middle = R @ block.mean(axis=0)
+        # x and y are those of the outline's middle, not of the origin.
+        box = box_of(name, opened)
+        middle = R @ box.mean(axis=0)
         at = (T_on @ (x, y, 0.0, 1.0))[:3] - np.array([middle[0], middle[1], 0.0])
         candidate = Placed(pose(at, R), on, opened)
-        corners = outline(block, candidate.T)
+        corners = outline(box, candidate.T)
         if on == TABLE and not _on_table(corners, table):
             continue
-        if all(gap(corners, there) >= start.apart for there in beside):
+        if all(gap(corners, there) >= start.apart for there in neighbours):
             return candidate
     return None
 
@@ -146,9 +145,9 @@ def _attitude(attitude: Attitude, roll: float) -> Array:
     return np.eye(3)
 
 
-def outline(block: Array, T: Array) -> Array:
-    """A block's corners (8, 2) at a pose (4, 4), seen from above, m."""
-    x, y, z = np.meshgrid(*block.T, indexing="ij")
+def outline(box: Array, T: Array) -> Array:
+    """A box's corners (8, 2) at a pose (4, 4), seen from above, m."""
+    x, y, z = np.meshgrid(*box.T, indexing="ij")
     corners: Array = (np.column_stack([x.ravel(), y.ravel(), z.ravel()]) @ T[:3, :3].T + T[:3, 3])[:, :2]
     return corners
 
@@ -159,9 +158,7 @@ def _on_table(corners: Array, table: Table) -> bool:
 
 
 def gap(one: Array, other: Array) -> float:
-    """At least so far apart are two outlines, given by the corners (n, 2) of blocks that lie flat, m; negative if no
-    straight line along their edges parts them.
-    """
+    """A lower bound of the distance of two outlines, given by corners (n, 2), m; negative if they may overlap."""
     edges = np.concatenate([corners[1:] - corners[0] for corners in (one, other)])
     lengths = np.linalg.norm(edges, axis=1)
     along = edges[lengths > 1e-6] / lengths[lengths > 1e-6, None]

@@ -1,4 +1,4 @@
-"""Named random streams. Each purpose samples from its own, so that one more never changes the others' samples."""
+"""Named random streams: each purpose samples from its own, so that a new purpose does not change the others."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..types import EpisodeJob
 
 
 class Stream(IntEnum):
-    """What a random number is for. The values are part of every dataset's meaning: never renumber, only add."""
+    """The purpose of random numbers. Datasets depend on the values: never renumber, only add."""
 
     LAYOUT = 0
     LIGHTS = 10
@@ -41,5 +41,5 @@ def generator(job: EpisodeJob, stream: Stream, *of: int) -> np.random.Generator:
     Args:
         of: numbers that split the stream further, such as those of a frame and a camera.
     """
-    # Numbers are increased by one, since numpy ignores zeros at the end.
+    # NumPy ignores zeros at the end, so numbers are increased by one.
     return np.random.default_rng([job.seed, job.attempt, int(stream), *(number + 1 for number in of)])

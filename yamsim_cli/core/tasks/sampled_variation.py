@@ -1,4 +1,4 @@
-"""Sample what differs between attempts, from the ranges of a config: numbers alone, each part from its own stream."""
+"""Samples the variation of an attempt from the ranges of a config, each part from its own stream."""
 
 from __future__ import annotations
 
@@ -14,23 +14,20 @@ from ..types import EpisodeJob
 from ..variation import ArmVariation, LightVariation, LookVariation, SurfaceVariation, Variation
 from .randomness import Stream, generator
 
-# How often a pattern repeats along each edge of a surface.
-_REPEATS = (2, 9)
-# Of a texture's own generator.
-_SEEDS = 2**31
-# Whose friction varies, beside that of the objects.
-TABLE = "table"
+_REPEATS = (2, 9)  # range of a pattern's repetitions along each edge of a surface
+_SEEDS = 2**31  # number of seeds of a texture
+TABLE = "table"  # the body besides objects whose friction varies
 
 
 def sample_variation(
     config: RandomizationConfig, job: EpisodeJob, lights: int, objects: Sequence[ObjectConfig], dofs: Sequence[int]
 ) -> Variation:
-    """An attempt's variation but for its distractors: where those stand depends on what happens, see `sim.placement`.
+    """An attempt's variation without the places of distractors, which `sim.placement` finds after the motion.
 
     Args:
-        lights: how many the scene has.
+        lights: the number of the scene's lights.
         objects: of the task.
-        dofs: how many joints each arm of the scene has, in its order.
+        dofs: the number of joints of each arm, in the scene's order.
     """
 
     def rng(stream: Stream) -> np.random.Generator:
@@ -39,7 +36,7 @@ def sample_variation(
     def uniform(stream: Stream, low: float, high: float) -> float:
         return float(rng(stream).uniform(low, high))
 
-    # Of cloth no weight and no friction differ.
+    # Mass and friction of cloth do not vary.
     names = [item.name for item in objects if item.cloth is None]
     picture, camera, headlight = config.picture, config.camera, config.headlight
     return Variation(
@@ -63,7 +60,7 @@ def _pair(first: tuple[float, float], second: tuple[float, float], rng: np.rando
 
 
 def _factors(limits: tuple[float, float] | None, names: Sequence[str], rng: np.random.Generator) -> dict[str, float]:
-    """A factor for each name; as far below 1 as above it are as likely where the limits are each other's inverse."""
+    """A factor for each name, log-uniform between the limits."""
     if limits is None:
         return {}
     low, high = math.log(limits[0]), math.log(limits[1])
@@ -102,7 +99,6 @@ def _surface(ranges: SurfaceRanges, rng: np.random.Generator) -> SurfaceVariatio
     texture = _choice(ranges.textures, float(rng.uniform()))
     hue, saturation, value = float(rng.uniform()), float(rng.uniform(*ranges.saturation)), rng.uniform(*ranges.value)
     contrast = float(rng.uniform(*ranges.contrast))
-    # Towards the side on which there is room.
     other = value - contrast if value > 0.5 else value + contrast
     first, second = (colorsys.hsv_to_rgb(hue, saturation, float(np.clip(v, 0, 1))) for v in (value, other))
     colours = (first, first) if texture == "plain" else (first, second)
@@ -110,7 +106,7 @@ def _surface(ranges: SurfaceRanges, rng: np.random.Generator) -> SurfaceVariatio
 
 
 def _choice(weights: Mapping[Texture, float], share: float) -> Texture:
-    """The name at a share (0 to 1) of the weights' sum, whatever order they are written in."""
+    """The name at a share (0 to 1) of the weights' sum, in alphabetical order."""
     rest = share * sum(weights.values())
     for name in sorted(weights):
         if rest < weights[name]:

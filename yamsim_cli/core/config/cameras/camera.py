@@ -1,4 +1,4 @@
-"""A calibrated camera as a config; `camera_files` has the formats that it is read from."""
+"""The config of a calibrated camera; `camera_files` reads its formats."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from .camera_files import camera_parts, read_camera
 
 Row = tuple[float, float, float]
 
-# How many distortion coefficients OpenCV's model can have.
-_COUNTS = (0, 4, 5, 8, 12, 14)
+_COUNTS = (0, 4, 5, 8, 12, 14)  # possible numbers of distortion coefficients in OpenCV's model
 
 
 class CameraConfig(Config):
@@ -24,8 +23,8 @@ class CameraConfig(Config):
     Attributes:
         K: the camera matrix (3, 3), px; pixel centres at whole numbers.
         distortion: 0, 4, 5, 8, 12 or 14 coefficients in OpenCV's order.
-        width, height: size of the images that it was calibrated with, px.
-        focal_sigma: standard deviation of the focal length, as a share of the focal length.
+        width, height: size of the calibration images, px.
+        focal_sigma: relative standard deviation of the focal length.
     """
 
     width: int = Field(ge=16, le=16384)
@@ -57,7 +56,7 @@ class CameraConfig(Config):
             raise ValueError("K must have the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
         if fx <= 0 or fy <= 0:
             raise ValueError(f"the focal lengths {fx:g} and {fy:g} must be above 0 px")
-        # These bounds admit a phone's zoom and a fisheye, and refuse a K of another image size or in millimetres.
+        # These bounds accept a phone's zoom and a fisheye, and refuse a K of another image size or in millimetres.
         longer = max(self.width, self.height)
         if not 0.2 * longer < min(fx, fy) <= max(fx, fy) < 20 * longer:
             raise ValueError(f"K does not fit images of {self.width} x {self.height}: its focal length is {fx:g} px")
@@ -77,10 +76,10 @@ class CameraConfig(Config):
 
     @classmethod
     def read(cls, path: Path) -> Document:
-        """The camera in a file of any known program. Raises as `read_camera`."""
+        """See `read_camera`."""
         return read_camera(path)
 
     @classmethod
     def within(cls, path: Path) -> tuple[Path, ...]:
-        """`FILE:CAMERA` for each camera if the file holds several, else the path itself. Raises as `read_camera`."""
+        """See `camera_parts`."""
         return camera_parts(path)

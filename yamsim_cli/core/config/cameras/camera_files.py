@@ -1,4 +1,4 @@
-"""Camera files of yamsim and of other programs, read under yamsim's own keys: `K`, `distortion`, `width`, `height`.
+"""Reads camera files of yamsim and of other programs under yamsim's keys: `K`, `distortion`, `width`, `height`.
 
 Files of one camera: yamsim's own, those of OpenCV's FileStorage (YAML, JSON, XML), and ROS's camera_info. Files of
 several cameras with names: Kalibr's camchain and raiden's calibration_results.json.
@@ -18,7 +18,7 @@ from ...errors import ConfigError, suggest
 from ...resources import camera_file
 from .file_storage import parse_json, parse_xml
 
-# The names under which calibration programs save one camera's values.
+# Key of yamsim -> keys of calibration programs.
 _ALIASES = {
     "K": ("camera_matrix", "cameraMatrix", "Camera_Matrix", "mtx", "k"),
     "distortion": (
@@ -35,26 +35,25 @@ _ALIASES = {
     "width": ("image_width", "image_Width", "imageWidth"),
     "height": ("image_height", "image_Height", "imageHeight"),
 }
-# The keys that lead to a camera in its file.
-Keys = tuple[str, ...]
+Keys = tuple[str, ...]  # key path of a camera in its file
 
 _SIGMA = "focal_sigma"
 
-# The programs' names for the models of lenses and cameras that OpenCV has too.
+# Names of OpenCV's models of lenses and cameras in other programs.
 _ROS_MODELS = ("plumb_bob", "rational_polynomial")
 _KALIBR_LENSES = ("radtan", "none")
 _KALIBR_MODELS = ("pinhole",)
 
 
 def read_camera(path: Path) -> Document:
-    """One camera of a file, under yamsim's own keys.
+    """One camera of a file, under yamsim's keys.
 
     Args:
-        path: the file, or `FILE:CAMERA` where it holds several cameras with names.
+        path: the file, or `FILE:CAMERA` for a file with several cameras.
 
     Raises:
-        ConfigError: the file is unreadable or not of the format that its name says; the named camera is not in it, or
-            none is named where there are several; or the camera is not an OpenCV pinhole.
+        ConfigError: the file is unreadable or not of the format of its suffix; the named camera is missing, or no
+            camera is named where the file has several; or the camera's model is not OpenCV's pinhole.
     """
     file, name, document = _open(path)
     named = _named(document)
@@ -72,10 +71,10 @@ def read_camera(path: Path) -> Document:
 
 
 def camera_parts(path: Path) -> tuple[Path, ...]:
-    """`FILE:CAMERA` for each camera if the file holds named ones and `path` names none; else the path itself.
+    """`FILE:CAMERA` for each named camera of a file; the path itself if it names a camera or the file has no names.
 
     Raises:
-        ConfigError: the file is unreadable, or not of the format that its name says.
+        ConfigError: the file is unreadable, or not of the format of its suffix.
     """
     file, name, document = _open(path)
     named = _named(document)
@@ -89,15 +88,15 @@ def _open(path: Path) -> tuple[Path, str, Document]:
 
 
 def _named(document: Document) -> dict[str, Keys]:
-    """Camera's name -> the keys that lead to it, for Kalibr's and raiden's files; empty for others."""
+    """Name of each camera in a file of Kalibr or raiden -> its key path; empty for other files."""
     data = document.data
     if isinstance(cameras := data.get("cameras"), dict) and cameras:
         return {name: ("cameras", name) for name in cameras}
     return {name: (name,) for name, value in data.items() if re.fullmatch(r"cam\d+", name) and isinstance(value, dict)}
 
 
-class _Camera:
-    """A camera's values, collected under yamsim's own keys, each with the place where it was written."""
+class _Converter:
+    """Collects a camera's values under yamsim's keys, each with its place in the file."""
 
     def __init__(self, document: Document, at: Keys) -> None:
         self._document, self._at = document, at
@@ -111,7 +110,7 @@ class _Camera:
         return isinstance(self._values, dict) and key in self._values
 
     def get(self, key: str, count: int = 0) -> Any:
-        """A value that must be there; with a count, it must be a list of so many."""
+        """A required value; with a count, a list of that length."""
         if not self.has(key):
             raise ConfigError(f"{self._document.place(self._at)}: {'.'.join((*self._at, key))}: missing; add it")
         value = self._values[key]
@@ -133,19 +132,19 @@ class _Camera:
         raise ConfigError(f"{place}: {path}: {self._values.get(key) if value is None else value!r} is not valid: {why}")
 
     def document(self) -> Document:
-        """The values that were put, and the focal length's uncertainty if the file has it."""
+        """The collected values, and the focal length's uncertainty if the file has it."""
         if self.has(_SIGMA):
             self.put(_SIGMA, _SIGMA, self._values[_SIGMA])
         return Document(self._ours, self._document.source, self._places)
 
 
 def _one(document: Document) -> Document:
-    """The camera of a file that holds one; a file of yamsim's own keys comes back as it is."""
+    """The camera of a file without camera names; a file with yamsim's keys is returned unchanged."""
     data = document.data
     if not any(alias in data for names in _ALIASES.values() for alias in names):
         return document
-    camera = _Camera(document, ())
-    # OpenCV's calibration program marks its fisheye model by this key.
+    camera = _Converter(document, ())
+    # `fisheye_model` is a key of OpenCV's calibration program.
     model = "fisheye" if data.get("fisheye_model") else data.get("distortion_model", _ROS_MODELS[0])
     camera.expect("distortion_model", model, _ROS_MODELS)
     for key, aliases in _ALIASES.items():
@@ -158,7 +157,7 @@ def _one(document: Document) -> Document:
 
 
 def _kalibr(document: Document, at: Keys) -> Document:
-    camera = _Camera(document, at)
+    camera = _Converter(document, at)
     camera.expect("camera_model", camera.get("camera_model"), _KALIBR_MODELS)
     camera.expect("distortion_model", camera.get("distortion_model"), _KALIBR_LENSES)
     fu, fv, pu, pv = camera.get("intrinsics", 4)
@@ -169,28 +168,28 @@ def _kalibr(document: Document, at: Keys) -> Document:
 
 
 def _raiden(document: Document, at: Keys) -> Document:
-    _Camera(document, at).get("intrinsics")
-    camera = _Camera(document, (*at, "intrinsics"))
+    _Converter(document, at).get("intrinsics")
+    camera = _Converter(document, (*at, "intrinsics"))
     camera.put("K", "camera_matrix", camera.get("camera_matrix"))
     camera.put("distortion", "distortion_coeffs", _flat(camera.get("distortion_coeffs")))
     _put_size(camera, "image_size")
     return camera.document()
 
 
-def _put_size(camera: _Camera, key: str) -> None:
-    """Take width and height from a list; both programs write them in this order."""
+def _put_size(camera: _Converter, key: str) -> None:
+    """Take width and height from a list."""
     width, height = camera.get(key, 2)
     camera.put("width", key, width)
     camera.put("height", key, height)
 
 
 def _matrix(value: Any) -> Any:
-    """The numbers of a matrix saved as `{rows, cols, data}`, or the value as it is."""
+    """The numbers of a matrix `{rows, cols, data}`; any other value is returned unchanged."""
     return value["data"] if isinstance(value, dict) and "data" in value else value
 
 
 def _flat(value: Any) -> Any:
-    """Coefficients saved as a matrix of one row or column, as a list."""
+    """Coefficients in a matrix of one row or column, as a list."""
     if isinstance(value, list) and all(isinstance(part, list) for part in value):
         return [number for part in value for number in part]
     return value

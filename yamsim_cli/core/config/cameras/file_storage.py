@@ -1,4 +1,4 @@
-"""Documents from the XML and JSON that OpenCV's FileStorage writes. `document` reads its YAML."""
+"""Reads XML and JSON of OpenCV's FileStorage; `document` reads its YAML."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from ...errors import ConfigError
 
 _ROOT = "opencv_storage"
 
-# Deepest nesting that is read. A calibration's values lie 3 deep; much deeper ones are an attack on the reader.
-_DEPTH = 50
+_MAX_DEPTH = 50  # of nested elements; a calibration has 3, and deeper files attack the reader
 
-# FileStorage writes comments as lines of their own. No text runs over a line's end, so no other line begins like that.
+# FileStorage's comments are lines of their own. No text contains a line break, so no other line begins like a comment.
 _JSON_COMMENT = re.compile(rb"^[ \t]*//.*$", re.MULTILINE)
 
 _WORDS = re.compile(r'"([^"]*)"|(\S+)')
@@ -22,7 +21,7 @@ _WORDS = re.compile(r'"([^"]*)"|(\S+)')
 
 def parse_json(raw: bytes, source: str) -> Document:
     """The content of JSON text, also with OpenCV's comments and numbers. Raises as `load_yaml`."""
-    # JSON allows tabs where YAML does not, and none inside its strings.
+    # JSON has tabs, which YAML does not allow, only outside strings.
     return parse_yaml(_JSON_COMMENT.sub(b"", raw).replace(b"\t", b" "), source, "JSON")
 
 
@@ -36,11 +35,10 @@ class _Element:
 def parse_xml(raw: bytes, source: str) -> Document:
     """The content of FileStorage's XML.
 
-    Any file is safe to read. Entities need a document type, and a file that declares one is refused before they can be
-    defined. Nothing is ever fetched.
+    Untrusted files are safe: a document type, which entities need, is refused, and nothing is fetched.
 
     Raises:
-        ConfigError: it is no XML, or not FileStorage's, declares a document type, has a duplicate key, or is nested too
+        ConfigError: the text is no XML of FileStorage, declares a document type, has a duplicate key, or is nested too
             deeply.
     """
     root = _tree(raw, source)
@@ -66,8 +64,8 @@ def _tree(raw: bytes, source: str) -> _Element:
 
     def start(name: str, attributes: dict[str, str]) -> None:
         element = _Element(name, parser.CurrentLineNumber)
-        if len(stack) > _DEPTH:
-            raise ConfigError(f"{source}:{element.line}: nested more than {_DEPTH} deep")
+        if len(stack) > _MAX_DEPTH:
+            raise ConfigError(f"{source}:{element.line}: nested more than {_MAX_DEPTH} deep")
         stack[-1].inside.append(element)
         stack.append(element)
 
@@ -86,14 +84,14 @@ def _tree(raw: bytes, source: str) -> _Element:
         parser.Parse(raw, True)
     except expat.ExpatError as error:
         raise ConfigError(f"{source}:{error.lineno}: not valid XML: {expat.ErrorString(error.code)}") from error
-    # An encoding that Python does not know, or none that expat can use.
+    # Python does not know the encoding, or expat cannot use it.
     except (LookupError, ValueError) as error:
         raise ConfigError(f"{source}: not valid XML: {error}") from error
     return top.inside[0]
 
 
 def _value(element: _Element, path: KeyPath, document: Document) -> Any:
-    """The element's value: a mapping, a list, or the numbers and texts that its words stand for."""
+    """The element's value: a mapping, a list, or its words as numbers and texts."""
     document.places[path] = f"{document.source}:{element.line}"
     if element.inside and all(inner.name == "_" for inner in element.inside):
         return [_value(inner, (*path, k), document) for k, inner in enumerate(element.inside)]

@@ -1,4 +1,4 @@
-"""What moves on a thing: a drawer, a door, a lid, a screw cap, and where a hand takes hold of it."""
+"""Links, joints and handles of articulated things: drawers, doors, lids and screw caps."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from .parts import Inertia, ObjectMesh
 from .primitives import CollisionPart, Primitive
 
 _Opening = Annotated[FiniteFloat, Within("m", 0, 1)]
-# A place on a joint's way: m, or degrees where it turns.
-_Travel = Annotated[FiniteFloat, Within("m or degrees", -3600, 3600)]
+_Travel = Annotated[FiniteFloat, Within("m or degrees", -3600, 3600)]  # joint position: m, or degrees of a hinge
 _Damping = Annotated[FiniteFloat, Within("N s/m or N m s/rad", 0, 1e4)]
 _Effort = Annotated[FiniteFloat, Within("N or N m", 0, 500)]
 
@@ -31,13 +30,13 @@ Direction = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidat
 
 
 class Handle(Config):
-    """A place where a hand takes hold of one part of a thing, and from where it comes.
+    """A grasp of one part of a thing.
 
     Attributes:
         position: of the pinch point in the part's frame, m.
-        approach: the way the hand comes, in the part's frame; its length does not count.
-        axis: along which the fingers close; what of it lies along `approach` does not count.
-        opening: of one finger around it once closed, m.
+        approach: the hand's direction of approach in the part's frame; its length does not matter.
+        axis: along which the fingers close; its component along `approach` does not matter.
+        opening: of one finger when closed around the handle, m.
     """
 
     name: Name
@@ -47,11 +46,10 @@ class Handle(Config):
     opening: _Opening
 
     @model_validator(mode="after")
-    def _across(self) -> Handle:
-        if np.linalg.norm(np.cross(self.approach, self.axis)) < 1e-3 * math.hypot(*self.approach) * math.hypot(
-            *self.axis
-        ):
-            raise ValueError("the fingers have to close across the way the hand comes: turn `axis`")
+    def _axis_is_across(self) -> Handle:
+        lengths = math.hypot(*self.approach) * math.hypot(*self.axis)
+        if np.linalg.norm(np.cross(self.approach, self.axis)) < 1e-3 * lengths:
+            raise ValueError("the fingers have to close across `approach`: turn `axis`")
         return self
 
     @property
@@ -64,12 +62,12 @@ class Handle(Config):
 
 
 class Detent(Config):
-    """A ridge that a joint has to be pushed over, as a ball catch has: it holds a drawer shut, or a lid up.
+    """A ridge in a joint's force, as of a ball catch, which holds a drawer shut or a lid up.
 
     Attributes:
-        at: where on the joint's way it is highest: m, or degrees of a hinge.
-        width: from its foot to its other foot, in the same unit.
-        effort: what it takes to get over it: N, or N m of a hinge.
+        at: joint position of the maximum: m, or degrees of a hinge.
+        width: of the whole ridge, in the same unit.
+        effort: largest force or torque: N, or N m of a hinge.
     """
 
     at: _Travel
@@ -78,17 +76,17 @@ class Detent(Config):
 
 
 class LinkJoint(Config):
-    """How a part moves on its parent.
+    """The joint between a part and its parent.
 
     Attributes:
         type: "hinge" turns; "slide" moves straight; "screw" turns, and moves along its axis by `pitch` a turn.
-        axis: in the part's frame; its length does not count.
+        axis: in the part's frame; its length does not matter.
         position: of a point on the axis, in the part's frame, m.
-        range: from stop to stop: m, or degrees where it turns. Lengths are told at 0, where the part is drawn.
-        start: where it is at first, in the same unit.
+        range: from stop to stop: m, or degrees of a hinge or a screw. At 0 the part is where its frame is given.
+        start: initial position, in the same unit.
         damping: N s/m, or N m s/rad.
-        friction: what it takes to move it at all: N, or N m.
-        armature: inertia of what it drives, kg, or kg m2.
+        friction: dry friction: N, or N m.
+        armature: kg, or kg m2.
         pitch: of a screw, m a turn.
     """
 
@@ -105,16 +103,16 @@ class LinkJoint(Config):
 
     @field_validator("range")
     @classmethod
-    def _of_its_unit(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+    def _range_fits_the_type(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
         if value[0] == value[1]:
-            raise ValueError("a joint has to have a way to go; leave it out where it has none")
+            raise ValueError("the ends of a joint's range must differ")
         if info.data.get("type") == "slide":
             for end in value:
                 Within("m", -2, 2).check(end, info)
         return value
 
     @model_validator(mode="after")
-    def _in_range(self) -> LinkJoint:
+    def _positions_lie_in_range(self) -> LinkJoint:
         if not self.range[0] <= self.start <= self.range[1]:
             raise ValueError(f"start {self.start:g} lies outside its range {self.range[0]:g}..{self.range[1]:g}")
         if (self.type == "screw") != bool(self.pitch):
@@ -126,11 +124,11 @@ class LinkJoint(Config):
 
     @property
     def turns(self) -> bool:
-        """Whether its unit is an angle."""
+        """Whether positions are angles."""
         return self.type != "slide"
 
     def si(self, value: float) -> float:
-        """A place on its way, from the config's unit into m or rad."""
+        """A position in the config's unit, converted to m or rad."""
         return math.radians(value) if self.turns else value
 
 
@@ -138,11 +136,11 @@ class Link(Config):
     """A part that moves on another part of the same thing.
 
     Attributes:
-        parent: name of the part that it moves on; the base where there is none.
-        position, quat: of its frame in its parent's, m, with the joint at 0.
-        meshes: what is seen of it, in its own frame.
-        collision: what touches; parts of one thing that are neighbours do not touch each other.
-        look: extra primitives that are only seen.
+        parent: name of the parent part; the base if left out.
+        position, quat: of the part's frame in its parent's, m, with the joint at 0.
+        meshes: visual meshes in the part's frame.
+        collision: collision geometry; neighbouring parts of one thing do not collide.
+        look: additional visual primitives.
     """
 
     name: Name
@@ -158,6 +156,6 @@ class Link(Config):
 
     @property
     def T_in_parent(self) -> Array:
-        """Pose (4, 4) of its frame in its parent's, with the joint at 0."""
+        """Pose (4, 4) of the part's frame in its parent's, with the joint at 0."""
         quat = np.array(self.quat) / np.linalg.norm(self.quat)
         return pose_from_quat(self.position, quat)

@@ -1,4 +1,4 @@
-"""Cloth: a rectangle of fabric as a grid of points that hang together, stretch and bend."""
+"""Cloth: a rectangle of fabric as a grid of points that stretches and bends."""
 
 from __future__ import annotations
 
@@ -15,26 +15,24 @@ from .made import MADE
 _Side = Annotated[FiniteFloat, Within("mm", 50, 1500)]
 _Count = Annotated[int, Field(ge=5, le=25)]
 
-# How much narrower fabric becomes where it is stretched, as a share.
-_POISSON = 0.2
+_POISSON = 0.2  # Poisson's ratio
 
 
 class Cloth(Config):
-    """A rectangle of fabric. It lies in the xy plane of its own frame, its middle at the origin.
+    """A rectangle of fabric in the xy plane of its own frame, its middle at the origin.
 
     Attributes:
         size_mm: along x and along y.
-        grid: how many points lie along x and along y.
-        mass_g: of all of it.
-        thickness_mm: so far apart are two layers that lie on each other.
-        stretching_n_m: force for each metre of width that would double its length, N/m.
-        bending_n_m: moment for each metre of width that bends it to a radius of one metre, N m.
-        damping_s: time in which a stretch or a bend dies down.
+        grid: numbers of points along x and along y.
+        mass_g: total mass.
+        thickness_mm: distance of two layers that lie on each other.
+        stretching_n_m: force per width that would double the length, N/m.
+        bending_n_m: moment per width that bends the fabric to a radius of 1 m, N m.
+        damping_s: time constant of stretching and bending.
         friction: sliding friction against the table, hands and itself.
-        held: what of it a hand takes hold of: the `points` between its pads, or also the nearest one of all `layers`
-            there.
-        solver: what MuJoCo finds forces by in scenes with it: `cg` takes half the time where points are many (21 x 21).
-        checks: how many checks lie along x, in the second colour; none without.
+        held: what a hand grasps: the `points` between its pads, or also the nearest point of all `layers` there.
+        solver: MuJoCo's solver in scenes with the cloth: `cg` takes half the time for large grids (21 x 21).
+        checks: number of checks along x, in the second colour.
         colours: of the fabric and of the checks, red, green and blue.
     """
 
@@ -53,40 +51,39 @@ class Cloth(Config):
 
     @property
     def size(self) -> tuple[float, float]:
-        """Along x and along y, m."""
+        """Size along x and along y, m."""
         return self.size_mm[0] / 1000, self.size_mm[1] / 1000
 
     @property
     def mass(self) -> float:
-        """Of all of it, kg."""
+        """Total mass, kg."""
         return self.mass_g / 1000
 
     @property
     def radius(self) -> float:
-        """Half its thickness, m: a point of it that lies on a surface is so high over it."""
+        """Half the thickness, m: the height of points over the surface on which they lie."""
         return self.thickness_mm / 2000
 
     @property
     def spacing(self) -> float:
-        """The larger of the distances between neighbours along x and along y, m."""
+        """The larger distance between neighbours along x and along y, m."""
         return max(side / (count - 1) for side, count in zip(self.size, self.grid, strict=True))
 
     @property
     def elasticity(self) -> tuple[float, float, float]:
-        """Young's modulus (Pa), Poisson's ratio and thickness (m) of a plate that stretches and bends so."""
+        """Young's modulus (Pa), Poisson's ratio and thickness (m) of the plate with this stretching and bending."""
         thickness = math.sqrt(12 * (1 - _POISSON**2) * self.bending_n_m / self.stretching_n_m)
         return self.stretching_n_m / thickness, _POISSON, thickness
 
 
 def cloth_object(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What follows from `cloth` in an object's plain data: what it would be if it were stiff; nothing without any."""
+    """Keys of an object's plain data that follow from its `cloth`, as if it were rigid; empty without a valid one."""
     if not isinstance(data.get("cloth"), dict):
         return {}
     try:
         cloth = Cloth.model_validate(data["cloth"])
     except ValidationError:
-        # Checking the whole config names the fault and its line.
-        return {}
+        return {}  # validating the whole config names the fault and its line
     (x, y), mass, radius = cloth.size, cloth.mass, cloth.radius
     moments = (mass * y**2 / 12, mass * x**2 / 12, mass * (x**2 + y**2) / 12)
     return {

@@ -1,4 +1,4 @@
-"""An object's config worked out from its sizes: meshes, primitives, mass and inertia, and where a hand holds it."""
+"""The config of an object made from sizes: meshes, primitives, mass and inertia, and grasps."""
 
 from __future__ import annotations
 
@@ -16,53 +16,64 @@ from ...geometry.solid import filling
 from ...geometry.stl import stl_bytes
 from .shapes import DENSITY, Shape
 
-#: Stands for the set of meshes that are made from sizes whenever a scene is composed: no folder holds them.
-MADE = "made"
+MADE = "made"  # the asset set of meshes that are generated whenever a scene is composed
 
 _BODY = "body"
+_POWERS = {"_mm": 1, "_g": 3}  # how a key of a shape ends -> power of the scale factor by which its value grows
 
 _SHAPE: TypeAdapter[Shape] = TypeAdapter(Shape)
 
-# Sliding and torsional friction (m) of everything, and rolling friction of what is flat, m.
-_FRICTION = (0.8, 0.005)
-_FLAT = 0.0005
-# Harder than MuJoCo's contacts are: what is thin, let fall from 10 cm, would sink through a table's top, s.
-_PUSH_OUT = 0.006
-# So much rolling friction, as a share of the radius, keeps what is round still on a slope of 3 degrees.
-_ROLLING = 0.05
+_FRICTION = (0.8, 0.005)  # sliding and torsional (m) friction
+_FLAT = 0.0005  # m, rolling friction of flat things
+_ROLLING = 0.05  # rolling friction of round things as a share of the radius: holds on a slope of 3 degrees
+_PUSH_OUT = 0.006  # s, below MuJoCo's 0.02: a thin thing that falls 10 cm would penetrate a table's top
 
-# What a pad presses with, N: so much at least, so many times half the weight, and so many times what holds level what
-# hangs beside the fingers.
-_FORCE, _TIMES_WEIGHT, _LEVEL = 15.0, 8.0, 1.2
-_G = 9.81
-# What a pad can press with: the drive's spring, which both share, ends so far behind closed fingers, N/m, m, N. Source:
-# MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
-_SPRING, _BEHIND, _MOST = 1000.0, 0.005, 50.0
-# How far fingers that come along a wall stay off it, m: the outer one finds room between a plate's rim and the table.
-_BESIDE_A_WALL = 0.006
-# It slides out of pads that press with less than so many times half its weight.
-_SLIDES = 3.0
+_G = 9.81  # m/s2
+_MIN_FORCE = 15.0  # N, of a pad
+_WEIGHTS = 8.0  # force of a pad in units of half the weight
+_LEVEL = 1.2  # force of a pad in units of what holds a thing level that is grasped beside its centre of mass
+_SLIDES = 3.0  # force of a pad, in units of half the weight, below which a thing slides out of the pads
+# Limits of a pad's force: the spring of the drive for both pads, N/m; how far its target lies behind closed fingers, m;
+# and the drive's limit, N. Source: MuJoCo Menagerie yam_linear_4310, `kp`, `ctrlrange` and `forcerange`.
+_SPRING, _BEHIND, _MAX_FORCE = 1000.0, 0.005, 50.0
+_WALL_CLEARANCE = 0.006  # m, between a finger and a wall: the outer finger fits between a plate's rim and the table
 
 
 def made_files(name: str, shape: Shape) -> dict[str, bytes]:
-    """File name -> binary STL in m of every material of a thing."""
+    """File name -> binary STL (m) of all pieces of one role."""
     return {_file(name, role): stl_bytes(*surface) for role, surface in _surfaces(shape.form()).items()}
 
 
 def made_from(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What follows from the sizes in an object's plain data; nothing where it has none, or not valid ones."""
+    """Keys of an object's plain data that follow from its `shape`; empty without a valid one."""
     if not isinstance(data.get("shape"), dict):
         return {}
     try:
         shape = _SHAPE.validate_python(data["shape"])
     except ValidationError:
-        # Checking the whole config names the fault and its line.
-        return {}
+        return {}  # validating the whole config names the fault and its line
     return made_object(str(data.get("name")), shape)
 
 
+def scaled_shape(shape: Shape, factor: float) -> Shape:
+    """The shape with all lengths times a factor, and its mass times the cube of the factor.
+
+    Raises:
+        ValidationError: no thing can be made in these sizes.
+    """
+    data = shape.model_dump(mode="json", exclude_none=True)
+    return _SHAPE.validate_python({key: _scaled(key, value, factor) for key, value in data.items()})
+
+
+def _scaled(key: str, value: Any, factor: float) -> Any:
+    power = next((power for unit, power in _POWERS.items() if key.endswith(unit)), 0)
+    if not power:
+        return value
+    return [each * factor**power for each in value] if isinstance(value, list) else value * factor**power
+
+
 def made_object(name: str, shape: Shape) -> dict[str, Any]:
-    """What the config of an object says that its sizes decide, as plain data."""
+    """Keys of an object's plain data that follow from a shape."""
     form = shape.form()
     mass, centre, inertia = _weigh(shape, form)
     moments, axes = np.linalg.eigh(inertia)
@@ -89,7 +100,7 @@ def made_object(name: str, shape: Shape) -> dict[str, Any]:
 
 
 def _surfaces(form: Form) -> dict[str, Any]:
-    """Role -> everything of that material as one surface; the body first."""
+    """Role -> the joined surface of its pieces; the body first."""
     roles = sorted({piece.role for piece in form.pieces}, key=lambda role: (role != _BODY, role))
     return {role: joined(piece.surface for piece in form.pieces if piece.role == role) for role in roles}
 
@@ -111,7 +122,7 @@ def _file(name: str, role: str) -> str:
 
 
 def _weigh(shape: Shape, form: Form) -> tuple[float, Array, Array]:
-    """Mass (kg), centre of mass (3,) and inertia (3, 3) about it, of all pieces and what is in them."""
+    """Mass (kg), centre of mass (3,) and inertia (3, 3) about it of all pieces."""
     parts = [(filling(*piece.surface), piece.role) for piece in form.pieces]
     masses = [solid.volume * DENSITY[shape.materials[role].stuff] for solid, role in parts]
     if shape.mass_g is not None:
@@ -132,23 +143,23 @@ def _contact(form: Form) -> dict[str, Any]:
 
 
 def _grasp(form: Form, mass: float, centre: Array) -> Mapping[str, Any]:
-    """Where to hold it, and by friction as far as pads can: a weld holds whatever is told to."""
-    # The nearer to its weight, the less it turns in the pads.
+    """The grasp by a weld, and by friction if pads can press hard enough."""
+    # A grasp near the centre of mass lets the thing turn less in the pads.
     holds = tuple(sorted(form.holds, key=lambda hold: round(_lever(hold, centre), 3)))
-    held = [hold for hold in holds if hold.flat and _least_force(hold, mass, centre) <= _most_force(hold)]
+    held = [hold for hold in holds if hold.flat and _needed_force(hold, mass, centre) <= _max_force(hold)]
     if form.turned:
         held = [hold for hold in held if hold.where == held[0].where]
     best = (held or holds)[0]
     welded = _point(replace(best, tilt_deg=None))
     if not held:
         return welded
-    needed = max(_FORCE, _TIMES_WEIGHT * mass * _G / 2, *(_least_force(hold, mass, centre) for hold in held))
+    needed = max(_MIN_FORCE, _WEIGHTS * mass * _G / 2, *(_needed_force(hold, mass, centre) for hold in held))
     around = {"around": True} if form.turned and len(held) > 1 else {}
-    beside = {"clearance": _BESIDE_A_WALL} if held[0].tilt_deg is not None else {}
+    beside = {"clearance": _WALL_CLEARANCE} if held[0].tilt_deg is not None else {}
     return {
         **welded,
         **beside,
-        "friction": {"force": round(min(needed, _MOST), 1), "points": [_point(hold) for hold in held], **around},
+        "friction": {"force": round(min(needed, _MAX_FORCE), 1), "points": [_point(hold) for hold in held], **around},
     }
 
 
@@ -157,16 +168,15 @@ def _point(hold: Hold) -> dict[str, Any]:
     return {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4), **tilt}
 
 
-def _least_force(hold: Hold, mass: float, centre: Array) -> float:
-    """What a pad has to press with, N."""
+def _needed_force(hold: Hold, mass: float, centre: Array) -> float:
+    """The force with which a pad has to press, N."""
     return mass * _G * max(_SLIDES / 2, _LEVEL * _lever(hold, centre) / hold.depth)
 
 
 def _lever(hold: Hold, centre: Array) -> float:
-    """How far beside the centre of mass (3,) it is held, m."""
+    """Horizontal distance of a grasp from the centre of mass (3,), m."""
     return float(np.hypot(*(np.array(hold.position) - centre)[:2]))
 
 
-def _most_force(hold: Hold) -> float:
-    """What a pad can press with, N."""
-    return min(_MOST, _SPRING * (hold.width / 2 + _BEHIND))
+def _max_force(hold: Hold) -> float:
+    return min(_MAX_FORCE, _SPRING * (hold.width / 2 + _BEHIND))

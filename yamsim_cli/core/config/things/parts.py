@@ -1,4 +1,4 @@
-"""What every part of a thing has: surface, weight, and the meshes that are seen of it."""
+"""Contact parameters, visual meshes and inertia of a thing's parts."""
 
 from __future__ import annotations
 
@@ -6,57 +6,53 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ...documents.base import Config, NonNegative, Quaternion, Rgba
+from ...documents.base import OMIT_NONE, Config, NonNegative, Quaternion, Rgba, omit_default
 from ...documents.units import OffsetPoint, PlacePoint, Within
 
 _Lever = Annotated[FiniteFloat, Within("m", 0, 1)]
 _Moment = Annotated[FiniteFloat, Within("kg m2", 1e-12, 100)]
 
-
-# MuJoCo's own, s.
-_PUSH_OUT = 0.02
+_PUSH_OUT = 0.02  # s, MuJoCo's default
 
 
 class Contact(Config):
-    """Surface in MuJoCo's terms: sliding, torsional (m) and rolling (m) friction, and the contact dimension.
+    """MuJoCo's contact parameters: sliding, torsional (m) and rolling (m) friction, and the contact dimension.
 
     Attributes:
-        push_out_s: about how long a contact takes to push out what has sunk in, s. What is small and falls sinks in by
-            some millimetres for each hundredth; a table's top is thin.
+        push_out_s: time constant with which a contact resolves penetration, s. A small falling thing penetrates some
+            millimetres for each 0.01 s; a table's top is thin.
     """
 
     friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
     condim: Literal[1, 3, 4, 6] = 3
-    push_out_s: Annotated[FiniteFloat, Within("s", 0.004, 0.5), Field(exclude_if=lambda time: time == _PUSH_OUT)] = (
-        _PUSH_OUT
-    )
+    push_out_s: Annotated[FiniteFloat, Within("s", 0.004, 0.5), omit_default(_PUSH_OUT)] = _PUSH_OUT
 
 
 class ObjectMesh(Config):
-    """A mesh that is seen, such as a scan: asset set and file, and the point of it that becomes the part's origin.
+    """A visual mesh, such as a scan.
 
     Attributes:
-        set: of the lock, or one of the user's own, see `core.assets.own_sets`.
-        file: STL, or OBJ where it has a texture.
-        rgba: its colour; with a texture, what the texture is multiplied by.
-        texture: a PNG file of the same set, which the OBJ's texture coordinates refer to.
-        castshadow: whether the scan casts a shadow. A shallow one speckles itself where light grazes it: then let
-            primitives of `look` just under its surface cast the shadow instead.
+        set: an asset set of the lock, or an own set, see `core.assets.store`.
+        file: STL, or OBJ for a mesh with a texture.
+        origin: the point of the mesh that becomes the part's origin, m.
+        rgba: the colour; a texture is multiplied by it.
+        texture: a PNG file of the same set for the OBJ's texture coordinates.
+        castshadow: whether the mesh casts a shadow. Grazing light speckles a shallow scan with its own shadow: then let
+            primitives of `look` just below its surface cast the shadow instead.
     """
 
     set: str
     file: str
     origin: PlacePoint
     rgba: Rgba
-    # Left out where there is none, so that what was written before there were any stays as it is.
-    texture: Annotated[str | None, Field(exclude_if=lambda texture: texture is None)] = None
+    texture: Annotated[str | None, OMIT_NONE] = None
     specular: float = Field(default=0.2, ge=0, le=1)
     shininess: float = Field(default=0.3, ge=0, le=1)
-    castshadow: Annotated[bool, Field(exclude_if=lambda cast: cast)] = True
+    castshadow: Annotated[bool, omit_default(True)] = True
 
 
 class Inertia(Config):
-    """Mass in grams, centre of mass (m) in the part's frame, principal moments (kg m2) and the frame they hold in."""
+    """Mass (g), centre of mass (m) in the part's frame, principal moments (kg m2) and the quaternion of their axes."""
 
     mass_g: Annotated[FiniteFloat, Within("g", 0.5, 50_000)]
     centre: OffsetPoint = (0.0, 0.0, 0.0)
@@ -65,5 +61,5 @@ class Inertia(Config):
 
     @property
     def mass(self) -> float:
-        """Mass in kilograms."""
+        """Mass, kg."""
         return self.mass_g / 1000.0

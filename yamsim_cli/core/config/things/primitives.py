@@ -1,4 +1,4 @@
-"""Simple shapes, in the frame of the object that they belong to."""
+"""Collision and look primitives, in the frame of their object."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Cylinder(Config):
 
 
 class Sphere(Config):
-    """A ball: centre and radius."""
+    """A sphere: centre and radius."""
 
     type: Literal["sphere"]
     centre: Vector
@@ -40,7 +40,7 @@ class Sphere(Config):
 
 
 class Box(Config):
-    """An upright block: centre, half its size along its own axes, and how far these are turned about z."""
+    """A box: centre, half its size along its own axes, and their rotation about z."""
 
     type: Literal["box"]
     centre: Vector
@@ -50,7 +50,7 @@ class Box(Config):
 
     @property
     def discs(self) -> tuple[tuple[float, float, float], ...]:
-        """Discs (x, y, radius), m, that together cover the block seen from above: one for each square along it."""
+        """Discs (x, y, radius), m, that together cover the box seen from above."""
         long = self.half_size[0] >= self.half_size[1]
         length, width = (self.half_size[0], self.half_size[1]) if long else (self.half_size[1], self.half_size[0])
         angle = math.radians(self.yaw_deg) + (0 if long else math.pi / 2)
@@ -66,8 +66,8 @@ class Ring(Config):
 
     Attributes:
         inner, outer: radius and height (m) of the rim's upper surface at its inner and outer edge.
-        thickness: how thick the boxes are below that surface, m.
-        segments: how many boxes make the ring.
+        thickness: of the boxes below that surface, m.
+        segments: the number of boxes.
     """
 
     type: Literal["ring"]
@@ -78,45 +78,37 @@ class Ring(Config):
     rgba: Rgba | None = None
 
 
-class HullPart(Config):
+class _MeshPart(Config):
+    type: str
+    file: str
+    low: Vector
+    high: Vector
+
+    @property
+    def bounding_box(self) -> Box:
+        """The box from `low` to `high`."""
+        centre = tuple((a + b) / 2 for a, b in zip(self.low, self.high, strict=True))
+        half = tuple(max((b - a) / 2, 1e-5) for a, b in zip(self.low, self.high, strict=True))
+        return Box(type="box", centre=centre, half_size=half)  # type: ignore[arg-type]
+
+
+class HullPart(_MeshPart):
     """A convex body: the hull of a mesh file, which lies in the set of the thing's mesh and in its part's frame.
 
     Attributes:
-        low, high: corners of the block around it, m: what has to know its size need not read the file.
+        low, high: corners of the bounding box, m, so that its size is known without the file.
     """
 
     type: Literal["hull"]
-    file: str
-    low: Vector
-    high: Vector
-
-    @property
-    def around(self) -> Box:
-        """The block around it."""
-        return _around(self.low, self.high)
 
 
-class SdfPart(Config):
-    """A body of any form by the distance to its surface, hollows and holes included; otherwise as `HullPart`.
+class SdfPart(_MeshPart):
+    """A body of any form, hollows and holes included, by its signed distance field; otherwise as `HullPart`.
 
-    Exact, and slow: MuJoCo looks for contacts by descending along the distance.
+    Exact and slow: MuJoCo searches contacts by descending along the distance.
     """
 
     type: Literal["sdf"]
-    file: str
-    low: Vector
-    high: Vector
-
-    @property
-    def around(self) -> Box:
-        """The block around it."""
-        return _around(self.low, self.high)
-
-
-def _around(low: tuple[float, float, float], high: tuple[float, float, float]) -> Box:
-    centre = tuple((a + b) / 2 for a, b in zip(low, high, strict=True))
-    half = tuple(max((b - a) / 2, 1e-5) for a, b in zip(low, high, strict=True))
-    return Box(type="box", centre=centre, half_size=half)  # type: ignore[arg-type]
 
 
 Primitive = Annotated[Sphere | Capsule | Cylinder | Box | Ring, Field(discriminator="type")]

@@ -1,9 +1,11 @@
-"""Things made from sizes: each kind's sizes, in millimetres as people give them, and what it is made of."""
+"""Shapes: the sizes (mm) and materials from which things are made."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from dataclasses import fields
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, FiniteFloat, model_validator
 
@@ -13,21 +15,21 @@ from ...geometry.forms import boxes, cutlery, pasta, vessels
 from ...geometry.forms.form import Form
 
 _Size = Annotated[FiniteFloat, Within("mm", 1, 1000)]
-# A tine ends above the rack's floor and rail.
-_Tine = Annotated[FiniteFloat, Within("mm", 25, 1000)]
+_Tine = Annotated[FiniteFloat, Within("mm", 25, 1000)]  # tines end above the rack's floor and rail
 _Thin = Annotated[FiniteFloat, Within("mm", 0.3, 50)]
 _Length = Annotated[FiniteFloat, Within("mm", 0, 500)]
 _Share = Annotated[FiniteFloat, Within("of 1", 0, 1)]
 _Grams = Annotated[FiniteFloat, Within("g", 0.5, 50_000)]
 _Box = tuple[_Size, _Size, _Size]
 
+T = TypeVar("T", vessels.Vessel, boxes.Container, cutlery.Cutlery)
+
 Stuff = Literal[
     "steel", "aluminium", "stoneware", "porcelain", "glass", "polypropylene", "nylon", "wood", "cardboard", "cotton",
     "durum", "fruit", "leaf", "paint",
 ]  # fmt: skip
 
-#: Density of each stuff, kg/m3, rounded from what tables of materials give. Folded cotton is mostly air, and paint is
-#: only seen.
+#: Density of each material, kg/m3, rounded from tables of materials. Folded cotton is mostly air; paint has no mass.
 DENSITY: Mapping[Stuff, float] = {
     "steel": 7900,
     "aluminium": 2700,
@@ -47,7 +49,7 @@ DENSITY: Mapping[Stuff, float] = {
 
 
 class Material(Config):
-    """What a piece is made of, and how it looks."""
+    """Material and look of a piece."""
 
     stuff: Stuff
     rgba: Rgba
@@ -56,22 +58,25 @@ class Material(Config):
 
 
 class _Shape(Config):
-    """What all shapes have.
+    """Base of all shapes.
 
     Attributes:
-        materials: of each piece by its role: "body", and "handle", "stalk" or "print" where there is one.
-        mass_g: of the whole; without, its materials' densities say. A full carton is no block of cardboard.
+        materials: role of a piece ("body", and "handle", "stalk" or "print" where the shape has such) -> its material.
+        mass_g: of the whole, such as of a full carton; if left out, it follows from the materials' densities.
     """
 
     materials: Mapping[str, Material]
     mass_g: _Grams | None = None
 
     def form(self) -> Form:
-        """The thing itself, in m."""
-        raise NotImplementedError
+        """The geometry, in m."""
+        return self._form()
+
+    @abstractmethod
+    def _form(self) -> Form: ...
 
     @model_validator(mode="after")
-    def _every_piece_of_something(self) -> _Shape:
+    def _every_piece_has_a_material(self) -> _Shape:
         try:
             roles = {piece.role for piece in self.form().pieces}
         except (ValueError, IndexError, FloatingPointError):
@@ -109,23 +114,8 @@ class VesselShape(_Shape):
             raise ConflictError("shoulder_mm and slope_mm reach over the rim", ("shoulder_mm",))
         return self
 
-    def form(self) -> Form:
-        """The vessel."""
-        return vessels.vessel(
-            vessels.Vessel(
-                diameter=_m(self.diameter_mm),
-                height=_m(self.height_mm),
-                foot=_m(self.foot_mm),
-                wall=_m(self.wall_mm),
-                flare=self.flare,
-                fillet=_m(self.fillet_mm),
-                neck=None if self.neck_mm is None else _m(self.neck_mm),
-                shoulder=_m(self.shoulder_mm),
-                slope=_m(self.slope_mm),
-                handles=self.handles,
-                reach=_m(self.reach_mm),
-            )
-        )
+    def _form(self) -> Form:
+        return vessels.vessel(_in_metres(vessels.Vessel, self))
 
 
 class CapShape(_Shape):
@@ -137,13 +127,12 @@ class CapShape(_Shape):
     wall_mm: _Thin
     grips: int = Field(default=0, ge=0, le=96)
 
-    def form(self) -> Form:
-        """The cap."""
+    def _form(self) -> Form:
         return vessels.cap(_m(self.diameter_mm), _m(self.height_mm), _m(self.wall_mm), self.grips)
 
 
 class FruitShape(_Shape):
-    """A round fruit: `lobes` swellings of a share `depth` of its radius, and a stalk."""
+    """A round fruit with `lobes`, which swell by a share `depth` of its radius, and a stalk."""
 
     family: Literal["fruit"]
     diameter_mm: _Size
@@ -152,8 +141,7 @@ class FruitShape(_Shape):
     depth: Annotated[FiniteFloat, Within("of 1", 0, 0.2)] = 0.0
     stalk_mm: _Length = 0.0
 
-    def form(self) -> Form:
-        """The fruit."""
+    def _form(self) -> Form:
         return vessels.fruit(_m(self.diameter_mm), _m(self.height_mm), self.lobes, self.depth, _m(self.stalk_mm))
 
 
@@ -168,23 +156,12 @@ class ContainerShape(_Shape):
     lip_mm: _Length = 0.0
     cells: int = Field(default=1, ge=1, le=12)
 
-    def form(self) -> Form:
-        """The container."""
-        x, y, z = self.size_mm
-        return boxes.container(
-            boxes.Container(
-                size=(_m(x), _m(y), _m(z)),
-                wall=_m(self.wall_mm),
-                corner=_m(self.corner_mm),
-                taper=_m(self.taper_mm),
-                lip=_m(self.lip_mm),
-                cells=self.cells,
-            )
-        )
+    def _form(self) -> Form:
+        return boxes.container(_in_metres(boxes.Container, self))
 
 
 class LidShape(_Shape):
-    """A container's lid with a rim that goes inside, `inset_mm` in from its edge, and a bar to hold it by."""
+    """A container's lid with an inner rim, `inset_mm` in from its edge, and a bar as a handle."""
 
     family: Literal["lid"]
     size_mm: _Box
@@ -193,15 +170,13 @@ class LidShape(_Shape):
     inset_mm: _Thin
     bar_mm: tuple[_Size, _Size]
 
-    def form(self) -> Form:
-        """The lid."""
-        x, y, z = self.size_mm
+    def _form(self) -> Form:
         bar = (_m(self.bar_mm[0]), _m(self.bar_mm[1]))
-        return boxes.lid((_m(x), _m(y), _m(z)), _m(self.corner_mm), _m(self.plate_mm), _m(self.inset_mm), bar)
+        return boxes.lid(_size(self.size_mm), _m(self.corner_mm), _m(self.plate_mm), _m(self.inset_mm), bar)
 
 
 class BlockShape(_Shape):
-    """A closed box with round edges; `band` has another colour between two shares of its height."""
+    """A closed box with round edges; `band` is the range of its height, as shares, that has another colour."""
 
     family: Literal["block"]
     size_mm: _Box
@@ -209,28 +184,26 @@ class BlockShape(_Shape):
     edge_mm: _Length
     band: tuple[_Share, _Share] | None = None
 
-    def form(self) -> Form:
-        """The block."""
-        x, y, z = self.size_mm
-        return boxes.block((_m(x), _m(y), _m(z)), _m(self.corner_mm), _m(self.edge_mm), self.band)
+    def _form(self) -> Form:
+        return boxes.block(_size(self.size_mm), _m(self.corner_mm), _m(self.edge_mm), self.band)
 
 
 class TextileShape(_Shape):
-    """Folded cloth that lies flat and is stiff."""
+    """Folded cloth as a rigid body."""
 
     family: Literal["textile"]
     size_mm: _Box
     folds: int = Field(default=1, ge=1, le=16)
 
-    def form(self) -> Form:
-        """The cloth."""
-        x, y, z = self.size_mm
-        return boxes.textile((_m(x), _m(y), _m(z)), self.folds)
+    def _form(self) -> Form:
+        return boxes.textile(_size(self.size_mm), self.folds)
 
 
 class RackShape(_Shape):
-    """A dish rack of wire with slots between tines, see `core.geometry.forms.boxes.Rack`. Tines are as high as the rack
-    where nothing else is said.
+    """A dish rack of wire with slots between tines, see `core.geometry.forms.boxes.Rack`.
+
+    Attributes:
+        tine_mm: height of the tines; the rack's height if left out.
     """
 
     family: Literal["rack"]
@@ -250,11 +223,9 @@ class RackShape(_Shape):
             )
         return self
 
-    def form(self) -> Form:
-        """The rack."""
-        x, y, z = self.size_mm
-        tine = z if self.tine_mm is None else self.tine_mm
-        return boxes.rack(boxes.Rack((_m(x), _m(y), _m(z)), _m(self.wire_mm), self.slots, _m(self.slot_mm), _m(tine)))
+    def _form(self) -> Form:
+        tine = self.size_mm[2] if self.tine_mm is None else self.tine_mm
+        return boxes.rack(boxes.Rack(_size(self.size_mm), _m(self.wire_mm), self.slots, _m(self.slot_mm), _m(tine)))
 
 
 class CutleryShape(_Shape):
@@ -267,22 +238,12 @@ class CutleryShape(_Shape):
     thickness_mm: _Thin
     handle_mm: _Thin
 
-    def form(self) -> Form:
-        """The piece of cutlery."""
-        x, y, z = self.size_mm
-        return cutlery.cutlery(
-            cutlery.Cutlery(
-                kind=self.kind,
-                size=(_m(x), _m(y), _m(z)),
-                grip=_m(self.grip_mm),
-                thickness=_m(self.thickness_mm),
-                handle=_m(self.handle_mm),
-            )
-        )
+    def _form(self) -> Form:
+        return cutlery.cutlery(_in_metres(cutlery.Cutlery, self))
 
 
 class PastaShape(_Shape):
-    """A piece of dry pasta: a tube, or a rod where it has no wall."""
+    """A piece of dry pasta: a tube, or with `wall_mm` 0 a rod."""
 
     family: Literal["pasta"]
     diameter_mm: _Size
@@ -291,13 +252,29 @@ class PastaShape(_Shape):
     slant_deg: Annotated[FiniteFloat, Within("degrees", 0, 60)] = 0.0
     ridges: int = Field(default=0, ge=0, le=40)
 
-    def form(self) -> Form:
-        """The piece."""
+    def _form(self) -> Form:
         return pasta.pasta(_m(self.diameter_mm), _m(self.length_mm), _m(self.wall_mm), self.slant_deg, self.ridges)
 
 
 def _m(mm: float) -> float:
     return mm / 1000
+
+
+def _in_metres(kind: type[T], shape: _Shape) -> T:
+    """A dataclass of geometry whose fields are those of a shape: `wall` is `wall_mm` in m."""
+    values = {}
+    for field in fields(kind):
+        mm = getattr(shape, f"{field.name}_mm", None)
+        if mm is None:
+            values[field.name] = getattr(shape, field.name, None)
+        else:
+            values[field.name] = _size(mm) if isinstance(mm, tuple) else _m(mm)
+    return kind(**values)
+
+
+def _size(mm: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = mm
+    return x / 1000, y / 1000, z / 1000
 
 
 Shape = Annotated[

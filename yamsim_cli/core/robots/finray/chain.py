@@ -1,4 +1,4 @@
-"""Fin-ray fingers in an MJCF: each a chain of stiff segments on hinges with springs, and springs that couple them."""
+"""Fin-ray fingers in an MJCF: chains of rigid segments on hinges with springs, and springs that couple the hinges."""
 
 from __future__ import annotations
 
@@ -7,46 +7,44 @@ from collections.abc import Iterable, Iterator
 from itertools import combinations
 from xml.etree.ElementTree import Element, SubElement
 
+from .finger import FinRay, couplings, hinge_stiffness
 from .looks import segment_file
-from .mechanics import couplings, hinge_stiffness
-from .parameters import FinRay
 
-# Each spring gets the inertia with which it alone swings by a radian in this time, s. Solvers that take steps of 2 ms
-# follow that, and do not follow a bay of 1 g, which swings within 0.1 ms; to what is gripped it adds a dozen grams.
+# s, time in which each spring with its armature swings by a radian: long enough for steps of 2 ms, where a bay of 1 g
+# swings within 0.1 ms; short enough that the armatures add only a dozen grams to a gripped thing.
 _SWING = 3e-3
 
 
-def grow(root: Element, name: str, finger: FinRay) -> None:
-    """Let both fingers of a gripper's MJCF grow out of their feet.
+def add_fingers(root: Element, name: str, finger: FinRay) -> None:
+    """Add both fingers to a gripper's MJCF.
 
-    The MJCF has the default classes `pad` and `wall`, the boxes of the front walls and of the back ones; `rib`, the
-    boxes of the ribs, which touch nothing; and `soft`, the meshes. A foot is a body without a joint of its own, at the
-    base of the front wall's outer face: x to the tip, y towards the other finger.
+    The MJCF has the default classes `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs, which
+    do not collide, and `soft` for meshes. A foot is a body without a joint, at the base of the front wall, on
+    its outer face: x to the tip, y towards the other finger.
 
     Args:
-        name: the gripper's, which its asset set is called too.
-        finger: with the feet's names.
+        name: of the gripper, and of its asset set.
 
     Raises:
         KeyError: there is no body for a foot.
     """
     bodies = {body.get("name"): body for body in root.iter("body")}
-    assets, tendons, contacts = (_section(root, tag) for tag in ("asset", "tendon", "contact"))
+    assets, tendons, contacts = (get_section(root, tag) for tag in ("asset", "tendon", "contact"))
     for k in range(finger.segments):
         SubElement(assets, "mesh", name=_mesh(name, k), file=f"{name}/{segment_file(k)}")
     segments: list[str] = []
     for foot in finger.feet:
         segments += _chain(bodies[foot], foot, name, finger)
         for spring, lengths in enumerate(couplings(finger), start=1):
-            tendons.append(_spring(f"{foot}_slip_{spring}", foot, lengths, finger.relaxation))
-    # What they do when they meet is in the springs' theory, and no two fingers of a gripper cross.
+            tendons.append(_spring(f"{foot}_slip_{spring}", foot, lengths, finger))
+    # The springs' theory covers contact within a finger, and the fingers of a gripper do not cross.
     hand = [body.get("name", "") for body in _carriers(root, finger.feet)]
     for one, other in [*combinations(segments, 2), *((body, segment) for body in hand for segment in segments)]:
         SubElement(contacts, "exclude", body1=one, body2=other)
 
 
 def _chain(foot: Element, prefix: str, gripper: str, finger: FinRay) -> Iterator[str]:
-    """Add the segments, one inside the other; gives their names."""
+    """Add the nested segments, and yield their names."""
     body, at = foot, (0.0, -finger.wall / 2, 0.0)
     for k, stiffness in enumerate(hinge_stiffness(finger)):
         body = SubElement(body, "body", name=f"{prefix}_segment_{k + 1}", pos=_text(at), gravcomp="1")
@@ -73,7 +71,7 @@ def _chain(foot: Element, prefix: str, gripper: str, finger: FinRay) -> Iterator
 
 
 def _boxes(finger: FinRay, k: int) -> Iterator[tuple[str, tuple[float, float, float], tuple[float, float], float]]:
-    """What a segment is made of: class, size (m), middle (x, y) and turn (rad) in the plane of its hinge's frame."""
+    """Boxes of a segment: class, size (m), middle (x, y) and rotation (rad) in the plane of the hinge's frame."""
     wall, bay, width = finger.wall, finger.bay, finger.width
     low, high = (float(finger.spacing(bay * (k + end))) for end in (0, 1))
     yield "pad", (bay, wall, width), (bay / 2, 0.0), 0.0
@@ -89,10 +87,9 @@ def _stiff(stiffness: float, finger: FinRay) -> dict[str, str]:
     return {key: _text([stiffness * value]) for key, value in numbers.items()}
 
 
-def _spring(name: str, prefix: str, lengths: Iterable[float], relaxation: float) -> Element:
-    """A spring of 1 N/m on a sum of angles."""
-    numbers = {"stiffness": 1.0, "damping": relaxation, "armature": _SWING**2}
-    spring = Element("fixed", {"name": name, "springlength": "0"} | {key: _text([n]) for key, n in numbers.items()})
+def _spring(name: str, prefix: str, lengths: Iterable[float], finger: FinRay) -> Element:
+    """A spring of 1 N/m on a weighted sum of angles."""
+    spring = Element("fixed", {"name": name, "springlength": "0"} | _stiff(1.0, finger))
     for k, length in enumerate(lengths):
         if length:
             SubElement(spring, "joint", joint=_hinge(prefix, k), coef=_text([length]))
@@ -100,7 +97,7 @@ def _spring(name: str, prefix: str, lengths: Iterable[float], relaxation: float)
 
 
 def _carriers(root: Element, feet: Iterable[str]) -> Iterator[Element]:
-    """The bodies that the feet stand in."""
+    """The feet and the bodies that contain them."""
     parents = {child: parent for parent in root.iter() for child in parent}
     wanted = [body for body in root.iter("body") if body.get("name") in tuple(feet)]
     seen: list[Element] = []
@@ -112,7 +109,8 @@ def _carriers(root: Element, feet: Iterable[str]) -> Iterator[Element]:
             body = parents[body]
 
 
-def _section(root: Element, tag: str) -> Element:
+def get_section(root: Element, tag: str) -> Element:
+    """The section of that name, added if it is missing."""
     found = root.find(tag)
     return SubElement(root, tag) if found is None else found
 
@@ -126,5 +124,5 @@ def _hinge(prefix: str, k: int) -> str:
 
 
 def _text(values: Iterable[float]) -> str:
-    # Finer is rounding, which differs from one machine to another.
+    # Further digits differ between machines.
     return " ".join(f"{value:.9g}" for value in values)

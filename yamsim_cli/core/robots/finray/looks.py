@@ -1,4 +1,4 @@
-"""Meshes of a fin-ray finger, made from its figures alone: the same figures give the same bytes."""
+"""Meshes of a fin-ray finger, generated from its dimensions to the same bytes on every machine."""
 
 from __future__ import annotations
 
@@ -6,21 +6,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
-from ...geometry.se3 import Array
 from ...geometry.stl import stl_bytes
-from .parameters import FinRay
+from .finger import FinRay
 
 Point = tuple[float, float]
+T = TypeVar("T")
 
-# What the pieces of the back wall overlap by, m: where a finger bends, they slide along each other.
-_OVERLAP = 0.0025
-# Faces around the end of the tip.
-_ROUND = 12
-# Coordinates are whole multiples of this, so that rounding is no matter of the machine; m.
-_GRAIN = 1e-7
+_OVERLAP = 0.0025  # m, of neighbouring pieces of the back wall, which slide along each other when a finger bends
+_TIP_FACES = 12  # around the end of the tip
+_GRID = 1e-7  # m, coordinates are multiples of this, so that rounding does not depend on the machine
 
 
 def segment_file(k: int) -> str:
@@ -38,7 +36,7 @@ def meshes(finger: FinRay) -> dict[str, bytes]:
 
 @dataclass
 class _Section:
-    """Cells in a plane, which share corners where they touch: what is pulled out of it is closed."""
+    """Convex cells in a plane that share corners, so that their extrusion is closed."""
 
     points: list[Point] = field(default_factory=list)
     cells: list[list[int]] = field(default_factory=list)
@@ -48,13 +46,13 @@ class _Section:
         self.cells.append([self._index(corner) for corner in corners])
 
     def _index(self, corner: Point) -> int:
-        point = (round(corner[0] / _GRAIN) * _GRAIN, round(corner[1] / _GRAIN) * _GRAIN)
+        point = (round(corner[0] / _GRID) * _GRID, round(corner[1] / _GRID) * _GRID)
         if point not in self.points:
             self.points.append(point)
         return self.points.index(point)
 
     def stl(self, width: float) -> bytes:
-        """The section pulled out to both sides of its plane by half a width (m)."""
+        """Binary STL of the section extruded by half a width (m) to both sides."""
         n = len(self.points)
         vertices = [(*point, side * width / 2) for side in (-1, 1) for point in self.points]
         edges = [(a, b) for cell in self.cells for a, b in _around(cell)]
@@ -68,12 +66,12 @@ class _Section:
         return stl_bytes(vertices, faces)
 
 
-def _around(cell: Sequence[int]) -> list[tuple[int, int]]:
+def _around(cell: Sequence[T]) -> list[tuple[T, T]]:
     return list(zip(cell, [*cell[1:], cell[0]], strict=True))
 
 
 def _segment(finger: FinRay, k: int) -> _Section:
-    """From its hinge to the next: a piece of each wall, with the rib that stands at the hinge, or the tip's end."""
+    """A segment from its hinge to the next: a piece of each wall, and the rib at the hinge or the end of the tip."""
     half, bay, low = finger.wall / 2, finger.bay, k * finger.bay
     section = _Section()
 
@@ -105,18 +103,12 @@ def _segment(finger: FinRay, k: int) -> _Section:
 
 
 def _tip(section: _Section, start: float, end: float, half: float, depth: float) -> None:
-    """The solid end: from the walls' inner faces a fan out to a round."""
+    """The solid end: a fan from the walls' inner faces to a rounded outline."""
     outline: list[Point] = [(start, -depth - half)]
     middle, across = -depth / 2, depth / 2 + half
-    for turn in np.linspace(-math.pi / 2, math.pi / 2, _ROUND + 1)[1:-1]:
+    for turn in np.linspace(-math.pi / 2, math.pi / 2, _TIP_FACES + 1)[1:-1]:
         outline.append((start + (end - start) * math.cos(turn), middle + across * math.sin(turn)))
     outline += [(start, half), (start, -half), (start, half - depth)]
     hub = (start + (end - start) / 3, middle)
-    for a, b in zip(outline, [*outline[1:], outline[0]], strict=True):
+    for a, b in _around(outline):
         section.add(hub, a, b)
-
-
-def volume(vertices: Array, faces: Array) -> float:
-    """What a closed mesh holds, m3; negative where its faces look inwards."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return float((a * np.cross(b, c)).sum() / 6)

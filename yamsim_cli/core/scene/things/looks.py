@@ -8,7 +8,7 @@ from typing import Any
 
 import mujoco
 
-from ...assets.own_sets import is_own
+from ...assets.store import is_own
 from ...config.things.parts import ObjectMesh
 from ..robot import mesh_bytes
 

@@ -1,4 +1,4 @@
-"""The things of the kitchen: made from their sizes, as large as the benchmark says, closed, plain data once read."""
+"""Shipped things: kitchen things made from their sizes, how things may rest, and the banana's shadow."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pytest
 
 from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.things.made import MADE, made_files
+from yamsim_cli.core.config.things.primitives import Capsule
 from yamsim_cli.core.config.things.shapes import RackShape
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.documents.document import dump_yaml
@@ -70,14 +71,6 @@ def test_what_a_dataset_holds_needs_no_sizes_for_physics(name: str, locations: L
     assert item.mesh_sets == ()
 
 
-def test_a_scene_shows_it_without_any_folder(locations: Locations) -> None:
-    spec = mujoco.MjSpec()
-    add_object(spec, thing("pot", locations), {})
-    model = spec.compile()
-    assert [model.mesh(k).name for k in range(model.nmesh)] == ["pot", "pot_mesh_1"]
-    assert model.body("pot").mass[0] == pytest.approx(thing("pot", locations).inertia.mass)
-
-
 def test_sizes_are_parameters(tmp_path: Path, locations: Locations) -> None:
     text = (ROOT / "configs" / "objects" / "kitchen_bowl.yaml").read_text()
     file = tmp_path / "large.yaml"
@@ -96,18 +89,20 @@ def test_what_is_given_is_kept(tmp_path: Path, locations: Locations) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("name", "change", "said"),
     [
-        (("wall_mm: 2.4", "wall_mm: 40"), "leaves no inside"),
-        (("diameter_mm: 160", "diameter_mm: 0.16"), "diameter_mm"),
-        (("body:", "lid:"), "body is missing"),
-        (("family: vessel", "family: vase"), "family"),
+        ("bowl", ("wall_mm: 2.4", "wall_mm: 40"), "leaves no inside"),
+        ("bowl", ("diameter_mm: 160", "diameter_mm: 0.16"), "diameter_mm"),
+        ("bowl", ("body:", "lid:"), "body is missing"),
+        ("bowl", ("family: vessel", "family: vase"), "family"),
+        ("dish_rack", ("slots: 4", "slots: 5"), "5 slots of 70 mm are wider"),
+        ("dish_rack", ("tine_mm: 40", "tine_mm: 130"), "tines of 130 mm"),
     ],
 )
 def test_sizes_that_make_no_thing_are_told_with_their_line(
-    change: tuple[str, str], said: str, tmp_path: Path, locations: Locations
+    name: str, change: tuple[str, str], said: str, tmp_path: Path, locations: Locations
 ) -> None:
-    text = (ROOT / "configs" / "objects" / "kitchen_bowl.yaml").read_text()
+    text = (ROOT / "configs" / "objects" / f"kitchen_{name}.yaml").read_text()
     assert change[0] in text
     (tmp_path / "bad.yaml").write_text(text.replace(*change))
     with pytest.raises(ConfigError, match=said) as fault:
@@ -147,20 +142,47 @@ def test_dishes_stand_in_the_rack_and_not_on_top_of_it(name: str, locations: Loc
     assert body.xpos[2] + SIZES[name][2] / 100 < rack.shape.size_mm[2] / 1000
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [(("slots: 4", "slots: 5"), "5 slots of 70 mm are wider"), (("tine_mm: 40", "tine_mm: 130"), "tines of 130 mm")],
-)
-def test_a_rack_that_cannot_be_is_told(
-    change: tuple[str, str], said: str, tmp_path: Path, locations: Locations
-) -> None:
-    text = (ROOT / "configs" / "objects" / "kitchen_dish_rack.yaml").read_text()
-    assert change[0] in text
-    (tmp_path / "bad.yaml").write_text(text.replace(*change))
-    with pytest.raises(ConfigError, match=said):
-        load_config(ObjectConfig, "objects", str(tmp_path / "bad.yaml"), locations)
-
-
 @pytest.mark.parametrize(("asked", "found"), [("spoon", "kitchen_spoon"), ("bowl", "024_bowl"), ("cup", "kitchen_cup")])
 def test_a_name_without_what_stands_in_front(asked: str, found: str, locations: Locations) -> None:
     assert locations.config_file("objects", asked).stem == found
+
+
+@pytest.mark.parametrize(
+    ("name", "any_way"),
+    [
+        ("cube_red", True),
+        ("005_tomato_soup_can", True),
+        ("011_banana", True),
+        ("025_mug", False),
+        ("kitchen_cup", False),
+        ("kitchen_bottle", False),
+        ("024_bowl", False),
+        ("drawer_cabinet", False),
+        ("soft_napkin", False),
+    ],
+)
+def test_solid_things_may_rest_in_any_way(name: str, any_way: bool, locations: Locations) -> None:
+    item = load_config(ObjectConfig, "objects", name, locations)
+    assert item.rests_any_way is any_way
+    assert item.model_copy(update={"rests": "any"}).rests_any_way
+    assert not item.model_copy(update={"rests": "upright"}).rests_any_way
+    assert "rests" not in item.model_dump()
+
+
+def _depth(point: np.ndarray, within: Capsule) -> float:
+    """How deep a point (3,) lies in a capsule, m."""
+    start, end = np.array(within.start), np.array(within.end)
+    share = np.clip((point - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+    return within.radius - float(np.linalg.norm(point - start - share * (end - start)))
+
+
+def test_the_bananas_core_casts_its_shadow_and_is_not_seen(locations: Locations) -> None:
+    """The scan itself casts none, since light that grazes it would speckle it."""
+    item = load_config(ObjectConfig, "objects", "011_banana", locations)
+    assert not item.mesh.castshadow
+    core = [part for part in item.look if isinstance(part, Capsule) and part.rgba is None]
+    assert core
+    touching = [part for part in item.collision if isinstance(part, Capsule)]
+    straight = core[0]  # along the part that one collision capsule covers
+    for end in (straight.start, straight.end):
+        assert max(_depth(np.array(end), part) for part in touching) - straight.radius >= 0.003

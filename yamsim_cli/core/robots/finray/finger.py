@@ -1,0 +1,166 @@
+"""A fin-ray finger: its dimensions, and its stiffness by beam theory. docs/finray.md has the derivation.
+
+The finger is cut at the base and at each rib into rigid segments, which rotate against each other by angles theta (n,).
+Both walls bend by the same angle. The back wall lies at a distance h from the front wall, so an angle also shifts the
+back wall by h theta; the sum of the shifts up to a rib is the slip there. Ribs, clamped to both walls, resist the slip
+as short beams, and the walls, which meet at the tip, resist it by their stretch.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, FiniteFloat, model_validator
+
+from ...documents.base import Config, ConflictError
+from ...documents.units import Within
+from ...geometry.se3 import Array
+
+_Length = Annotated[FiniteFloat, Within("mm", 20, 300)]
+_Across = Annotated[FiniteFloat, Within("mm", 2, 100)]
+_Thickness = Annotated[FiniteFloat, Within("mm", 0.2, 10)]
+
+_SLENDER = 0.5  # largest thickness of a beam, as a share of the distance between two stations
+_TIP_STIFFNESS = 1e3  # stiffness of the solid tip in units of the walls' stretch: rigid in comparison
+
+
+class FinRay(Config):
+    """Dimensions and material of a finger: a front wall that touches things, a back wall, and ribs between them.
+
+    The front wall is perpendicular to the base; the back wall leans towards it. Ribs are parallel to the base and
+    equally spaced. See docs/finray.md.
+
+    Attributes:
+        feet: the bodies of the gripper's MJCF that carry the left and the right finger.
+        length_mm: from the base to the tip.
+        base_mm, tip_mm: across both walls, at the base and at the tip.
+        width_mm: out of the plane in which the finger bends.
+        wall_mm, rib_mm: thickness of each wall and of each rib.
+        ribs: the number of ribs between base and tip.
+        modulus_mpa: Young's modulus of the material.
+        density_kg_m3: density of the material.
+        relaxation_ms: time constant with which a released finger without mass would straighten.
+    """
+
+    feet: tuple[str, str]
+    length_mm: _Length
+    base_mm: _Across
+    tip_mm: _Across
+    width_mm: _Across
+    wall_mm: _Thickness
+    rib_mm: _Thickness
+    ribs: int = Field(ge=2, le=16)
+    modulus_mpa: Annotated[FiniteFloat, Within("MPa", 1, 5000)]
+    density_kg_m3: Annotated[FiniteFloat, Within("kg/m3", 100, 3000)]
+    relaxation_ms: Annotated[FiniteFloat, Within("ms", 1, 100)]
+
+    @model_validator(mode="after")
+    def _has_valid_dimensions(self) -> FinRay:
+        if self.tip_mm >= self.base_mm:
+            raise ConflictError(
+                f"the tip, {self.tip_mm:g} mm, must be narrower than the base, {self.base_mm:g} mm", ("tip_mm",)
+            )
+        if self.tip_mm <= 2 * self.wall_mm:
+            raise ConflictError(
+                f"the tip, {self.tip_mm:g} mm, must be wider than two walls of {self.wall_mm:g} mm", ("tip_mm",)
+            )
+        bay = self.length_mm / (self.ribs + 1)
+        for name in ("wall_mm", "rib_mm"):
+            if getattr(self, name) > _SLENDER * bay:
+                raise ConflictError(
+                    f"{name} {getattr(self, name):g} is too thick for {self.ribs} ribs on {self.length_mm:g} "
+                    f"mm: at most {_SLENDER * bay:.2g}",
+                    (name,),
+                )
+        return self
+
+    @property
+    def length(self) -> float:
+        """Length from the base to the tip, m."""
+        return self.length_mm / 1000
+
+    @property
+    def width(self) -> float:
+        """Width out of the plane in which the finger bends, m."""
+        return self.width_mm / 1000
+
+    @property
+    def wall(self) -> float:
+        """Thickness of a wall, m."""
+        return self.wall_mm / 1000
+
+    @property
+    def rib(self) -> float:
+        """Thickness of a rib, m."""
+        return self.rib_mm / 1000
+
+    @property
+    def modulus(self) -> float:
+        """Young's modulus, Pa."""
+        return self.modulus_mpa * 1e6
+
+    @property
+    def relaxation(self) -> float:
+        """Ratio of damping to stiffness of each spring, s."""
+        return self.relaxation_ms / 1000
+
+    @property
+    def segments(self) -> int:
+        """The number of rigid segments: one from each station to the next, and one to the tip."""
+        return self.ribs + 1
+
+    @property
+    def bay(self) -> float:
+        """Distance between stations along the front wall, m."""
+        return self.length / self.segments
+
+    @property
+    def stations(self) -> Array:
+        """Heights (segments,) of the base and of the ribs over the base, m."""
+        return np.asarray(np.arange(self.segments, dtype=np.float64) * self.bay)
+
+    def spacing(self, height: Array | float) -> Array:
+        """Distance between the middles of the walls at heights over the base, m."""
+        base, tip = (across / 1000 - self.wall for across in (self.base_mm, self.tip_mm))
+        heights: Array = np.asarray(height, np.float64)
+        return base + (tip - base) * heights / self.length
+
+
+def hinge_stiffness(finger: FinRay) -> Array:
+    """Stiffness (n,) in N m/rad of the hinge at each station: of both walls over a bay, at the base over half a bay."""
+    inertia = finger.width * finger.wall**3 / 12
+    stiffness = np.full(finger.segments, finger.modulus * 2 * inertia / finger.bay)
+    stiffness[0] *= 2
+    return stiffness
+
+
+def slip_arms(finger: FinRay) -> Array:
+    """Slip (n, n) in m of the back wall at each rib, and last at the tip, for a radian at each station (columns)."""
+    spacing = finger.spacing(finger.stations)
+    # Half of the bend at a rib's own station is below the rib.
+    through = np.tril(np.broadcast_to(spacing, (finger.segments, finger.segments)))
+    ribs = through[1:] - np.diag(spacing)[1:] / 2
+    return np.vstack([ribs, spacing])
+
+
+def slip_stiffness(finger: FinRay) -> Array:
+    """Stiffness (n, n) in N/m against slip at the ribs, and last at the tip."""
+    n = finger.segments
+    inertia = finger.width * finger.rib**3 / 12
+    ribs = 12 * finger.modulus * inertia / finger.spacing(finger.stations[1:]) ** 3
+    leaning = np.hypot(finger.bay, (finger.spacing(0.0) - finger.spacing(finger.length)) / n)
+    stretch = finger.modulus * finger.width * finger.wall / (finger.bay + leaning)
+    held = np.diag(np.append(ribs, _TIP_STIFFNESS * stretch))
+    # The slip at a rib is reduced by the stretch of the bays below, which takes the values of least energy.
+    before = np.tril(np.ones((n, n)))
+    give = stretch * np.eye(n) + before.T @ held @ before
+    stiffness: Array = held - held @ before @ np.linalg.solve(give, before.T @ held)
+    return (stiffness + stiffness.T) / 2
+
+
+def couplings(finger: FinRay) -> Array:
+    """Lengths (n, n) in m: each row is a spring of 1 N/m on a weighted sum of the angles; all together resist slip."""
+    rows = np.linalg.cholesky(slip_stiffness(finger)).T @ slip_arms(finger)
+    # Residues of zero differ between libraries of linear algebra.
+    return np.where(np.abs(rows) < 1e-9 * np.abs(rows).max(), 0.0, rows)
