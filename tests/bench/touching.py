@@ -24,8 +24,8 @@ from yamsim_cli.core.errors import YamsimError
 from yamsim_cli.core.geometry.stl import stl_bytes
 from yamsim_cli.core.import_thing.from_file import import_file
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.thing_files.read import Told
-from yamsim_cli.core.things.wishes import Wishes
+from yamsim_cli.core.thing_files.read import UnitOptions
+from yamsim_cli.core.things.make import ImportOptions
 
 _SECONDS = 1.0
 _SHIPPED = ("025_mug", "024_bowl", "kitchen_cup", "kitchen_bowl", "kitchen_plate", "kitchen_pot", "kitchen_dish_rack")
@@ -46,8 +46,8 @@ def main() -> None:
         file.write_bytes(stl_bytes(*mug_mesh()))
         for kind in ("hull", "sdf", "primitives", "decompose"):
             try:
-                wishes = Wishes(f"mug_{kind}", 0.3, None, kind, None, None)  # type: ignore[arg-type]
-                config = import_file(file, Told("m", "z", 1.0), wishes, own, Path(folder) / f"{kind}.yaml").config
+                options = ImportOptions(f"mug_{kind}", 0.3, None, kind, None, None)  # type: ignore[arg-type]
+                config = import_file(file, UnitOptions("m", "z"), options, own, Path(folder) / f"{kind}.yaml").config
                 meshes = {config.mesh.set: own.assets / config.mesh.set}
                 table.add_row("a mug of 5,748 faces", kind, *_measured(subject(config, meshes, own)))
             except YamsimError as error:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.geometry.columns import columns, water_level
-from yamsim_cli.core.geometry.hull import depth_in_hull, spread_points
 from yamsim_cli.core.geometry.loft import joined, loft, moved, outline, ring, thickened, tube, turned
-from yamsim_cli.core.geometry.solid import filling, open_edges
+from yamsim_cli.core.geometry.solid import depth_in_hull, filling, open_edges, spread_points
 
 
 def block(x: float, y: float, z: float) -> tuple[np.ndarray, np.ndarray]:

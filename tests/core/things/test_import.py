@@ -16,8 +16,8 @@ from yamsim_cli.core.import_thing.from_file import import_file
 from yamsim_cli.core.import_thing.ycb import import_ycb
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.skills.checked import check_config
-from yamsim_cli.core.thing_files.read import Told
-from yamsim_cli.core.things.wishes import Wishes
+from yamsim_cli.core.thing_files.read import UnitOptions
+from yamsim_cli.core.things.make import ImportOptions
 
 
 def own(tmp_path: Path, locations: Locations) -> Locations:
@@ -29,7 +29,7 @@ def test_an_own_stl_becomes_an_object_by_name(
 ) -> None:
     where = own(tmp_path, locations)
     (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
-    made = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, None)
+    made = import_file(tmp_path / "drawn.stl", UnitOptions(), ImportOptions("brick", mass=0.12), where, None)
     assert made.path == tmp_path / "configs/objects/brick.yaml"
     item = load_config(ObjectConfig, "objects", "brick", where)
     assert item == made.config
@@ -45,20 +45,21 @@ def test_an_own_stl_becomes_an_object_by_name(
     assert config.task.things["object"].of == (item,)
     assert config.task.language_prompt == "pick up the brick and put it on the plate"
     with pytest.raises(UsageError, match="exists; move it away"):
-        import_file(tmp_path / "drawn.stl", Told(), Wishes("brick"), where, None)
+        import_file(tmp_path / "drawn.stl", UnitOptions(), ImportOptions("brick"), where, None)
 
 
 def test_a_set_that_was_changed_is_not_used(tmp_path: Path, locations: Locations) -> None:
     where = own(tmp_path, locations)
     (tmp_path / "drawn.stl").write_bytes(block((0.05, 0.02, 0.03)))
-    made = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, None)
+    brick = ImportOptions("brick", mass=0.12)
+    made = import_file(tmp_path / "drawn.stl", UnitOptions(), brick, where, None)
     store = AssetStore(where.assets)
     folder = resolve_own(store, made.config.mesh.set)
     assert folder is not None
     file = folder / made.config.mesh.file
     file.write_bytes(file.read_bytes() + b"x")
     assert resolve_own(store, made.config.mesh.set) is None
-    again = import_file(tmp_path / "drawn.stl", Told(), Wishes("brick", mass=0.12), where, tmp_path / "b.yaml")
+    again = import_file(tmp_path / "drawn.stl", UnitOptions(), brick, where, tmp_path / "b.yaml")
     assert again.config == made.config
     assert resolve_own(store, made.config.mesh.set) == folder
 
@@ -67,11 +68,11 @@ def test_what_cannot_be_imported_is_told(tmp_path: Path, locations: Locations) -
     where = own(tmp_path, locations)
     (tmp_path / "mm.stl").write_bytes(ball(30.0))
     with pytest.raises(UsageError, match=r"mm\.stl: it would be 60 x 60 x 60 m large.*--unit mm makes it 0\.06 m long"):
-        import_file(tmp_path / "mm.stl", Told(), Wishes("ball"), where, None)
+        import_file(tmp_path / "mm.stl", UnitOptions(), ImportOptions("ball"), where, None)
     with pytest.raises(ResourceError, match=r"no\.stl: it cannot be read"):
-        import_file(tmp_path / "no.stl", Told(), Wishes("ball"), where, None)
+        import_file(tmp_path / "no.stl", UnitOptions(), ImportOptions("ball"), where, None)
     with pytest.raises(UsageError, match="'my ball' is not valid"):
-        import_file(tmp_path / "mm.stl", Told(), Wishes("my ball"), where, None)
+        import_file(tmp_path / "mm.stl", UnitOptions(), ImportOptions("my ball"), where, None)
     with pytest.raises(UsageError, match="unknown YCB object '013_aple'; did you mean '013_apple'"):
         import_ycb("013_aple", where, None, None)
     with pytest.raises(UsageError, match=r"give --out FILE\.yaml"):

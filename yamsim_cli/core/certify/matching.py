@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..config.things.primitives import CollisionPart, HullPart, SdfPart
-from ..geometry.deviation import points_on
-from ..geometry.hull import depth_in_hull, spread_points
+from ..geometry.deviation import sample_surface
 from ..geometry.se3 import Array
-from ..geometry.solid import filling
+from ..geometry.solid import depth_in_hull, filling, spread_points
 from ..geometry.stl import read_stl
 from ..scene.things.looks import set_file
-from ..things.distance import signed_distance
+from ..things.primitives import signed_distance
 from .looks import NO_LOOKS
 from .outcome import Outcome, short, unchecked
 from .portraits import touching
@@ -46,7 +45,7 @@ def collision(looked: Subject) -> Outcome:
     volume = block * float(touches.mean())
     hull = block * float((depth_in_hull(filled, surface[0]) > 0).mean())
     mesh = sum(filling(*each).volume for each in looked.looks)
-    seen = points_on(surface, _SEEN, np.random.default_rng(0))
+    seen = sample_surface(surface, _SEEN, np.random.default_rng(0))[0]
     # What lies deep inside is out of reach, or hollow, which a ball looks into; and scans see badly in there.
     seen = seen[depth_in_hull(seen, surface[0]) < _SKIN]
     out = np.maximum(_distance(looked, parts, seen), 0)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.hull import depth_in_hull
 from ..geometry.se3 import pose_from_quat
-from ..geometry.solid import filling
+from ..geometry.solid import depth_in_hull, filling
 from .looks import NO_LOOKS
 from .outcome import Outcome, short
 from .portraits import portrait, weighted

@@ -1,4 +1,4 @@
-"""What runs in the child process: limits first, then one file is read, and written down or refused."""
+"""The child process that reads one file within limits, and writes the thing, or why the file is refused."""
 
 from __future__ import annotations
 
@@ -13,16 +13,14 @@ from .parts import Part, ReadThing
 
 REFUSED = "refused.json"
 
-# What Python and its libraries take before anything is read; much of it is only reserved.
-_BASE_BYTES = 3_000_000_000
-_FACTOR = 60
-_MOST_MEMORY = 12_000_000_000
-# Largest file that is written: arrays of the most faces there may be.
-_MOST_WRITTEN = 2_000_000_000
+_BASE_BYTES = 3_000_000_000  # address space of Python and its libraries, mostly only reserved
+_FACTOR = 60  # further address space, as a multiple of the file's size
+_MOST_MEMORY = 12_000_000_000  # bytes
+_MOST_WRITTEN = 2_000_000_000  # bytes of one written file: arrays of the most faces
 
 
 def main(file: str, root: str, out: str, seconds: int) -> None:
-    """Read `file`, which may name others below `root`, and write the thing, or why not, into `out`."""
+    """Read `file`, which may name others below `root`, and write the thing, or the refusal, into `out`."""
     path = Path(file)
     _limit(path.stat().st_size, seconds)
     try:
@@ -45,7 +43,7 @@ def _limit(size: int, seconds: int) -> None:
         (resource.RLIMIT_FSIZE, _MOST_WRITTEN),
         (resource.RLIMIT_CORE, 0),
     ):
-        # A limit that is lower already stays.
+        # A lower limit that is already set stays.
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(kind, (limit, limit))
 
@@ -71,7 +69,7 @@ def _read(path: Path, root: Path) -> ReadThing:
 
 
 def _description(data: bytes, folder: Folder, base: Path) -> ReadThing:
-    """By its root, whatever it is called: `.xml` may be any of them."""
+    """A description by its root element: `.xml` may be any of the formats."""
     from .xml import parse
 
     match parse(data).tag:

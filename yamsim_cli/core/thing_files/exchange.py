@@ -1,4 +1,4 @@
-"""A read thing as files in a folder, by which a child process hands it to its parent: JSON, plain arrays and PNG.
+"""The files by which a child process hands a read thing to its parent: JSON, plain arrays and PNG.
 
 The parent does not trust the child: arrays are read without pickles, and every number is checked again.
 """
@@ -14,8 +14,7 @@ import numpy as np
 
 from .parts import Material, Part, ReadThing, Surface, Weight
 
-THING = "thing.json"
-ARRAYS = "arrays.npz"
+_THING, _ARRAYS = "thing.json", "arrays.npz"
 
 
 def write_thing(thing: ReadThing, folder: Path) -> None:
@@ -30,18 +29,18 @@ def write_thing(thing: ReadThing, folder: Path) -> None:
         "notes": list(thing.notes),
         "parts": [writer.part(part) for part in thing.parts],
     }
-    np.savez(folder / ARRAYS, **writer.arrays)
-    (folder / THING).write_text(json.dumps(data))
+    np.savez(folder / _ARRAYS, **writer.arrays)
+    (folder / _THING).write_text(json.dumps(data))
 
 
 def read_written(folder: Path) -> ReadThing:
     """The thing that `write_thing` wrote.
 
     Raises:
-        OSError, ValueError, KeyError, TypeError: there is none, or not a whole one.
+        OSError, ValueError, KeyError, TypeError: the files are missing, incomplete or invalid.
     """
-    data = json.loads((folder / THING).read_bytes())
-    with np.load(folder / ARRAYS, allow_pickle=False) as stored:
+    data = json.loads((folder / _THING).read_bytes())
+    with np.load(folder / _ARRAYS, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
     parts = tuple(_part(entry, arrays, folder) for entry in data.pop("parts"))
     return ReadThing(**{**data, "notes": tuple(data["notes"])}, parts=parts)
@@ -62,9 +61,8 @@ class _Writer:
             "joint": part.joint,
             "weight": weight and [weight.mass, weight.centre.tolist(), weight.tensor.tolist()],
             "looks": [self.surface(surface) for surface in part.looks],
-            "shapes": None
-            if part.shapes is None
-            else [self.surface(shape) if isinstance(shape, Surface) else dict(shape) for shape in part.shapes],
+            "shapes": part.shapes
+            and [self.surface(shape) if isinstance(shape, Surface) else dict(shape) for shape in part.shapes],
             "handles": [dict(handle) for handle in part.handles],
         }
 
@@ -103,9 +101,7 @@ def _part(entry: Mapping[str, Any], arrays: Mapping[str, Any], folder: Path) -> 
         entry["joint"],
         weight and Weight(float(weight[0]), np.array(weight[1], np.float64), np.array(weight[2], np.float64)),
         tuple(_surface(look, arrays, folder) for look in entry["looks"]),
-        None
-        if shapes is None
-        else tuple(_surface(shape, arrays, folder) if shape.get("surface") else shape for shape in shapes),
+        shapes and tuple(_surface(shape, arrays, folder) if shape.get("surface") else shape for shape in shapes),
         tuple(entry["handles"]),
     )
 
@@ -115,7 +111,7 @@ def _surface(entry: Mapping[str, Any], arrays: Mapping[str, Any], folder: Path) 
     faces = np.asarray(arrays[entry["faces"]], np.int32).reshape(-1, 3)
     uv = None if entry["uv"] is None else np.asarray(arrays[entry["uv"]], np.float64).reshape(-1, 3, 2)
     if not np.isfinite(vertices).all() or faces.min(initial=0) < 0 or faces.max(initial=0) >= max(1, len(vertices)):
-        raise ValueError("a surface that does not hang together")
+        raise ValueError("a surface with invalid vertices or triangles")
     picture = entry["texture"]
     texture = None if picture is None else (folder / Path(picture).name).read_bytes()
     red, green, blue, alpha = entry["rgba"]
