@@ -18,8 +18,7 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.resources import Locations, Meshes
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
-from yamsim_cli.core.scene.classic import classic_xml
-from yamsim_cli.core.scene.scene_files import scene_files
+from yamsim_cli.core.scene.scene_files import classic_xml, scene_files
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.show.compose import at_home, task_start
 

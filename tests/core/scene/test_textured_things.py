@@ -14,8 +14,7 @@ from yamsim_cli.core.assets import AssetStore, resolve_own
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.import_thing.from_file import ImportedFile, import_file
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.scene.classic import classic_xml
-from yamsim_cli.core.scene.scene_files import scene_files
+from yamsim_cli.core.scene.scene_files import classic_xml, scene_files
 from yamsim_cli.core.scene.things.thing import add_object
 from yamsim_cli.core.thing_files.read import UnitOptions, read_thing
 from yamsim_cli.core.things.make import ImportOptions

@@ -13,8 +13,7 @@ from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
 from yamsim_cli.core.opener import Opener
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.textures import pattern
-from yamsim_cli.core.scene.varied_model import VariedModel, scale_masses
+from yamsim_cli.core.scene.varied_model import VariedModel, pattern, scale_masses
 from yamsim_cli.core.session import Session
 from yamsim_cli.core.tasks.sampled_variation import sample_variation
 from yamsim_cli.core.types import EpisodeJob

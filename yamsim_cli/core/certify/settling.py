@@ -1,4 +1,4 @@
-"""Checks on the ground: whether a thing lies still on every face, and survives being dropped."""
+"""Checks on the ground: whether a thing rests still on every face, and survives being dropped."""
 
 from __future__ import annotations
 
@@ -9,22 +9,17 @@ import numpy as np
 
 from ..geometry.attitudes import Attitude, attitudes
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
-from ..scene.breakdown import breakdown
+from ..scene.compiling import breakdown
 from .outcome import Outcome, View, short, unchecked
 from .subject import Subject, compiled, grounded_spec, with_camera
 
-# A thing finds its place first, within so long, looked after so often; then it is to lie still. It falls so long, s.
-_SETTLE, _LOOK, _REST, _FALL = 6.0, 0.2, 2.0, 1.5
-# How far it may tilt and drift meanwhile, and sink in: rad, m.
-_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015
-# From where it is dropped, m; and how often.
-_HEIGHT, _DROPS = 0.10, 8
-# While it hits the ground it sinks in by more, since contacts are soft; once it is through half the slab it comes out
-# below. Out of nothing comes no energy: a share of what it had, and J.
-_THROUGH, _GAIN = 0.05, 0.02
-_LEAST_ENERGY = 1e-4
-# Slower than this it has come to rest, m/s, and ten times as many rad/s.
-_STILL = 0.0002
+_SETTLE, _LOOK = 6.0, 0.2  # s, most time to settle, and interval between tests for rest
+_REST, _FALL = 2.0, 1.5  # s, time for which the thing must rest still, and time of a drop
+_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m, most motion at rest, and most penetration
+_HEIGHT, _DROPS = 0.10, 8  # m, height and number of drops
+_THROUGH = 0.05  # m, most penetration at impact, half the slab: deeper, the thing would come out below
+_GAIN, _LEAST_ENERGY = 0.02, 1e-4  # most gain of energy as a share of the fall's energy, which is at least so many J
+_STILL = 0.0002  # m/s, speed at rest; ten times as many rad/s
 _FIXED = "its base is fixed: it lies nowhere else"
 
 
@@ -32,34 +27,29 @@ _FIXED = "its base is fixed: it lies nowhere else"
 class _World:
     """A thing over a slab."""
 
-    looked: Subject
+    subject: Subject
     model: mujoco.MjModel
     data: mujoco.MjData
 
     @classmethod
-    def of(cls, looked: Subject) -> _World:
-        size = float(np.linalg.norm(np.ptp(looked.touching, axis=0)))
-        spec = with_camera(grounded_spec(looked), (0, 0, size * 0.15), size)
+    def of(cls, subject: Subject) -> _World:
+        spec = with_camera(grounded_spec(subject), (0, 0, subject.size * 0.15), subject.size)
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
         model = compiled(spec)
-        return cls(looked, model, mujoco.MjData(model))
+        return cls(subject, model, mujoco.MjData(model))
 
     def put(self, turn: Array, gap: float) -> None:
-        """The thing turned by (3, 3), its lowest point a gap (m) over the slab, at rest."""
+        """Put the thing at rest, rotated by (3, 3), with its lowest point a gap (m) over the slab."""
         mujoco.mj_resetData(self.model, self.data)
-        low = float((self.looked.touching @ turn.T)[:, 2].min())
-        at = self.model.joint(self.looked.item.name).qposadr[0]
-        middle = turn @ np.array(self.looked.item.inertia.centre)
+        low = float((self.subject.collision_points @ turn.T)[:, 2].min())
+        at = self.model.joint(self.subject.item.name).qposadr[0]
+        middle = turn @ np.array(self.subject.item.inertia.centre)
         self.data.qpos[at : at + 3] = (-middle[0], -middle[1], gap - low)
         self.data.qpos[at + 3 : at + 7] = quat_from_rotation(turn)
         mujoco.mj_forward(self.model, self.data)
 
     def run(self, seconds: float) -> tuple[float, float]:
-        """Deepest contact (m) and greatest energy (J) on the way.
-
-        Raises:
-            ArithmeticError: physics broke down.
-        """
+        """Step for a time: the deepest contact (m) and the greatest energy (J). Raises `ArithmeticError`."""
         deep, energy = 0.0, -np.inf
         for _ in range(round(seconds / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self.data)
@@ -72,11 +62,11 @@ class _World:
 
     @property
     def T(self) -> Array:
-        body = self.data.body(self.looked.item.name)
+        body = self.data.body(self.subject.item.name)
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def settle(self) -> None:
-        """Let time pass until it lies still, or for so long. Raises as `run`."""
+        """Step until the thing rests, or for the most time. Raises `ArithmeticError`."""
         for _ in range(round(_SETTLE / _LOOK)):
             self.run(_LOOK)
             if np.abs(self.data.qvel[:3]).max() < _STILL and np.abs(self.data.qvel[3:6]).max() < 10 * _STILL:
@@ -86,13 +76,13 @@ class _World:
         return View(self.model, self.data.qpos.copy(), caption)
 
 
-def rest(looked: Subject) -> Outcome:
-    """Whether it lies still on each face that it can lie on, and as it stands."""
-    if looked.item.base == "fixed":
+def rest(subject: Subject) -> Outcome:
+    """Whether the thing rests still as it stands, and on each face on which it can rest."""
+    if subject.item.base == "fixed":
         return unchecked(_FIXED)
-    world = _World.of(looked)
+    world = _World.of(subject)
     upright = Attitude(np.array([0.0, 0.0, -1.0]), 0.0, 1.0)
-    others = attitudes(looked.touching, np.array(looked.item.inertia.centre))
+    others = attitudes(subject.collision_points, np.array(subject.item.inertia.centre))
     faces = [upright, *(face for face in others if face.down[2] > -0.999)]
     worst = {"tilt_deg": 0.0, "drift_mm": 0.0, "sinks_mm": 0.0}
     views, faults = list[View](), list[str]()
@@ -111,17 +101,17 @@ def rest(looked: Subject) -> Outcome:
 
 
 def _lies(world: _World, face: Attitude, *, stands: bool) -> dict[str, float]:
-    """How far it tilts and drifts, and how deep it has sunk in.
+    """The tilt, drift and penetration of the thing on a face.
 
     Args:
-        stands: it is put as its config has it, and is to stay so; elsewhere it first finds its place.
+        stands: whether the thing has to stay as it is put; else it settles first.
     """
     world.put(face.turn, 0.0)
     before = world.T
     if not stands:
         world.settle()
         before = world.T
-    middle = np.array([*world.looked.item.inertia.centre, 1.0])
+    middle = np.array([*world.subject.item.inertia.centre, 1.0])
     deep, _ = world.run(_REST)
     after = world.T
     up = before[:3, :3].T @ [0, 0, 1.0]
@@ -130,11 +120,11 @@ def _lies(world: _World, face: Attitude, *, stands: bool) -> dict[str, float]:
     return {"tilt_deg": float(np.degrees(tilt)), "drift_mm": drift * 1000, "sinks_mm": deep * 1000}
 
 
-def drop(looked: Subject) -> Outcome:
-    """Whether it stays over the ground and keeps its senses when it falls from 10 cm however it is turned."""
-    if looked.item.base == "fixed":
+def drop(subject: Subject) -> Outcome:
+    """Whether the thing stays over the ground and gains no energy when it falls from 10 cm in random orientations."""
+    if subject.item.base == "fixed":
         return unchecked(_FIXED)
-    world = _World.of(looked)
+    world = _World.of(subject)
     rng = np.random.default_rng(0)
     deepest, gained, speed = 0.0, 0.0, 0.0
     views = list[View]()
@@ -143,7 +133,7 @@ def drop(looked: Subject) -> Outcome:
         turn = _rotation(quat / np.linalg.norm(quat))
         world.put(turn, _HEIGHT)
         start = float(world.data.energy.sum())
-        fall = max(looked.item.inertia.mass * 9.81 * _HEIGHT, _LEAST_ENERGY)
+        fall = max(subject.item.inertia.mass * 9.81 * _HEIGHT, _LEAST_ENERGY)
         try:
             deep, energy = world.run(_FALL)
         except ArithmeticError as error:
@@ -152,14 +142,10 @@ def drop(looked: Subject) -> Outcome:
         speed = max(speed, float(np.abs(world.data.qvel[:3]).max()))
         if number < 3:
             views.append(world.view(f"drop {number}"))
-        lowest = float((looked.touching @ world.T[:3, :3].T + world.T[:3, 3])[:, 2].min())
+        lowest = float((subject.collision_points @ world.T[:3, :3].T + world.T[:3, 3])[:, 2].min())
         if lowest < -_SINK and abs(world.T[:2, 3]).max() < 0.9:
-            return Outcome(
-                False,
-                {"drops": _DROPS},
-                f"drop {number}: it ends {-lowest * 1000:.3g} mm under the ground",
-                tuple(views),
-            )
+            note = f"drop {number}: it ends {-lowest * 1000:.3g} mm under the ground"
+            return Outcome(False, {"drops": _DROPS}, note, tuple(views))
     figures = {
         "drops": _DROPS,
         "sinks_mm": short(deepest * 1000, 3),

@@ -1,4 +1,4 @@
-"""What is seen of a thing's part: meshes, each with its own material and texture."""
+"""Visual meshes of objects, with material and texture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...assets.own_sets import is_own
 from ...config.things.parts import ObjectMesh
 from ..robot import mesh_bytes
 
-# Asset set -> folder of its files, or the files themselves: name -> content; None where they are not here.
+# Asset set -> folder of its files, or the files themselves (name -> content); None if the set is not here.
 MeshFiles = Mapping[str, Path | Mapping[str, bytes] | None]
 
 SEEN_GROUP = 2
@@ -20,12 +20,12 @@ HIDDEN_GROUP = 3
 
 
 def set_file(folder: Path | Mapping[str, bytes], name: str) -> bytes:
-    """A file of a set. Raises as `mesh_bytes`."""
+    """The content of a file of a set. Raises as `mesh_bytes`."""
     return mesh_bytes(folder / name) if isinstance(folder, Path) else folder[name]
 
 
 def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshFiles) -> str:
-    """Add the material of a mesh, and give its name; its texture only where the mesh itself is shown."""
+    """Add the material of a mesh, with its texture if the mesh is shown, and return the name."""
     material = spec.add_material(name=name, rgba=mesh.rgba, specular=mesh.specular, shininess=mesh.shininess)
     folder = meshes.get(mesh.set)
     if mesh.texture is not None and folder is not None:
@@ -38,7 +38,7 @@ def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshF
 
 
 def add_look(spec: mujoco.MjSpec, body: Any, name: str, mesh: ObjectMesh, material: str, meshes: MeshFiles) -> None:
-    """Add a mesh that is seen as geom `<name>_look`; nothing where its set is not here."""
+    """Add a visual mesh as geom `<name>_look`, if its set is here."""
     folder = meshes.get(mesh.set)
     if folder is None:
         return
@@ -46,7 +46,7 @@ def add_look(spec: mujoco.MjSpec, body: Any, name: str, mesh: ObjectMesh, materi
     spec.assets = {**spec.assets, file: set_file(folder, mesh.file)}
     added = spec.add_mesh(name=name, file=file, refpos=mesh.origin)
     if is_own(mesh.set):
-        # A surface from elsewhere need not enclose anything, and nothing is made of what it would weigh.
+        # Imported surfaces need not be closed, and their mass is not used.
         added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     body.add_geom(
         name=f"{name}_look",
