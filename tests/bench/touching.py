@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.mugs import mug_mesh
-from yamsim_cli.core.certify.hollow import hollow_of
+from yamsim_cli.core.certify.physics_checks import hollow_of
 from yamsim_cli.core.certify.subject import Subject, compiled, grounded_spec, read_subject
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.geometry.columns import columns, water_level
-from yamsim_cli.core.geometry.loft import joined, loft, moved, outline, ring, thickened, tube, turned
+from yamsim_cli.core.geometry.loft import loft, moved, outline, ring, thickened, tube, turned
 from yamsim_cli.core.geometry.solid import depth_in_hull, filling, open_edges, spread_points
 
 
@@ -24,11 +24,6 @@ def test_a_block_has_the_volume_centre_and_inertia_of_a_block() -> None:
     assert found.centre == pytest.approx([0.5, -0.2, 0.25])
     expected = np.diag([0.1**2 + 0.3**2, 0.2**2 + 0.3**2, 0.2**2 + 0.1**2]) * 0.006 / 12
     assert found.inertia == pytest.approx(expected, abs=1e-12)
-
-
-def test_what_is_inside_out_has_a_negative_volume() -> None:
-    vertices, faces = block(0.1, 0.1, 0.1)
-    assert filling(vertices, faces[:, ::-1]).volume == pytest.approx(-0.001)
 
 
 def test_a_turned_profile_is_a_cylinder() -> None:
@@ -88,8 +83,3 @@ def test_water_stands_in_a_cup_up_to_its_rim_and_runs_through_a_hoop() -> None:
     level = water_level(through.top)
     there = np.isfinite(through.top)
     assert level[there] == pytest.approx(through.top[there], abs=1e-9)
-
-
-def test_two_surfaces_joined_hold_what_both_hold() -> None:
-    one, other = block(0.1, 0.1, 0.1), moved(block(0.1, 0.1, 0.1), (1, 0, 0))
-    assert filling(*joined([one, other])).volume == pytest.approx(0.002)

@@ -12,7 +12,7 @@ import pytest
 from tests.malformed import malformed
 from tests.mugs import has_import_extra
 from yamsim_cli.core.errors import ResourceError, YamsimError
-from yamsim_cli.core.thing_files.child import _read
+from yamsim_cli.core.thing_files.child import read_file
 from yamsim_cli.core.thing_files.read import UnitOptions, read_thing
 from yamsim_cli.core.untrusted.jail import Folder
 from yamsim_cli.core.untrusted.refusals import CODES, RefusedError
@@ -65,7 +65,7 @@ def test_no_malformed_file_hangs_crashes_or_shows_a_traceback(tmp_path: Path) ->
 )
 def test_each_kind_of_trap_has_its_code(name: str, code: str, traps: dict[str, Path]) -> None:
     with pytest.raises(RefusedError) as caught:
-        _read(traps[name], traps[name].parent)
+        read_file(traps[name], traps[name].parent)
     assert caught.value.code == code
 
 

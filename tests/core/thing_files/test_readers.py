@@ -13,7 +13,7 @@ from tests.mugs import HEIGHT, RADIUS, has_import_extra, picture, write_mugs
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.geometry.solid import filling, is_closed
 from yamsim_cli.core.images.png import decode_png
-from yamsim_cli.core.thing_files.child import _read
+from yamsim_cli.core.thing_files.child import read_file
 from yamsim_cli.core.thing_files.parts import ReadThing, Surface
 from yamsim_cli.core.thing_files.read import UnitOptions, in_metres, read_thing
 from yamsim_cli.core.things.surfaces import whole
@@ -28,7 +28,7 @@ def mugs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def read_here(path: Path, told: UnitOptions | None = None) -> ReadThing:
     """As `read_thing` does, in this process."""
-    return in_metres(_read(path, path.parent), told or UnitOptions())
+    return in_metres(read_file(path, path.parent), told or UnitOptions())
 
 
 def told(kind: str) -> UnitOptions:

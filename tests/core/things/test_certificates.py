@@ -17,7 +17,7 @@ from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files import sha256_bytes
 from yamsim_cli.core.resources import Locations
-from yamsim_cli.core.things.certificates import Certificate, Standing, find_certificate, inputs_hash, store_certificate
+from yamsim_cli.core.things.certificates import Certificate, Standing, find_certificate, store_certificate
 
 GOOD: dict[str, Any] = {"ok": True, "checks": [{"code": "rest.moves", "ok": True, "figures": {}, "note": ""}]}
 BAD: dict[str, Any] = {"ok": False, "checks": [{"code": "rest.moves", "ok": False, "figures": {}, "note": "rolls"}]}
@@ -85,13 +85,6 @@ def test_a_certificate_of_version_0_2_0_is_found_and_stale(
     assert find_certificate(tmp_path, item, lock) == Certificate(Standing.STALE, ("rest.moves",), old)
     store_certificate(tmp_path, item, lock, GOOD, {})
     assert find_certificate(tmp_path, item, lock).standing is Standing.GOOD
-
-
-def test_the_hash_holds_the_meshes(bowl: ObjectConfig, locations: Locations) -> None:
-    lock = load_lock(locations)
-    assert inputs_hash(bowl, lock) == inputs_hash(bowl, lock)
-    scan = bowl.mesh.model_copy(update={"file": "029_plate.stl"})
-    assert inputs_hash(bowl.model_copy(update={"mesh": scan}), lock) != inputs_hash(bowl, lock)
 
 
 def test_a_damaged_certificate_is_none(bowl: ObjectConfig, tmp_path: Path, locations: Locations) -> None:

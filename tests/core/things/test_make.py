@@ -18,16 +18,16 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.things.thing import ObjectConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.columns import crossings_along_z
-from yamsim_cli.core.geometry.solid import filling, is_closed
+from yamsim_cli.core.geometry.solid import filling
 from yamsim_cli.core.images.png import decode_png
 from yamsim_cli.core.import_thing.from_file import ImportedFile, import_directly, import_file, name_of
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.things.thing import add_object
-from yamsim_cli.core.thing_files.child import _read
+from yamsim_cli.core.thing_files.child import read_file
 from yamsim_cli.core.thing_files.parts import Material, Part, ReadThing, Surface
 from yamsim_cli.core.thing_files.read import UnitOptions
 from yamsim_cli.core.thing_files.solids import seen, touching
-from yamsim_cli.core.things.convex import convexity, decompose, hull
+from yamsim_cli.core.things.convex import decompose
 from yamsim_cli.core.things.looks import looks_of
 from yamsim_cli.core.things.make import ImportOptions, make
 from yamsim_cli.core.things.primitives import Body
@@ -43,21 +43,6 @@ def thing(*surfaces: Surface, **part: Any) -> ReadThing:
 def mug_surface(segments: int = 32) -> Surface:
     vertices, faces = mug_mesh(segments)
     return Surface(vertices, faces.astype(np.int32))
-
-
-def test_what_a_surface_encloses_is_exact() -> None:
-    block = seen("box", np.array([0.05, 0.02, 0.03]), Material())
-    T = np.eye(4)
-    T[:3, 3] = 0.1, 0.2, 0.3
-    moved = block.moved(T)
-    held = filling(moved.vertices, moved.faces)
-    assert held.volume == pytest.approx(0.1 * 0.04 * 0.06)
-    assert held.centre == pytest.approx([0.1, 0.2, 0.3])
-    a, b, c = 0.1, 0.04, 0.06
-    assert np.diag(held.inertia) == pytest.approx(
-        [held.volume / 12 * (b * b + c * c), held.volume / 12 * (a * a + c * c), held.volume / 12 * (a * a + b * b)]
-    )
-    assert is_closed(block.faces) and not is_closed(block.faces[1:])
 
 
 def test_mass_follows_what_is_told() -> None:
@@ -125,14 +110,6 @@ def test_what_is_a_block_becomes_one() -> None:
     assert made.collision[0].fit is not None and made.collision[0].fit.most < 1e-3
 
 
-def test_a_filled_cup_is_not_taken_for_a_hollow_one() -> None:
-    """A cylinder fits a mug's outside, and would fill it."""
-    from yamsim_cli.core.things.collision import NEAR, fitted
-
-    vertices, faces = mug_mesh(32)
-    assert fitted((vertices, faces.astype(np.int32))).most > NEAR
-
-
 def test_the_inside_of_a_mug_is_not_of_it() -> None:
     vertices, faces = mug_mesh(32)
     body = Body.inside(vertices, faces.astype(np.int32))
@@ -147,14 +124,6 @@ def test_columns_go_through_a_surface_an_even_number_of_times() -> None:
     assert found[0] == pytest.approx([0, 0.006], abs=1e-6)
     assert found[1] == pytest.approx([0, HEIGHT], abs=1e-6)
     assert len(found[2]) == 0
-
-
-def test_hulls_know_what_is_convex() -> None:
-    block = seen("box", np.array([0.05, 0.02, 0.03]), Material())
-    assert convexity((block.vertices, block.faces)) == pytest.approx(1, abs=1e-6)
-    vertices, faces = mug_mesh(32)
-    assert convexity((vertices, faces.astype(np.int32))) < 0.3
-    assert is_closed(hull((vertices, faces))[1])
 
 
 @needs_extra
@@ -221,7 +190,7 @@ def subdivided(levels: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(("name", "text"), [("c.sdf", cabinet_sdf()), ("f.urdf", URDF), ("d.xml", MJCF)])
 def test_what_moves_in_a_file_moves_in_a_scene(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    made = make(_read(tmp_path / name, tmp_path), ImportOptions("thing"), tmp_path)
+    made = make(read_file(tmp_path / name, tmp_path), ImportOptions("thing"), tmp_path)
     set_name = "own-thing-000000000000"
     item = ObjectConfig.model_validate(made.with_set(set_name))
     folder = tmp_path / set_name

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from ..geometry.se3 import Array
-from ..scene.things.looks import HIDDEN_GROUP, SEEN_GROUP
+from ..scene.things.geoms import HIDDEN_GROUP, SEEN_GROUP
 from .subject import Subject, bare_spec, compiled, with_camera
 
 _MARK = (0.85, 0.15, 0.10, 1.0)  # colour of the centre of mass

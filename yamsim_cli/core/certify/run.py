@@ -9,7 +9,8 @@ from typing import Any
 
 from ..config.things.thing import ObjectConfig
 from ..resources import Locations
-from . import grasp, hollow, joints, settling
+from . import grasp
+from . import physics_checks as physics
 from . import static_checks as static
 from .outcome import Outcome, unchecked
 from .static_checks import kinds
@@ -53,13 +54,13 @@ _ALL = (
     Check("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
           static.collision, _SURFACES),
     Check("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
-          settling.rest, _HEAVY),
-    Check("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts", settling.drop,
+          physics.rest, _HEAVY),
+    Check("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts", physics.drop,
           _HEAVY),
     Check("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
-          hollow.ball, (*_HEAVY, "mesh.open", "mesh.inverted")),
+          physics.ball, (*_HEAVY, "mesh.open", "mesh.inverted")),
     Check("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
-          joints.articulation, _HEAVY),
+          physics.articulation, _HEAVY),
     Check("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
           grasp.grasp, _HEAVY),
 )  # fmt: skip

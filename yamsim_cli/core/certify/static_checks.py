@@ -11,7 +11,7 @@ from ..geometry.deviation import sample_surface
 from ..geometry.se3 import Array, pose_from_quat
 from ..geometry.solid import depth_in_hull, filling, open_edges, spread_points
 from ..geometry.stl import read_stl
-from ..scene.things.looks import set_file
+from ..scene.things.geoms import set_file
 from ..things.primitives import signed_distance
 from .outcome import Outcome, collision_view, portrait, short, unchecked, weighted
 from .subject import Subject

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .se3 import Array
 from .stl import Faces
@@ -28,7 +29,9 @@ def deviation(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: f
     return farthest
 
 
-def sample_surface(surface: tuple[Array, Faces], count: int, rng: np.random.Generator) -> tuple[Array, Faces]:
+def sample_surface(
+    surface: tuple[Array, Faces], count: int, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.int64]]:
     """Points (count, 3) sampled from a surface, evenly by area, and the triangle of each (count,)."""
     vertices, faces = surface
     a, b, c = np.moveaxis(vertices[faces], 1, 0)

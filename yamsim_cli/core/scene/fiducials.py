@@ -17,7 +17,7 @@ from ..geometry.mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
 from ..geometry.stl import stl_bytes
 from ..images.png import encode_png
-from .things.looks import SEEN_GROUP
+from .things.geoms import SEEN_GROUP
 
 BOARD_BODY = "base_board"
 MOUNT_BODY = "base_mount"

@@ -13,8 +13,7 @@ from ..config.pictures import SHADOW_REACH, RenderConfig
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
 from ..geometry.stl import stl_bytes
-from .things.looks import SEEN_GROUP
-from .things.shapes import contact_numbers
+from .things.geoms import SEEN_GROUP, contact_numbers
 
 _FLOOR, _TILE = 5.0, 0.5  # m, half the length of the floor's edges, and the length of a tile's edges
 _TILE_HEIGHT = 0.001  # m, of the tiles above the floor: enough for the depth buffer

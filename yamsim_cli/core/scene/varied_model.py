@@ -16,7 +16,7 @@ from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotatio
 from ..resources import Meshes
 from ..variation import ArmVariation, LightVariation, SurfaceVariation, Variation
 from .compiled import CompiledScene, SceneArm
-from .things.looks import HIDDEN_GROUP
+from .things.geoms import HIDDEN_GROUP
 from .things.thing import add_object
 
 _ABSENT_GROUP, _PARKED = 4, (0.0, 0.0, -5.0)  # geom group, which no camera draws, and place of absent distractors

@@ -18,8 +18,7 @@ from ..geometry.se3 import Array, pose
 from ..untrusted.jail import MOST_BYTES
 from ..untrusted.refusals import RefusedError
 from . import ENDINGS
-from .child import REFUSED
-from .exchange import read_written
+from .child import REFUSED, read_written
 from .parts import ReadThing
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -68,12 +68,20 @@ def parts_of(links: Sequence[Link], joints: Sequence[Joint]) -> tuple[tuple[Part
     place = {link.name: k for k, (link, _) in enumerate(kept)}
     parts = []
     for link, above in kept:
-        parent, T, moves = None, np.eye(4), None
+        part = Part(
+            link.name,
+            parent=None,
+            T_in_parent=np.eye(4),
+            weight=link.weight,
+            looks=tuple(link.looks),
+            shapes=tuple(link.shapes) or None,
+            handles=tuple(link.handles),
+        )
         if above is not None:
-            parent_link = owner[above.parent or ""]
-            parent, T, moves = place[parent_link.name], inverse(parent_link.T) @ link.T, above.moves
-        shapes = tuple(link.shapes) or None
-        parts.append(Part(link.name, parent, T, moves, link.weight, tuple(link.looks), shapes, tuple(link.handles)))
+            parent = owner[above.parent or ""]
+            T = inverse(parent.T) @ link.T
+            part = replace(part, parent=place[parent.name], T_in_parent=T, joint=above.moves)
+        parts.append(part)
     return tuple(parts), fixed
 
 

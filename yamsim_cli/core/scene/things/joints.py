@@ -11,7 +11,7 @@ import numpy as np
 
 from ...config.things.articulation import Detent, Handle, Link, LinkJoint
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
-from .looks import HIDDEN_GROUP
+from .geoms import HIDDEN_GROUP
 
 _RADIUS = 0.05  # m, of a hinge's detent; any radius gives the same torque
 _SLACK = 10.0  # m, longer than any detent's spring becomes, so that the spring never pulls

@@ -14,9 +14,8 @@ from ...config.things.primitives import CollisionPart, Primitive, Ring
 from ...config.things.thing import ObjectConfig
 from ...geometry.se3 import quat_from_rotation
 from ..cloth import add_cloth
+from .geoms import MeshFiles, add_collision, add_look, add_material, add_primitive, add_seen_ring
 from .joints import add_handles, add_link_joint, start_pose
-from .looks import MeshFiles, add_look, add_material
-from .shapes import add_collision, add_primitive, add_seen_ring
 
 # A fixed base has a free joint, so that each attempt can place the base. Armature (kg, kg m2) and damping (N s/m,
 # N m s) let no hand move the base by 0.1 mm in a minute.
