@@ -26,12 +26,6 @@ def test_a_block_has_the_volume_centre_and_inertia_of_a_block() -> None:
     assert found.inertia == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_turned_profile_is_a_cylinder() -> None:
-    surface = turned([[0, 0], [0.1, 0], [0.1, 0.2], [0, 0.2]], 256)
-    assert open_edges(surface[1]) == 0
-    assert filling(*surface).volume == pytest.approx(math.pi * 0.01 * 0.2, rel=1e-3)
-
-
 def test_a_shell_is_closed_and_as_thick_as_it_was_told() -> None:
     inside = np.array([[0, 0.004], [0.04, 0.004], [0.042, 0.006], [0.042, 0.1]])
     surface = turned(thickened(inside, 0.004), 96)

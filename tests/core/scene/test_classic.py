@@ -102,21 +102,6 @@ def test_what_3_3_does_not_read_is_refused_and_what_does_is_told(composed: Calla
         classic_xml(*composed("single_finray", None, "weld", {}))
 
 
-def test_only_words_of_3_3_are_in_it(scene: Composed) -> None:
-    root = ElementTree.fromstring(classic_xml(*scene))
-    assert not [element for element in root.iter() if element.tag in ("frame", "pid", "dcmotor", "flexstrain")]
-    newer = {
-        "geom": {"castshadow", "adhesion", "surfacevel"},
-        "general": {"input", "inheritrange", "damping", "armature", "delay"},
-        "light": {"type", "intensity", "range", "softness", "texture"},
-        "texture": {"colorspace", "class", "embed"},
-        "body": {"sleep", "simple", "fuse"},
-        "compiler": {"savecompiled", "savecanonical", "saveinertial", "conflict", "passthrough"},
-    }
-    for element in root.iter():
-        assert not newer.get(element.tag, set()) & set(element.attrib), ElementTree.tostring(element)
-
-
 def test_what_has_another_default_in_another_version_is_said(scene: Composed) -> None:
     spec, model = scene
     root = ElementTree.fromstring(classic_xml(spec, model))

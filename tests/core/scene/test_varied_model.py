@@ -122,14 +122,6 @@ def test_all_bodies_of_a_thing_get_heavier_alike(drawers: mujoco.MjModel, factor
     scale_masses(drawers, {"cabinet": 1 / factor})
 
 
-def test_nothing_stays_of_a_mass(model: mujoco.MjModel, varied: VariedModel) -> None:
-    before = numbers(model)
-    varied.apply(Variation(mass={"banana": 1.7}))
-    assert {"body_mass", "dof_M0"} <= changed(before, numbers(model))
-    varied.apply(Variation())
-    assert changed(before, numbers(model)) == set()
-
-
 def test_friction_is_that_of_all_of_an_objects_surface(model: mujoco.MjModel, varied: VariedModel) -> None:
     before = model.geom_friction.copy()
     varied.apply(Variation(friction={"banana": 0.5, "table": 2.0}))

@@ -63,15 +63,6 @@ def test_two_imports_under_one_name_have_a_certificate_each(
     assert find_certificate(tmp_path, other, lock).standing is Standing.GOOD
 
 
-def test_a_config_that_is_changed_back_has_its_certificate_again(
-    bowl: ObjectConfig, tmp_path: Path, locations: Locations
-) -> None:
-    lock = load_lock(locations)
-    store_certificate(tmp_path, bowl, lock, BAD, {})
-    store_certificate(tmp_path, changed(bowl), lock, GOOD, {})
-    assert find_certificate(tmp_path, bowl, lock).standing is Standing.FAILED
-
-
 @pytest.mark.parametrize("mesh_set", ["ycb_objects", "own-mug-111111111111"])
 def test_a_certificate_of_version_0_2_0_is_found_and_stale(
     bowl: ObjectConfig, tmp_path: Path, locations: Locations, mesh_set: str

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.drawers import MJCF, URDF, cabinet_sdf
-from tests.mugs import HEIGHT, RADIUS, WALL, has_import_extra, mug, mug_mesh, write_mugs
+from tests.mugs import HEIGHT, RADIUS, WALL, has_import_extra, mug_mesh, write_mugs
 from yamsim_cli.core.assets import AssetStore, resolve_own
 from yamsim_cli.core.attempt.alone import reachable_places
 from yamsim_cli.core.config.loader import load_config
@@ -20,7 +20,7 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.geometry.columns import crossings_along_z
 from yamsim_cli.core.geometry.solid import filling
 from yamsim_cli.core.images.png import decode_png
-from yamsim_cli.core.import_thing.from_file import ImportedFile, import_directly, import_file, name_of
+from yamsim_cli.core.import_thing.from_file import import_directly, import_file, name_of
 from yamsim_cli.core.resources import Locations
 from yamsim_cli.core.scene.things.thing import add_object
 from yamsim_cli.core.thing_files.child import read_file
@@ -243,20 +243,6 @@ def test_a_ball_dropped_into_a_mug_of_any_format_stays_in(tmp_path: Path) -> Non
         assert ball_stays_in(made.config, meshes)[0], path.name
         assert hangs(made.config, meshes) < 0.05, path.name
     assert max(masses) / min(masses) < 1.01
-
-
-@needs_extra
-def test_a_hull_keeps_the_ball_out(tmp_path: Path, locations: Locations) -> None:
-    """What the test above tells apart."""
-    from tests.bench.things import ball_stays_in
-
-    made: ImportedFile
-    file = tmp_path / "mug.obj"
-    mug(24).export(file)
-    where = Locations(locations.data, tmp_path / "assets")
-    made = import_file(file, UnitOptions("m", "z"), ImportOptions("mug", collision="hull"), where, tmp_path / "m.yaml")
-    meshes = {made.config.mesh.set: resolve_own(AssetStore(where.assets), made.config.mesh.set)}
-    assert not ball_stays_in(made.config, meshes)[0]
 
 
 def test_plain_bodies_keep_their_kind_where_configs_can_say_them() -> None:
